@@ -26,9 +26,8 @@ MAX_WATER_DIFFERENCE = 0.005
 MAX_SATURATION = 0.5
 """Largest fraction of wet pores, that of the table of wet grains."""
 DEFAULT_ERROR = 0.002
-PACKING_ERROR_PER_WIDTH, PACKING_ERROR_LIMITS = 3e-4, (0.003, 0.008)
-"""Bound on the error of fluxes due to the extent of grains, times their mean chord over the largest
-diameter; and its limits."""
+PACKING_ERROR_PER_FRACTION = 0.02
+"""Bound on the error of fluxes due to the extent of grains, over the volume fraction of grains."""
 DISPLACEMENT_PER_DIAMETER = 0.4
 """About the rms displacement of light in a grain over the largest diameter, or more."""
 RECIPROCAL_RULES = {
@@ -99,13 +98,12 @@ def compute_packing_error(layer: GranularMedium) -> float:
 
     Fluxes follow from single scattering and from the mean distance between grains
     (`splits.discrete_ordinates.traced_grains.TracedGrains.compute_packing_ratio`).  Near the
-    surface, they depend on more than the mean, all the more for a wide distribution of sizes.
-    docs/theory/discrete-ordinates.md has the measured differences.  Point grains have none.
+    surface, they depend on more than the mean.  `benchmarks/finite_grains.py` measures the
+    differences.  Point grains have none.
     """
     if layer.interpretation.grain_extent == "point":
         return 0.0
-    width = layer.largest_grain_m * layer.attenuation_per_m
-    return float(np.clip(PACKING_ERROR_PER_WIDTH * width, *PACKING_ERROR_LIMITS))
+    return PACKING_ERROR_PER_FRACTION * (1.0 - layer.porosity)
 
 
 def compute_least_error(medium: Medium) -> float:
@@ -152,6 +150,8 @@ def _find_obstacle_in_layer(layer: Any, wavelength_nm: np.ndarray) -> str | None
     is_wet, is_point = layer.wet_fraction > 0.0, layer.interpretation.grain_extent == "point"
     if is_wet and rules["boundary_fresnel"] == "no":
         return "has water without Fresnel reflection at its boundaries (boundary_fresnel 'no')"
+    if is_wet and not is_point:
+        return "has water between grains that are no points"
     if is_wet or not is_point:
         which = "has water" if is_wet else "has no point grains"
         for name, choice in RECIPROCAL_RULES.items():

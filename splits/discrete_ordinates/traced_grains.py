@@ -5,9 +5,10 @@ moments
 
     M_l = ⟨w P_l(cosΘ)⟩,    w = exp(−∑ α_m L_m),
 
-of the path lengths L_m in the materials m.  Every type of grain has the same number of rays, so
-that rare types have small errors, too.  The moments without one batch of the rays each are kept,
-and the error of any result follows from results with each of these (jackknife).
+of the path lengths L_m in the materials m.  The rays of a type of grain are in proportion to the
+root of its fraction, so that rare types, which may absorb most light, have small errors, too.  The
+moments without one batch of the rays each are kept, and the error of any result follows from
+results with each of these (jackknife).
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from splits.simulation.scene import (
     compute_material_constants,
 )
 from splits.simulation.single_scattering_tally import (
+    GRAIN_RAYS_PER_CHUNK,
     WEIGHTED_MEANS,
     SingleScatteringTally,
 )
@@ -39,15 +41,15 @@ from splits.simulation.stopping_rule import StoppingRule
 
 N_TRACED_ORDERS = 33
 N_DISPLACEMENTS = len(WEIGHTED_MEANS) - 1
-ERROR_PER_RAY = 0.3
-"""About the error of a reflectance, times the square root of the rays of each type of grain."""
+ERROR_PER_RAY = 0.4
+"""About the error of a reflectance, times the square root of the rays of all types of grains."""
 INTERPOLATION_ERROR_PER_RAY = 0.15
 """Bound on the error of interpolation between refractive indices, in the same unit."""
-ERROR_PER_THINNESS = 0.15
+ERROR_PER_THINNESS = 0.1
 """Bound on the error of fluxes of a layer, times its thickness over the rms displacement of light
 in a grain."""
 MIN_RAYS, MAX_RAYS = 2**15, 2**23
-"""Limits of the rays of each type of grain, refractive index and pore."""
+"""Limits of the rays of all types of grains, for each refractive index and pore."""
 LEAST_TRACED_ERROR = 2.0 * ERROR_PER_RAY / MAX_RAYS**0.5
 """Smallest error of a spectrum for which these rays suffice."""
 
@@ -160,7 +162,7 @@ class GrainTracing(NamedTuple):
         Of the materials, at every wavelength.
     nodes : IndexNodes
     rays : int
-        Of each type of grain, refractive index and pore.
+        Of all types of grains, for each refractive index and pore.
     """
 
     scene: Scene
@@ -214,11 +216,14 @@ class GrainTracing(NamedTuple):
         shapes = self.compute_shapes()
         moments, displacements = np.zeros(shapes[0]), np.zeros(shapes[1])
         fractions = np.diff(self.scene.layers.type_cdf[0], prepend=0.0)
+        shares = np.sqrt(fractions.clip(0.0))
+        n_chunks = np.ceil(self.rays / GRAIN_RAYS_PER_CHUNK * shares / shares.sum()).astype(int)
         in_pores = (1.0 - self.wet_fraction, self.wet_fraction)
         for source, is_wet in enumerate(self.pores):
             lost = np.zeros(moments.shape[:2])
             for grain_type in np.flatnonzero(fractions > 0.0):
-                means = self._trace_type(int(grain_type), is_wet, run)
+                n_rays = GRAIN_RAYS_PER_CHUNK * int(n_chunks[grain_type])
+                means = self._trace_type(int(grain_type), is_wet, n_rays, run)
                 every, rest = np.split(means, [N_TRACED_ORDERS], axis=-1)
                 moved, wet = np.split(rest, [N_DISPLACEMENTS], axis=-1)
                 lost += fractions[grain_type] * (1.0 - every[..., 0])
@@ -233,17 +238,19 @@ class GrainTracing(NamedTuple):
             moments[..., source, 0, 0] = 1.0 - np.maximum(lost, 0.0)
         return TracedGrains(moments, displacements, self.nodes.interpolation_bound, digest)
 
-    def _trace_type(self, grain_type: int, is_wet: float, run: RunOptions) -> np.ndarray:
+    def _trace_type(
+        self, grain_type: int, is_wet: float, n_rays: int, run: RunOptions
+    ) -> np.ndarray:
         """Return the means of all scores, shape (replicates, wavelengths, scores)."""
         scene, n_nodes = self.scene, len(self.nodes.index)
         type_cdf = (np.arange(scene.layers.type_cdf.shape[1]) >= grain_type).astype(float)
         single_type = scene._replace(layers=scene.layers._replace(type_cdf=type_cdf[np.newaxis]))
         tally = SingleScatteringTally(
             self.nodes, self.constants.absorption, np.full(n_nodes, is_wet), N_TRACED_ORDERS,
-            self.rays, N_TRACED_ORDERS if self.wet_fraction > 0.0 else 1,
+            n_rays, N_TRACED_ORDERS if self.wet_fraction > 0.0 else 1,
         )  # fmt: skip
-        stop = StoppingRule(0.0, self.rays * n_nodes, fixed=True)
-        simulate(single_type, tally, stop, run)
+        stop = StoppingRule(0.0, n_rays * n_nodes, fixed=True)
+        simulate(single_type, tally, stop, run._replace(seed=run.seed + grain_type))
         scale = N_SCATTERING_BATCHES / tally.count_rays()
         batches = tally.combine_nodes(tally.batch_sums * scale)
         every = batches.mean(axis=0, keepdims=True)

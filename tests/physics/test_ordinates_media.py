@@ -118,7 +118,9 @@ def test_profiles_and_directions_of_point_grains_agree_with_paths():
     for medium in (snow, sand):
         directions = {"polar_deg": [0, 20, 40, 60], "azimuth_deg": [0, 90, 180]}
         paths, solved = (
-            splits.goniophotometer(medium, [600.0, 1000.0], 50.0, 0.04, **directions, **how)
+            splits.goniophotometer(
+                medium, [600.0, 1000.0], 50.0, relative_stderr=0.04, **directions, **how
+            )
             for how in ({}, SOLVED)
         )
         stderr = np.hypot(paths.brdf_stderr, solved.brdf_stderr)

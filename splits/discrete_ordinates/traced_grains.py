@@ -55,9 +55,9 @@ LEAST_TRACED_ERROR = 2.0 * ERROR_PER_RAY / MAX_RAYS**0.5
 
 
 def choose_rays(max_error: float) -> int:
-    """Return the rays for an error of a reflectance of about half of `max_error`, a power of 2."""
+    """Return the rays for an error of a reflectance of about half of `max_error`."""
     needed = (2.0 * ERROR_PER_RAY / max_error) ** 2
-    return int(2 ** np.ceil(np.log2(np.clip(needed, MIN_RAYS, MAX_RAYS))))
+    return int(np.clip(needed, MIN_RAYS, MAX_RAYS))
 
 
 class TracedGrains(NamedTuple):

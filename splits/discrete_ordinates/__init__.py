@@ -9,9 +9,12 @@ Modules, each importing only those above it:
 - `profile`: fluxes within the layers
 - `radiance`: reflected radiance of dry layers
 - `pores`: refraction at the boundaries and interfaces of wet layers
-- `grain_table`, `grain_tabulation`: single scattering by grains
-- `snow_layers`: layers of snow and their optics
-- `snowpack`: spectra of snowpacks, with errors
+- `grain_table`, `grain_tabulation`: single scattering by the grains of natural snow
+- `traced_grains`: single scattering by other grains
+- `grain_cache`: kept results of paths through them
+- `snow_layers`: layers of grains and their optics
+- `replicates`: the same without some of these paths, for errors
+- `snowpack`: spectra of layers, with errors
 - `snow_brdf`: reflected radiance of dry snowpacks, with errors
 - `snow_profile`: fluxes, absorption and path lengths within snowpacks
 - `interval_profile`: the same between depths, by material, with errors

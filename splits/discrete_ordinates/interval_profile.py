@@ -20,6 +20,7 @@ import numpy as np
 from splits.core.uncertainty import compute_jackknife_stderr
 from splits.discrete_ordinates.grain_table import GrainTable
 from splits.discrete_ordinates.pores import WET
+from splits.discrete_ordinates.replicates import iterate_replicates, list_traced
 from splits.discrete_ordinates.snow_layers import SnowLayer
 from splits.discrete_ordinates.snow_profile import SnowProfile, compute_snow_profile
 from splits.discrete_ordinates.snowpack import (
@@ -203,8 +204,11 @@ def _compute_grain_error(
     for layers in _perturb_tables(parts):
         change = _subtract(compute(parts._replace(layers=layers)), values)
         total = IntervalProfile(*map(np.hypot, total, change))
-    for digest in parts.list_traced():
-        replicates = [compute(one) for one in parts.iterate_replicates(digest)]
+    for digest in list_traced(parts.layers):
+        replicates = [
+            compute(parts._replace(layers=layers))
+            for layers in iterate_replicates(parts.layers, digest)
+        ]
         stderr = (
             compute_jackknife_stderr(np.array(field)) for field in zip(*replicates, strict=True)
         )

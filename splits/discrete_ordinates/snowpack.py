@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from functools import cache
 from importlib.resources import as_file, files
 from typing import Any, NamedTuple
@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.core.uncertainty import compute_jackknife_stderr
 from splits.discrete_ordinates.adding import (
     Boundary,
     Budget,
@@ -25,11 +24,10 @@ from splits.discrete_ordinates.pores import (
     make_wet_interface,
     refract_directions,
 )
+from splits.discrete_ordinates.replicates import compute_replicate_error, list_traced
 from splits.discrete_ordinates.slab import LayerOptics, solve_slab
 from splits.discrete_ordinates.snow_layers import MIN_SATURATION, SnowLayer
 from splits.discrete_ordinates.streams import Streams
-from splits.discrete_ordinates.traced_grains import TracedGrains
-from splits.kernels.grains.single_grain import N_SCATTERING_BATCHES
 
 STREAM_NUMBERS = (8, 12, 16, 24, 32, 48, 64)
 """Numbers of streams to choose from."""
@@ -89,18 +87,6 @@ class Snowpack(NamedTuple):
     def is_wet(self) -> bool:
         """Whether any layer holds water."""
         return any(np.any(layer.saturation > 0.0) for layer in self.layers)
-
-    def list_traced(self) -> set[str]:
-        """Return the digests of the traced grains."""
-        sources = (layer.grains for layer in self.layers)
-        return {grains.digest for grains in sources if isinstance(grains, TracedGrains)}
-
-    def iterate_replicates(self, digest: str) -> Iterator[Snowpack]:
-        """Yield the snowpack with each replicate of the traced grains of a digest."""
-        for number in range(1, 1 + N_SCATTERING_BATCHES):
-            yield self._replace(
-                layers=[layer.use_replicate(digest, number) for layer in self.layers]
-            )
 
     def select(self, wavelengths: Any, snowpacks: Any = ...) -> Snowpack:
         """Return the snowpack at some of its wavelengths, or some snowpacks of several."""
@@ -238,13 +224,13 @@ def solve_spectrum(snowpack: Snowpack, cosines: np.ndarray, max_error: float) ->
     def spread(error: np.ndarray) -> np.ndarray:
         return spread_truncation(error, trial, snowpack.ground.size)
 
-    def solve_few(one: Snowpack) -> np.ndarray:
-        budget = one.solve(cosines, n_streams)
+    def solve_few(layers: Sequence[SnowLayer]) -> np.ndarray:
+        budget = few._replace(layers=layers).solve(cosines, n_streams)
         return np.stack([budget.reflectance, budget.transmittance])
 
     optics_error = compute_optics_error(snowpack)
-    if snowpack.list_traced():
-        by_paths = compute_jackknife_error(few, solve_few).max(axis=(0, -1))
+    if list_traced(few.layers):
+        by_paths = compute_replicate_error(few.layers, solve_few).max(axis=(0, -1))
         optics_error = np.hypot(optics_error, spread(by_paths))
     return SpectrumSolution(
         snowpack.solve(cosines, n_streams), n_streams, spread(difference), optics_error
@@ -283,7 +269,7 @@ def spread_truncation(difference: np.ndarray, trial: np.ndarray, n_wavelengths: 
 
 
 def compute_optics_error(snowpack: Snowpack) -> np.ndarray:
-    """Return the error of single scattering without that of `compute_jackknife_error`.
+    """Return the error of single scattering without that of the replicates.
 
     It combines, for the layer with the largest one, the error of the table of natural snow or the
     bound on interpolation between refractive indices, the bound due to the extent of grains, and
@@ -295,26 +281,6 @@ def compute_optics_error(snowpack: Snowpack) -> np.ndarray:
     """
     errors = [layer.compute_optics_error() for layer in snowpack.layers]
     return np.hypot(np.max(errors, axis=0), WET_ERROR if snowpack.is_wet else 0.0)
-
-
-def compute_jackknife_error(
-    snowpack: Snowpack, solve: Callable[[Snowpack], np.ndarray]
-) -> np.ndarray:
-    """Return the error of a result due to the paths through single grains.
-
-    Parameters
-    ----------
-    snowpack : Snowpack
-        With traced grains.
-    solve : callable
-        Returns the result of a snowpack.
-    """
-    variance: Any = 0.0
-    for digest in snowpack.list_traced():
-        results = np.array([solve(one) for one in snowpack.iterate_replicates(digest)])
-        variance = variance + compute_jackknife_stderr(results) ** 2
-    error: np.ndarray = np.sqrt(variance)
-    return error
 
 
 @cache

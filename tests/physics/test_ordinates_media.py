@@ -79,7 +79,8 @@ def compare_media(seeds, error: float, wet=lambda seed: False, interpretation=PO
             stderr = np.hypot(solved[f"{name}_stderr"], paths[f"{name}_stderr"]).values
             difference = (solved[name] - paths[name]).values
             is_small = solved[name].values < MIN_VALUE * error
-            assert (np.abs(difference) < MIN_VALUE * error).all(), (seed, difference)
+            limit = MIN_VALUE * np.maximum(error, stderr)
+            assert (np.abs(difference) < limit).all(), (seed, difference)
             z.append(np.where(is_small, 0.0, difference / stderr))
     return np.array(z).reshape(len(seeds), 2, -1)
 

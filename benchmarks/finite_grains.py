@@ -2,8 +2,8 @@
 
 Random dry snow and sand under the rules keep for overlapping grains, with both mean free paths:
 sizes, shapes, densities of 50 to 550 kg/m³, depths of 5 mm to 1 m, beams of 0° to 80° and diffuse
-light, with and without a ground.  Half of the media are as dense and a half as thin as the range allows,
-where differences are large.  One row for each group of media:
+light, with and without a ground.  Half of the media are as dense and a half as thin as the range
+allows, where differences are large.  One row for each group of media:
 
 largest_difference   of reflectance and transmittance, at 4 wavelengths, from those of paths
 stderr               its standard error
@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 
 import splits
-from splits.discrete_ordinates.applicability import make_snowpack
+from splits.discrete_ordinates.applicability import make_pack
 
 RULES = {"overlap_with_previous_segment": "keep", "overlap_with_boundary": "keep"}
 MEAN_FREE_PATHS = ("pore_only", "including_grain")
@@ -94,7 +94,7 @@ def compare_media(number: int, error: float) -> Iterator[Comparison]:
                 ("discrete_ordinates", (2.0 * error,)), ("monte_carlo", (error, seed)),
             )
         )  # fmt: skip
-        (layer,) = make_snowpack(medium, WAVELENGTHS_NM, 2.0 * error).layers
+        (layer,) = make_pack(medium, WAVELENGTHS_NM, 2.0 * error).layers
         bound = layer.compute_packing_bound()
         is_thick = medium.depth_m > THICK_RATIO * medium.largest_grain_m
         depth = "thick" if is_thick else "thin"

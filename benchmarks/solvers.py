@@ -39,7 +39,7 @@ import tartes
 
 import splits
 from splits.discrete_ordinates import grain_cache
-from splits.discrete_ordinates.applicability import make_snowpack
+from splits.discrete_ordinates.applicability import make_pack
 from splits.media.natural_snow import NATURAL_GRAIN_SHAPE
 
 WAVELENGTHS_NM = np.arange(400.0, 2501.0, 10.0)
@@ -99,7 +99,7 @@ def list_ways(medium: splits.Stack) -> Iterator[tuple[str, str, Callable[[], np.
 
 def solve_pydisort(medium: splits.Stack, streams: int) -> np.ndarray:
     """Return the albedo by PythonicDISORT, with the same single scattering."""
-    snowpack = make_snowpack(medium, WAVELENGTHS_NM)
+    snowpack = make_pack(medium, WAVELENGTHS_NM)
     optics = [one.compute_optics(streams + 1)
               for one in snowpack.layers]  # fmt: skip
     albedo = []
@@ -148,7 +148,7 @@ def measure_ways() -> pd.DataFrame:
     """Return one row for each snowpack and way, with its time and deviations."""
     rows = []
     for name, medium in SNOWPACKS.items():
-        reference = make_snowpack(medium, WAVELENGTHS_NM).solve(COSINES, REFERENCE_STREAMS)
+        reference = make_pack(medium, WAVELENGTHS_NM).solve(COSINES, REFERENCE_STREAMS)
         expected = reference.reflectance[:, 0]
         for way, setting, function, repeats in list_ways(medium):
             function()

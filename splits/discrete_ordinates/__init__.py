@@ -12,11 +12,11 @@ Modules, each importing only those above it:
 - `grain_table`, `grain_tabulation`: single scattering by the grains of natural snow
 - `traced_grains`: single scattering by other grains
 - `grain_cache`: kept results of paths through them
-- `snow_layers`: layers of grains and their optics
+- `granular_layers`: layers of grains and their optics
 - `replicates`: the same without some of these paths, for errors
-- `snowpack`: spectra of layers, with errors
-- `snow_brdf`: reflected radiance of dry snowpacks, with errors
-- `snow_profile`: fluxes, absorption and path lengths within snowpacks
+- `plane_pack`: spectra of layers, with errors
+- `pack_brdf`: reflected radiance of dry layers, with errors
+- `pack_profile`: fluxes, absorption and path lengths within layers
 - `interval_profile`: the same between depths, by material, with errors
 - `applicability`: media for which all this applies
 - `levels`: light at the levels between dry layers

@@ -9,8 +9,8 @@ import numpy as np
 
 from splits.discrete_ordinates.grain_cache import load_grains
 from splits.discrete_ordinates.grain_table import MAX_ABSORPTION, GrainTable
-from splits.discrete_ordinates.snow_layers import SnowLayer
-from splits.discrete_ordinates.snowpack import Snowpack, load_natural_grains
+from splits.discrete_ordinates.granular_layers import GranularLayer
+from splits.discrete_ordinates.plane_pack import PlanePack, load_natural_grains
 from splits.discrete_ordinates.traced_grains import (
     ERROR_PER_THINNESS,
     LEAST_TRACED_ERROR,
@@ -61,9 +61,9 @@ def find_obstacle(medium: Medium, wavelength_nm: np.ndarray) -> str | None:
     return None
 
 
-def make_snowpack(
+def make_pack(
     medium: Medium, wavelength_nm: np.ndarray, max_error: float = DEFAULT_ERROR, threads: int = 1
-) -> Snowpack:
+) -> PlanePack:
     """Return a medium without obstacle as a snowpack at wavelengths (nm).
 
     Parameters
@@ -89,8 +89,8 @@ def make_snowpack(
             if is_wet and layer.wet_fraction == 0.0:
                 grains = grains.add_wet_pores()
         error = compute_packing_error(layer)
-        grain_layers.append(SnowLayer.from_medium(layer, wavelength_nm, grains, error))
-    return Snowpack(grain_layers, albedo)
+        grain_layers.append(GranularLayer.from_medium(layer, wavelength_nm, grains, error))
+    return PlanePack(grain_layers, albedo)
 
 
 def compute_packing_error(layer: GranularMedium) -> float:
@@ -166,7 +166,7 @@ def _find_table_obstacle(layer: Any, wavelength_nm: np.ndarray) -> str | None:
     """Return why the tables of natural snow do not hold."""
     is_wet = layer.saturation > 0.0
     table = load_natural_grains(wet=is_wet)
-    optics = SnowLayer.from_medium(layer, wavelength_nm, table)
+    optics = GranularLayer.from_medium(layer, wavelength_nm, table)
     outside = ~table.contrast.contains(optics.contrast)
     if outside.any():
         limits = 1.0 + table.contrast.nodes[[0, -1]]

@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.core.validation import InvalidValue, invalid
-from splits.discrete_ordinates.applicability import make_snowpack
+from splits.discrete_ordinates.applicability import make_pack
 from splits.discrete_ordinates.derivatives import compute_gradient
+from splits.discrete_ordinates.granular_layers import LAYER_ARRAYS, GranularLayer
+from splits.discrete_ordinates.plane_pack import PlanePack, load_natural_grains
 from splits.discrete_ordinates.slab import LayerOptics
-from splits.discrete_ordinates.snow_layers import LAYER_ARRAYS, SnowLayer
-from splits.discrete_ordinates.snowpack import Snowpack, load_natural_grains
 from splits.discrete_ordinates.streams import Streams
 from splits.media.medium import Medium
 from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
@@ -73,14 +73,14 @@ class OpticsScale(NamedTuple):
     collisions: float
     absorption: float
 
-    def apply(self, layer: SnowLayer) -> SnowLayer:
+    def apply(self, layer: GranularLayer) -> GranularLayer:
         """Return a layer, or derivatives of its properties, with other optics."""
         return layer._replace(
             collisions_per_m=self.collisions * layer.collisions_per_m,
             grain_absorption=self.absorption * layer.grain_absorption,
         )
 
-    def apply_to_layers(self, snowpack: Snowpack) -> Snowpack:
+    def apply_to_layers(self, snowpack: PlanePack) -> PlanePack:
         """Return a snowpack with other optics of all grains."""
         return snowpack._replace(layers=[self.apply(layer) for layer in snowpack.layers])
 
@@ -90,7 +90,7 @@ class Tangent(NamedTuple):
 
     Attributes
     ----------
-    layers : dict of int to SnowLayer
+    layers : dict of int to GranularLayer
         Derivatives of the properties of the layers that depend on it, by number.
     ground : float
         Derivative of the albedo of the ground.
@@ -98,7 +98,7 @@ class Tangent(NamedTuple):
         Derivative of the angle of incidence (degrees).
     """
 
-    layers: dict[int, SnowLayer]
+    layers: dict[int, GranularLayer]
     ground: float = 0.0
     incidence: float = 0.0
 
@@ -119,7 +119,7 @@ class Tangent(NamedTuple):
                 continue
             grains = load_natural_grains(wet=False)
             properties = [
-                SnowLayer.from_medium(version, wavelength_nm, grains) for version in versions
+                GranularLayer.from_medium(version, wavelength_nm, grains) for version in versions
             ]
             changes: dict[str, Any] = {
                 name: combine_differences(
@@ -132,7 +132,7 @@ class Tangent(NamedTuple):
 
     def select(self, wavelengths: np.ndarray) -> Tangent:
         """Return the derivatives at some of the wavelengths."""
-        layers = Snowpack(list(self.layers.values()), np.zeros(wavelengths.max() + 1))
+        layers = PlanePack(list(self.layers.values()), np.zeros(wavelengths.max() + 1))
         selected = layers.select(wavelengths).layers
         return self._replace(layers=dict(zip(self.layers, selected, strict=True)))
 
@@ -142,14 +142,14 @@ class DryDerivatives(NamedTuple):
 
     Attributes
     ----------
-    snowpack : Snowpack
+    snowpack : PlanePack
     tangents : sequence of Tangent
         With respect to each of the parameters.
     incidence : float or "diffuse"
         Degrees, or isotropic light.
     """
 
-    snowpack: Snowpack
+    snowpack: PlanePack
     tangents: Sequence[Tangent]
     incidence: float | str
 
@@ -159,7 +159,7 @@ class DryDerivatives(NamedTuple):
     ) -> DryDerivatives:
         """Return the derivatives of a medium with respect to parameters."""
         tangents = [Tangent.from_parameter(medium, name, wavelength_nm) for name in names]
-        return cls(make_snowpack(medium, wavelength_nm), tangents, incidence)
+        return cls(make_pack(medium, wavelength_nm), tangents, incidence)
 
     def select(self, wavelengths: np.ndarray) -> DryDerivatives:
         """Return the derivatives at some of the wavelengths."""
@@ -208,15 +208,17 @@ class DryDerivatives(NamedTuple):
         return values, np.zeros_like(values)
 
 
-def differentiate_optics(layer: SnowLayer, tangent: SnowLayer, n_streams: int) -> LayerOptics:
+def differentiate_optics(
+    layer: GranularLayer, tangent: GranularLayer, n_streams: int
+) -> LayerOptics:
     """Return the derivatives of the optics of a dry layer, after truncation.
 
     The derivative of a real analytic function is Im f(x + iε)/ε, with an error of the order of ε².
 
     Parameters
     ----------
-    layer : SnowLayer
-    tangent : SnowLayer
+    layer : GranularLayer
+    tangent : GranularLayer
         Derivatives of its properties.
     n_streams : int
     """

@@ -8,25 +8,27 @@ from typing import Any
 import numpy as np
 
 from splits.core.uncertainty import compute_jackknife_stderr
-from splits.discrete_ordinates.snow_layers import SnowLayer
+from splits.discrete_ordinates.granular_layers import GranularLayer
 from splits.discrete_ordinates.traced_grains import TracedGrains
 from splits.kernels.grains.single_grain import N_SCATTERING_BATCHES
 
 
-def list_traced(layers: Sequence[SnowLayer]) -> list[str]:
+def list_traced(layers: Sequence[GranularLayer]) -> list[str]:
     """Return the digests of the traced grains of layers."""
     sources = (layer.grains for layer in layers)
     return sorted({grains.digest for grains in sources if isinstance(grains, TracedGrains)})
 
 
-def iterate_replicates(layers: Sequence[SnowLayer], digest: str) -> Iterator[list[SnowLayer]]:
+def iterate_replicates(
+    layers: Sequence[GranularLayer], digest: str
+) -> Iterator[list[GranularLayer]]:
     """Yield the layers with each replicate of the traced grains of a digest."""
     for number in range(1, 1 + N_SCATTERING_BATCHES):
         yield [layer.use_replicate(digest, number) for layer in layers]
 
 
 def compute_replicate_error(
-    layers: Sequence[SnowLayer], solve: Callable[[list[SnowLayer]], np.ndarray]
+    layers: Sequence[GranularLayer], solve: Callable[[list[GranularLayer]], np.ndarray]
 ) -> np.ndarray:
     """Return the error of a result due to the paths through single grains (jackknife).
 
@@ -34,7 +36,7 @@ def compute_replicate_error(
 
     Parameters
     ----------
-    layers : sequence of SnowLayer
+    layers : sequence of GranularLayer
         With traced grains.
     solve : callable
         Returns the result for layers.

@@ -7,14 +7,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.discrete_ordinates.applicability import make_snowpack
-from splits.discrete_ordinates.radiance import Geometry
-from splits.discrete_ordinates.snow_brdf import (
+from splits.discrete_ordinates.applicability import make_pack
+from splits.discrete_ordinates.pack_brdf import (
     compute_direct_transmittance,
     solve_brdf,
     solve_relative_spectrum,
 )
-from splits.discrete_ordinates.snowpack import Snowpack, SpectrumSolution
+from splits.discrete_ordinates.plane_pack import PlanePack, SpectrumSolution
+from splits.discrete_ordinates.radiance import Geometry
 from splits.instruments.angular_estimate import AngularEstimate
 from splits.media.medium import Medium
 
@@ -105,7 +105,7 @@ def solve_angular_result(medium: Medium, request: AngularRequest, threads: int) 
     threads : int
         For paths through grains.
     """
-    snowpack = make_snowpack(
+    snowpack = make_pack(
         medium, request.wavelengths, PHASE_FUNCTION_SHARE * request.relative_stderr, threads
     )
     solve = _solve_diffuse if request.incidence == "diffuse" else _solve_beam
@@ -114,7 +114,7 @@ def solve_angular_result(medium: Medium, request: AngularRequest, threads: int) 
 
 
 def _solve_diffuse(
-    snowpack: Snowpack, request: AngularRequest
+    snowpack: PlanePack, request: AngularRequest
 ) -> tuple[AngularEstimate, dict[str, Any]]:
     """Return reflectance factors under diffuse light: the reflectances of beams, by reciprocity."""
     cosines = np.cos(np.radians(request.polar))
@@ -129,7 +129,7 @@ def _solve_diffuse(
 
 
 def _solve_beam(
-    snowpack: Snowpack, request: AngularRequest
+    snowpack: PlanePack, request: AngularRequest
 ) -> tuple[AngularEstimate, dict[str, Any]]:
     """Return the BRDF under a beam."""
     cosine = np.cos(np.radians(np.array([float(request.incidence)])))

@@ -9,14 +9,14 @@ import xarray as xr
 
 from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
 from splits.core.validation import ROUNDING_TOLERANCE
-from splits.discrete_ordinates.applicability import make_snowpack
+from splits.discrete_ordinates.applicability import make_pack
 from splits.discrete_ordinates.interval_profile import (
     IntervalProfile,
     LayerDivision,
     ProfileSolution,
     solve_profile,
 )
-from splits.discrete_ordinates.snowpack import Snowpack
+from splits.discrete_ordinates.plane_pack import PlanePack
 from splits.instruments.flux_dataset import (
     ACTINIC_LABEL,
     MATERIAL_LABEL,
@@ -73,7 +73,7 @@ def solve_flux(
         For paths through grains.
     """
     edges = np.array([0.0, *depths, medium.depth_m])
-    whole = make_snowpack(medium, wavelengths, max_stderr, threads)
+    whole = make_pack(medium, wavelengths, max_stderr, threads)
     parts, geometry = divide_medium(medium, whole, edges)
     cosine = None if incidence == "diffuse" else float(np.cos(np.radians(float(incidence))))
     solution = solve_profile(parts, geometry, cosine, max_stderr, limit_irradiance)
@@ -84,8 +84,8 @@ def solve_flux(
 
 
 def divide_medium(
-    medium: Medium, whole: Snowpack, edges: np.ndarray
-) -> tuple[Snowpack, LayerDivision]:
+    medium: Medium, whole: PlanePack, edges: np.ndarray
+) -> tuple[PlanePack, LayerDivision]:
     """Return a medium and its snowpack divided at the edges of intervals (m)."""
     layers: Any = medium.scene_layers
     boundaries = np.cumsum([layer.depth_m for layer in layers])[:-1]

@@ -13,11 +13,11 @@ from splits.discrete_ordinates.applicability import (
     compute_least_error,
     find_obstacle,
     find_parameter_obstacle,
-    make_snowpack,
+    make_pack,
 )
 from splits.discrete_ordinates.derivative_errors import WetDerivatives, solve_derivatives
 from splits.discrete_ordinates.parameter_derivatives import DryDerivatives
-from splits.discrete_ordinates.snowpack import (
+from splits.discrete_ordinates.plane_pack import (
     SpectrumSolution,
     solve_spectrum,
 )
@@ -100,7 +100,7 @@ def solve_estimate(
     with limit_blas_threads():
         solutions = [
             solve_spectrum(
-                make_snowpack(medium, wavelength_nm, max_stderr, run.threads), cosines, max_stderr
+                make_pack(medium, wavelength_nm, max_stderr, run.threads), cosines, max_stderr
             )
             for medium in media
         ]

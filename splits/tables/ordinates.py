@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.discrete_ordinates.applicability import make_snowpack
-from splits.discrete_ordinates.snowpack import SpectrumSolution, solve_spectrum
+from splits.discrete_ordinates.applicability import make_pack
+from splits.discrete_ordinates.plane_pack import SpectrumSolution, solve_spectrum
 from splits.instruments.solver import make_estimate
 from splits.media.medium import Medium
 from splits.simulation.spectral_tally import SpectralEstimate
@@ -71,7 +71,7 @@ def _solve_media(
     threads: int,
 ) -> list[SpectrumSolution]:  # fmt: skip
     def solve(medium: Medium) -> SpectrumSolution:
-        return solve_spectrum(make_snowpack(medium, wavelength_nm, max_stderr), cosines, max_stderr)
+        return solve_spectrum(make_pack(medium, wavelength_nm, max_stderr), cosines, max_stderr)
 
     with limit_blas_threads(), DaemonThreadPool(threads) as pool:
         return list(pool.map(solve, media))

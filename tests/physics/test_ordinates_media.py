@@ -157,6 +157,22 @@ def test_dry_layers_of_a_wet_stack_keep_their_optics():
     np.testing.assert_allclose(one.reflectance, two.reflectance, atol=2e-5)
 
 
+@NEEDS_JIT
+@pytest.mark.parametrize("water", [0.0, 0.3])
+def test_media_without_absorption_lose_no_light(water):
+    """Also where dry and wet pores are not in the equilibrium of n²."""
+    index = {"ice": 1.31, "water": 1.33}
+    snow = splits.Snow(
+        interpretation=POINTS, saturation=water, depth_m=0.02, refractive_index=index
+    )
+    for medium in (snow, splits.Stack([snow, splits.Snow.natural(
+        specific_surface_area_m2_kg=20.0, depth_m=0.02, refractive_index=index,
+    )])):  # fmt: skip
+        solved = splits.spectrophotometer(medium, [600.0], 40.0, 0.02, **SOLVED)
+        # The tables of natural snow have single precision.
+        assert abs(float(solved.absorptance.item())) < 2e-6
+
+
 @pytest.mark.parametrize(
     ("medium", "reason"),
     [

@@ -1,4 +1,4 @@
-"""Spectra of plane snowpacks by discrete ordinates: number of streams, and errors."""
+"""Spectra of plane layers by discrete ordinates: number of streams, and errors."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from splits.discrete_ordinates.adding import (
     make_isotropic,
 )
 from splits.discrete_ordinates.grain_table import GrainTable
+from splits.discrete_ordinates.granular_layers import MIN_SATURATION, GranularLayer
 from splits.discrete_ordinates.pores import (
     RefractingCells,
     make_wet_boundary,
@@ -26,7 +27,6 @@ from splits.discrete_ordinates.pores import (
 )
 from splits.discrete_ordinates.replicates import compute_replicate_error, list_traced
 from splits.discrete_ordinates.slab import LayerOptics, solve_slab
-from splits.discrete_ordinates.snow_layers import MIN_SATURATION, SnowLayer
 from splits.discrete_ordinates.streams import Streams
 
 STREAM_NUMBERS = (8, 12, 16, 24, 32, 48, 64)
@@ -67,20 +67,20 @@ class PlaneStack(NamedTuple):
         return compute_budget(self.elements, ends, self.boundaries, self.ground, self.n_streams)
 
 
-class Snowpack(NamedTuple):
+class PlanePack(NamedTuple):
     """Layers of grains over a ground, at several wavelengths.
 
     Dry snowpacks of natural snow of the same number of layers may be along a leading dimension.
 
     Attributes
     ----------
-    layers : sequence of SnowLayer
+    layers : sequence of GranularLayer
         Top first.
     ground : float, shape (..., wavelengths)
         Albedo of the ground, 0 for an open lower boundary.
     """
 
-    layers: Sequence[SnowLayer]
+    layers: Sequence[GranularLayer]
     ground: np.ndarray
 
     @property
@@ -88,12 +88,12 @@ class Snowpack(NamedTuple):
         """Whether any layer holds water."""
         return any(np.any(layer.saturation > 0.0) for layer in self.layers)
 
-    def select(self, wavelengths: Any, snowpacks: Any = ...) -> Snowpack:
+    def select(self, wavelengths: Any, snowpacks: Any = ...) -> PlanePack:
         """Return the snowpack at some of its wavelengths, or some snowpacks of several."""
         layers = [layer.select(snowpacks, wavelengths) for layer in self.layers]
-        return Snowpack(layers, self.ground[snowpacks][..., wavelengths])
+        return PlanePack(layers, self.ground[snowpacks][..., wavelengths])
 
-    def divide(self, edges_m: np.ndarray) -> tuple[Snowpack, np.ndarray]:
+    def divide(self, edges_m: np.ndarray) -> tuple[PlanePack, np.ndarray]:
         """Return the snowpack with its layers divided at depths, and the layer of each part.
 
         Parameters
@@ -103,7 +103,7 @@ class Snowpack(NamedTuple):
 
         Returns
         -------
-        Snowpack, int (parts,)
+        PlanePack, int (parts,)
         """
         bottoms = np.cumsum([float(layer.depth_m) for layer in self.layers])
         edges = np.append(edges_m, bottoms[-1])
@@ -113,7 +113,7 @@ class Snowpack(NamedTuple):
             self.layers[owner]._replace(depth_m=np.asarray(thickness))
             for owner, thickness in zip(owners, np.diff(edges), strict=True)
         ]
-        return Snowpack(parts, self.ground), owners
+        return PlanePack(parts, self.ground), owners
 
     def build(self, cosines: np.ndarray, n_streams: int) -> PlaneStack:
         """Return the layers and interfaces for beams and for diffuse light.
@@ -204,12 +204,12 @@ class SpectrumSolution(NamedTuple):
         return error
 
 
-def solve_spectrum(snowpack: Snowpack, cosines: np.ndarray, max_error: float) -> SpectrumSolution:
+def solve_spectrum(snowpack: PlanePack, cosines: np.ndarray, max_error: float) -> SpectrumSolution:
     """Return the budget of light by as many streams as an error requires.
 
     Parameters
     ----------
-    snowpack : Snowpack
+    snowpack : PlanePack
     cosines : float, shape (beams,)
     max_error : float
         The number of streams is the first whose truncation error is at most half of this.
@@ -224,7 +224,7 @@ def solve_spectrum(snowpack: Snowpack, cosines: np.ndarray, max_error: float) ->
     def spread(error: np.ndarray) -> np.ndarray:
         return spread_truncation(error, trial, snowpack.ground.size)
 
-    def solve_few(layers: Sequence[SnowLayer]) -> np.ndarray:
+    def solve_few(layers: Sequence[GranularLayer]) -> np.ndarray:
         budget = few._replace(layers=layers).solve(cosines, n_streams)
         return np.stack([budget.reflectance, budget.transmittance])
 
@@ -243,7 +243,7 @@ def choose_trial_wavelengths(n_wavelengths: int) -> np.ndarray:
     return np.unique(np.linspace(0, n_wavelengths - 1, count).round().astype(int))
 
 
-def measure_truncation(snowpack: Snowpack, cosines: np.ndarray, n_streams: int) -> np.ndarray:
+def measure_truncation(snowpack: PlanePack, cosines: np.ndarray, n_streams: int) -> np.ndarray:
     """Return the largest change of reflectance and transmittance by twice the streams.
 
     Returns
@@ -268,7 +268,7 @@ def spread_truncation(difference: np.ndarray, trial: np.ndarray, n_wavelengths: 
     return np.maximum(difference[..., position], before)
 
 
-def compute_optics_error(snowpack: Snowpack) -> np.ndarray:
+def compute_optics_error(snowpack: PlanePack) -> np.ndarray:
     """Return the error of single scattering without that of the replicates.
 
     It combines, for the layer with the largest one, the error of the table of natural snow or the

@@ -18,7 +18,7 @@ MIN_SATURATION = 1e-9
 """Saturation of a dry layer of a wet snowpack, so that its wet pores have a radiance."""
 
 
-class SnowLayer(NamedTuple):
+class GranularLayer(NamedTuple):
     """One layer of each of several snowpacks, at several wavelengths.
 
     Attributes
@@ -58,7 +58,7 @@ class SnowLayer(NamedTuple):
     def from_medium(
         cls, medium: Any, wavelength_nm: np.ndarray, grains: GrainTable | TracedGrains,
         packing_error: float = 0.0,
-    ) -> SnowLayer:  # fmt: skip
+    ) -> GranularLayer:  # fmt: skip
         """Return a layer of grains, with their single scattering, at wavelengths (nm)."""
         index, absorption = compute_material_constants(medium, wavelength_nm)
         return cls(
@@ -73,9 +73,9 @@ class SnowLayer(NamedTuple):
             packing_error,
         )
 
-    def select(self, snowpacks: Any, wavelengths: Any) -> SnowLayer:
+    def select(self, snowpacks: Any, wavelengths: Any) -> GranularLayer:
         """Return the layer of some snowpacks (`...`: of all), at some of its wavelengths."""
-        return SnowLayer(
+        return GranularLayer(
             self.depth_m[snowpacks],
             self.collisions_per_m[snowpacks],
             self.saturation[snowpacks],
@@ -126,7 +126,7 @@ class SnowLayer(NamedTuple):
         wet = np.broadcast_to(saturation * self.water_index**2, shape)
         return np.stack([np.broadcast_to(1.0 - saturation, shape), wet], axis=-1)
 
-    def use_replicate(self, digest: str, number: int) -> SnowLayer:
+    def use_replicate(self, digest: str, number: int) -> GranularLayer:
         """Return the layer with a replicate of its grains, if they are those of a digest."""
         grains = self.grains
         if not isinstance(grains, TracedGrains) or grains.digest != digest:
@@ -134,7 +134,7 @@ class SnowLayer(NamedTuple):
         return self._replace(grains=grains._replace(replicate=number))
 
     def compute_optics_error(self) -> np.ndarray:
-        """Return the error of a reflectance, see `splits.discrete_ordinates.snowpack`."""
+        """Return the error of a reflectance, see `splits.discrete_ordinates.plane_pack`."""
         if isinstance(self.grains, GrainTable):
             return self.grains.interpolate_stderr(self.contrast, self.grain_absorption)
         return np.hypot(self.grains.interpolation_bound, self.compute_packing_bound())
@@ -172,7 +172,7 @@ class SnowLayer(NamedTuple):
         return moments
 
 
-LAYER_ARRAYS = SnowLayer._fields[:7]
+LAYER_ARRAYS = GranularLayer._fields[:7]
 """Fields that are arrays."""
 
 

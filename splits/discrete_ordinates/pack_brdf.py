@@ -1,4 +1,4 @@
-"""Bidirectional reflectance of dry snowpacks: number of streams, and errors.
+"""Bidirectional reflectance of dry layers: number of streams, and errors.
 
 Errors are
 
@@ -15,6 +15,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.discrete_ordinates.plane_pack import (
+    STREAM_NUMBERS,
+    PlanePack,
+    SpectrumSolution,
+    choose_trial_wavelengths,
+    solve_spectrum,
+    spread_truncation,
+)
 from splits.discrete_ordinates.radiance import (
     Geometry,
     compute_brdf,
@@ -22,14 +30,6 @@ from splits.discrete_ordinates.radiance import (
     truncate_known_moments,
 )
 from splits.discrete_ordinates.slab import LayerOptics
-from splits.discrete_ordinates.snowpack import (
-    STREAM_NUMBERS,
-    Snowpack,
-    SpectrumSolution,
-    choose_trial_wavelengths,
-    solve_spectrum,
-    spread_truncation,
-)
 from splits.discrete_ordinates.streams import Streams, compute_legendre
 
 MAX_BRDF_STREAMS = 32
@@ -70,13 +70,13 @@ class BrdfSolution(NamedTuple):
 
 
 def solve_brdf(
-    snowpack: Snowpack, geometry: Geometry, relative_error: float, limited: np.ndarray
+    snowpack: PlanePack, geometry: Geometry, relative_error: float, limited: np.ndarray
 ) -> BrdfSolution:
     """Return the BRDF of a dry snowpack by as many streams as a relative error requires.
 
     Parameters
     ----------
-    snowpack : Snowpack
+    snowpack : PlanePack
     geometry : Geometry
         Of one beam.
     relative_error : float
@@ -107,7 +107,7 @@ def solve_brdf(
 
 
 def solve_relative_spectrum(
-    snowpack: Snowpack, cosines: np.ndarray, relative_error: float
+    snowpack: PlanePack, cosines: np.ndarray, relative_error: float
 ) -> SpectrumSolution:
     """Return the budget of light to a relative error of the reflectances, see `solve_spectrum`."""
     trial = choose_trial_wavelengths(snowpack.ground.size)
@@ -115,7 +115,7 @@ def solve_relative_spectrum(
     return solve_spectrum(snowpack, cosines, relative_error * float(reflectance.min()))
 
 
-def compute_direct_transmittance(snowpack: Snowpack, cosines: np.ndarray) -> np.ndarray:
+def compute_direct_transmittance(snowpack: PlanePack, cosines: np.ndarray) -> np.ndarray:
     """Return the transmittance of light that is not scattered, shape (wavelengths, beams)."""
     optics = _stack_optics(snowpack, 1)
     depth = (optics.thickness * optics.extinction[..., 0]).sum(axis=0)
@@ -123,7 +123,7 @@ def compute_direct_transmittance(snowpack: Snowpack, cosines: np.ndarray) -> np.
     return transmittance
 
 
-def _solve(snowpack: Snowpack, geometry: Geometry, n_streams: int) -> np.ndarray:
+def _solve(snowpack: PlanePack, geometry: Geometry, n_streams: int) -> np.ndarray:
     """Return the BRDF of one beam, shape (wavelengths, views, azimuths)."""
     n_values = len(snowpack.layers) * geometry.views.size * geometry.azimuths.size
     size = max(1, MAX_CHUNK_VALUES // n_values)
@@ -140,7 +140,7 @@ def _solve(snowpack: Snowpack, geometry: Geometry, n_streams: int) -> np.ndarray
 
 
 def _compute_single_scattering_error(
-    snowpack: Snowpack, geometry: Geometry, n_streams: int
+    snowpack: PlanePack, geometry: Geometry, n_streams: int
 ) -> np.ndarray:
     """Return the error of light scattered once, shape (wavelengths, views, azimuths)."""
     optics = _stack_optics(snowpack, _count_orders(snowpack))
@@ -155,11 +155,11 @@ def _compute_single_scattering_error(
     return scatter_once(truncate_known_moments(optics, n_streams), error, geometry)[:, 0]
 
 
-def _count_orders(snowpack: Snowpack) -> int:
+def _count_orders(snowpack: PlanePack) -> int:
     return max(layer.grains.n_orders for layer in snowpack.layers)
 
 
-def _stack_optics(snowpack: Snowpack, orders: int) -> LayerOptics:
+def _stack_optics(snowpack: PlanePack, orders: int) -> LayerOptics:
     """Return the optics of dry layers along the first dimension."""
     layers = [layer.compute_optics(orders) for layer in snowpack.layers]
     return LayerOptics(*(np.stack(values) for values in zip(*layers, strict=True)))

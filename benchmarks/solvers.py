@@ -1,4 +1,4 @@
-"""Time and error of every way to a spectrum of natural snow, on one core in one run.
+"""CPU time and error of every way to a spectrum of natural snow, on one core in one run.
 
 Spectra of 211 wavelengths, 400-2500 nm, of two snowpacks under a beam of 53°:
 
@@ -10,7 +10,8 @@ TARTES         two streams, with the shape of the grains of `splits.Snow.natural
 snowoptics     asymptotic theory (Kokhanovsky & Zege 2004), for a half-space
 
 Deviations are from discrete ordinates with 64 streams.  Those of TARTES and snowoptics are
-differences of models.
+differences of models.  For point grains of snow of Table 1 and of sand, the first call of discrete
+ordinates traces paths through single grains, and the next ones read the result of the first.
 
     python benchmarks/solvers.py [TABLE.csv [FIGURE.png]]
 """
@@ -25,9 +26,11 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[variable] = "1"
 
 import argparse
+import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,12 +42,13 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import splits
-from splits.discrete_ordinates.applicability import make_snowpack
-from splits.discrete_ordinates.snowpack import load_natural_grains
+from splits.discrete_ordinates import grain_cache
+from splits.discrete_ordinates.applicability import make_pack
 from splits.media.natural_snow import NATURAL_GRAIN_SHAPE
 from splits.plotting.style import TWO_COLUMNS_INCHES, make_subplots, pick_colours, use_style
 
 WAVELENGTHS_NM = np.arange(400.0, 2501.0, 10.0)
+TRACED_WAVELENGTHS_NM = np.arange(400.0, 1501.0, 10.0)
 INCIDENCE_DEG = 53.0
 COSINES = np.array([np.cos(np.radians(INCIDENCE_DEG))])
 SOIL_ALBEDO = 0.2
@@ -72,12 +76,12 @@ OTHER_MODELS = ("TARTES", "snowoptics")
 
 
 def time_call(function: Callable[[], Any], repeats: int) -> tuple[Any, float]:
-    """Return the result of a function, and the shortest time of some calls (s)."""
+    """Return the result of a function, and the shortest CPU time of some calls (s)."""
     times = []
     for _ in range(repeats):
-        start = time.perf_counter()
+        start = time.process_time()
         result = function()
-        times.append(time.perf_counter() - start)
+        times.append(time.process_time() - start)
     return result, min(times)
 
 
@@ -123,8 +127,8 @@ def make_table_look_up() -> Callable[[], xr.Dataset]:
 
 def solve_pydisort(medium: splits.Stack, streams: int) -> np.ndarray:
     """Return the albedo by PythonicDISORT, with the same single scattering."""
-    snowpack = make_snowpack(medium, WAVELENGTHS_NM)
-    optics = [one.compute_optics(load_natural_grains(wet=False), streams + 1)
+    snowpack = make_pack(medium, WAVELENGTHS_NM)
+    optics = [one.compute_optics(streams + 1)
               for one in snowpack.layers]  # fmt: skip
     albedo = []
     for row, ground in enumerate(snowpack.ground):
@@ -172,7 +176,7 @@ def measure_ways() -> pd.DataFrame:
     """Return one row for each snowpack and way, with its time and deviations."""
     rows = []
     for name, medium in SNOWPACKS.items():
-        reference = make_snowpack(medium, WAVELENGTHS_NM).solve(COSINES, REFERENCE_STREAMS)
+        reference = make_pack(medium, WAVELENGTHS_NM).solve(COSINES, REFERENCE_STREAMS)
         expected = reference.reflectance[:, 0]
         for way, setting, function, repeats in list_ways(medium):
             function()
@@ -214,13 +218,45 @@ def draw_ways(table: pd.DataFrame) -> Figure:
         return figure
 
 
+def measure_traced_grains() -> pd.DataFrame:
+    """Return one row for each medium of other grains and way, with its CPU time."""
+    points = "radiative_transfer"
+    media = {
+        "snow of Table 1": splits.Snow(saturation=0.0, interpretation=points),
+        "sand": splits.Sand(depth_m=0.01, interpretation=points),
+    }
+    rows = []
+    for name, medium in media.items():
+
+        def simulate(solver: str, error: float = 0.002, medium: object = medium) -> np.ndarray:
+            return splits.spectrophotometer(
+                medium, TRACED_WAVELENGTHS_NM, INCIDENCE_DEG, error, threads=1, solver=solver
+            ).reflectance.values
+
+        with tempfile.TemporaryDirectory() as folder:
+            # Loads the kernels before times are taken.
+            simulate("discrete_ordinates", 0.1), simulate("monte_carlo", 0.1)
+            grain_cache.find_cache_folder = lambda folder=folder: Path(folder)
+            for way, solver, repeats in (
+                ("ordinates, first call", "discrete_ordinates", 1),
+                ("ordinates, next calls", "discrete_ordinates", N_REPEATS),
+                ("paths", "monte_carlo", 1),
+            ):
+                _, seconds = time_call(lambda solver=solver: simulate(solver), repeats)
+                rows.append({
+                    "snowpack": name, "way": way, "setting": "error 0.002",
+                    "milliseconds": 1e3 * seconds,
+                })  # fmt: skip
+    return pd.DataFrame(rows)
+
+
 def main() -> None:
     """Print the table, and write it and its figure if files are given."""
     parser = argparse.ArgumentParser(description="Time and error of every way to a spectrum.")
     parser.add_argument("table", nargs="?", help="CSV file")
     parser.add_argument("figure", nargs="?", help="PNG file")
     arguments = parser.parse_args()
-    table = measure_ways()
+    table = pd.concat([measure_ways(), measure_traced_grains()])
     print(table.to_string(index=False, float_format="%.3g"))
     if arguments.table:
         table.to_csv(arguments.table, index=False, float_format="%.4g")

@@ -227,17 +227,22 @@ def _print_versions(arguments: argparse.Namespace) -> None:
 
 
 def _manage_cache(arguments: argparse.Namespace) -> None:
-    """Print the content of the kernel cache, or clear it."""
+    """Print the content of the cache of kernels and of grains, or clear it."""
+    from splits.discrete_ordinates.grain_cache import GRAINS_SUFFIX
     from splits.kernels.compiler.cache_folder import find_cache_folder
 
     folder = find_cache_folder()
-    kernels = sorted(folder.glob("*.nbc")) if folder else []
-    size = sum(path.stat().st_size for path in kernels) / 1e6
-    _print_line(f"{folder}: {len(kernels)} compiled kernels, {size:.1f} MB")
+    kernels, grains = (
+        sorted(folder.glob(f"*{suffix}")) if folder else [] for suffix in (".nbc", GRAINS_SUFFIX)
+    )
+    kept = [*kernels, *grains]
+    size = sum(path.stat().st_size for path in kept) / 1e6
+    counts = f"{len(kernels)} compiled kernels, {len(grains)} results of paths through grains"
+    _print_line(f"{folder}: {counts}, {size:.1f} MB")
     if arguments.clear:
-        for path in kernels:
+        for path in kept:
             path.unlink(missing_ok=True)
-        _print_line(f"deleted {len(kernels)}")
+        _print_line(f"deleted {len(kept)}")
 
 
 def _write_schemas(arguments: argparse.Namespace) -> None:

@@ -12,11 +12,14 @@ Modules, each importing only those above it:
 - `direct_light`: light that is not scattered, or only once
 - `layer_radiance`: reflection and transmission of a layer between directions
 - `radiance`: reflected and transmitted radiance of layers
-- `grain_table`, `grain_tabulation`: single scattering by grains
-- `snow_layers`: layers of snow and their optics
-- `snowpack`: spectra of snowpacks, with errors
-- `snow_brdf`: reflected and transmitted radiance of snowpacks, with errors
-- `snow_profile`: fluxes, absorption and path lengths within snowpacks
+- `grain_table`, `grain_tabulation`: single scattering by the grains of natural snow
+- `traced_grains`: single scattering by other grains
+- `grain_cache`: kept results of paths through them
+- `granular_layers`: layers of grains and their optics
+- `replicates`: the same without some of these paths, for errors
+- `plane_pack`: spectra of layers, with errors
+- `pack_brdf`: reflected and transmitted radiance of layers, with errors
+- `pack_profile`: fluxes, absorption and path lengths within layers
 - `interval_profile`: the same between depths, by material, with errors
 - `transmittance_error`: relative errors of small transmittances
 - `applicability`: media for which all this applies

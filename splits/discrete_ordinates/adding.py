@@ -38,14 +38,28 @@ class Element(NamedTuple):
     emission: np.ndarray | None
 
     @classmethod
-    def from_slab(cls, slab: Slab, isotropic: np.ndarray) -> Element:
-        """Return a layer, which is the same from both sides, with its isotropic radiance."""
+    def from_slab(cls, slab: Slab, isotropic: np.ndarray, own: np.ndarray | None = None) -> Element:
+        """Return a layer, which is the same from both sides, with its isotropic radiance.
+
+        Parameters
+        ----------
+        slab : Slab
+        isotropic : float, shape (..., radiances)
+            Radiance in equilibrium with a radiance of 1 outside.
+        own : float, shape (..., radiances), optional
+            Radiance in equilibrium within the layer, by which the slab is scaled.
+        """
         n_directions = slab.direct.shape[-1]
         none = np.zeros((*slab.reflection.shape[:-1], n_directions))
         no_beam = np.zeros((*slab.direct.shape, n_directions))
         reflection = join_blocks([[slab.reflection, none], [slab.beam_reflection, no_beam]])
         direct = slab.direct[..., np.newaxis] * np.eye(n_directions)
         transmission = join_blocks([[slab.transmission, none], [slab.beam_transmission, direct]])
+        if own is not None:
+            # Rows are those of the light before: fluxes at a beam follow from light that rises.
+            ratio = own / isotropic
+            change = ratio[..., np.newaxis, :] / ratio[..., np.newaxis]
+            reflection, transmission = reflection * change, transmission * change
         vector = isotropic[..., np.newaxis]
         emission = (vector - reflection @ vector - transmission @ vector)[..., 0]
         return cls(reflection, reflection, transmission, transmission, emission)

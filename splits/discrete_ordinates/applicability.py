@@ -7,17 +7,40 @@ from typing import Any
 
 import numpy as np
 
-from splits.discrete_ordinates.grain_table import MAX_ABSORPTION
-from splits.discrete_ordinates.snow_layers import SnowLayer
-from splits.discrete_ordinates.snowpack import Snowpack, load_natural_grains
-from splits.media.medium import Medium
+from splits.discrete_ordinates.grain_cache import load_grains
+from splits.discrete_ordinates.grain_table import MAX_ABSORPTION, GrainTable
+from splits.discrete_ordinates.granular_layers import GranularLayer
+from splits.discrete_ordinates.plane_pack import (
+    WET_ERROR,
+    PlanePack,
+    compute_optics_error,
+    load_natural_grains,
+)
+from splits.discrete_ordinates.traced_grains import (
+    ERROR_PER_THINNESS,
+    LEAST_TRACED_ERROR,
+    TracedGrains,
+    choose_rays,
+)
+from splits.media.medium import GranularMedium, Medium
 from splits.media.natural_snow import is_natural
 from splits.media.snow import Snow
 
 MAX_WATER_DIFFERENCE = 0.005
 """Largest difference of the index of water from that of the table of wet grains."""
 MAX_SATURATION = 0.5
-"""Largest saturation of the table of wet grains."""
+"""Largest fraction of wet pores, that of the table of wet grains."""
+DEFAULT_ERROR = 0.002
+PACKING_ERROR_PER_FRACTION = 0.02
+"""Bound on the error of fluxes due to the extent of grains, over the volume fraction of grains."""
+DISPLACEMENT_PER_DIAMETER = 0.4
+"""About the rms displacement of light in a grain over the largest diameter, or more."""
+RECIPROCAL_RULES = {
+    "entry_point": "projected",
+    "facet_sampling": "projected",
+    "wrong_side_ray": "mirror",
+}
+"""Rules within grains under which wet layers and finite grains have been compared with paths."""
 SHAPE_PARAMETERS = ("facetness", "sphericity")
 WATER_PARAMETERS = ("saturation", "liquid_water_content")
 
@@ -36,29 +59,134 @@ def find_obstacle(medium: Medium, wavelength_nm: np.ndarray) -> str | None:
         reason = _find_obstacle_in_layer(layer, wavelength_nm)
         if reason:
             return place + reason
-    saturated = [layer.saturation > 0.0 for layer in layers]
+    saturated = [layer.wet_fraction > 0.0 for layer in layers]
     water = [layer.refractive_index["water"] for layer in layers]
     if any(saturated) and any(one != water[0] for one in water):
         return "its layers have different refractive indices of water"
     return None
 
 
-def make_snowpack(medium: Medium, wavelength_nm: np.ndarray) -> Snowpack:
-    """Return a medium without obstacle as a snowpack at wavelengths (nm)."""
+def make_pack(
+    medium: Medium, wavelength_nm: np.ndarray, max_error: float = DEFAULT_ERROR, threads: int = 1
+) -> PlanePack:
+    """Return a medium without obstacle as a snowpack at wavelengths (nm).
+
+    Parameters
+    ----------
+    medium : Medium
+    wavelength_nm : float, shape (wavelengths,)
+    max_error : float
+        Error of a reflectance, of which about half is due to grains that are not natural snow.
+    threads : int
+        For paths through these grains.
+    """
     layers: Any = medium.scene_layers
     ground = medium.reflecting_ground
     albedo = np.zeros(wavelength_nm.size) if ground is None else ground.albedo(wavelength_nm)
-    return Snowpack([SnowLayer.from_snow(layer, wavelength_nm) for layer in layers], albedo)
+    is_wet = any(layer.wet_fraction > 0.0 for layer in layers)
+    grain_layers = []
+    for layer in layers:
+        grains: GrainTable | TracedGrains
+        if _is_tabulated(layer):
+            grains = load_natural_grains(wet=is_wet)
+        else:
+            grains = load_grains(layer, wavelength_nm, choose_rays(max_error), threads)
+            if is_wet and layer.wet_fraction == 0.0:
+                grains = grains.add_wet_pores()
+        error = compute_packing_error(layer)
+        grain_layers.append(GranularLayer.from_medium(layer, wavelength_nm, grains, error))
+    return PlanePack(grain_layers, albedo)
+
+
+def compute_packing_error(layer: GranularMedium) -> float:
+    """Return the bound on the error of fluxes of a thick layer due to the extent of its grains.
+
+    Fluxes follow from single scattering and from the mean distance between grains
+    (`splits.discrete_ordinates.traced_grains.TracedGrains.compute_packing_ratio`).  Near the
+    surface, they depend on more than the mean.  `benchmarks/finite_grains.py` measures the
+    differences.  Point grains have none.
+    """
+    if layer.interpretation.grain_extent == "point":
+        return 0.0
+    return PACKING_ERROR_PER_FRACTION * (1.0 - layer.porosity)
+
+
+def compute_least_error(medium: Medium, wavelength_nm: np.ndarray) -> float:
+    """Return about the smallest error of fluxes of a medium without obstacle.
+
+    That of natural snow does not depend on the requested error.
+    """
+    layers: Any = medium.scene_layers
+    if all(map(_is_tabulated, layers)):
+        return float(compute_optics_error(make_pack(medium, wavelength_nm)).max())
+    least = WET_ERROR if any(layer.wet_fraction > 0.0 for layer in layers) else 0.0
+    for layer in layers:
+        if not _is_tabulated(layer):
+            thinness = 0.0
+            if layer.interpretation.grain_extent != "point":
+                thinness = DISPLACEMENT_PER_DIAMETER * layer.largest_grain_m / layer.depth_m
+            by_packing = compute_packing_error(layer) + ERROR_PER_THINNESS * thinness
+            least = max(least, LEAST_TRACED_ERROR, by_packing)
+    return least
+
+
+def find_direction_obstacle(medium: Medium) -> str | None:
+    """Return why a medium without other obstacle has no BRDF by discrete ordinates."""
+    layers: Any = medium.scene_layers
+    for layer in layers:
+        if not layer.has_grains or _is_tabulated(layer):
+            continue
+        if layer.wet_fraction > 0.0:
+            return "the BRDF of wet grains other than natural snow needs paths"
+        if layer.interpretation.grain_extent != "point":
+            return "the BRDF of grains that are no points needs paths"
+    return None
+
+
+def _is_tabulated(layer: Any) -> bool:
+    """Return whether the tables of natural snow are those of a layer."""
+    return isinstance(layer, Snow) and is_natural(layer)
 
 
 def _find_obstacle_in_layer(layer: Any, wavelength_nm: np.ndarray) -> str | None:
-    if not isinstance(layer, Snow) or not is_natural(layer):
-        return "is no natural snow, made by splits.Snow.natural"
+    if not isinstance(layer, GranularMedium):
+        return "has no grains"
     if layer.pores:
         return "has other fluids than air and water in its pores"
-    optics = SnowLayer.from_snow(layer, wavelength_nm)
+    if layer.wet_fraction > MAX_SATURATION:
+        return (
+            f"has a saturation of {layer.saturation:g}, by which more than {MAX_SATURATION:g} "
+            "of its pores are wet"
+        )
+    if _is_tabulated(layer):
+        return _find_table_obstacle(layer, wavelength_nm)
+    rules = layer.interpretation.as_dict()
+    for name in ("overlap_with_boundary", "overlap_with_previous_segment"):
+        if rules[name] != "keep":
+            return (
+                f"has {name} {rules[name]!r} in its interpretation, under which no equation of "
+                "radiative transfer holds; one holds under the set radiative_transfer"
+            )
+    is_wet, is_point = layer.wet_fraction > 0.0, layer.interpretation.grain_extent == "point"
+    if is_wet and rules["boundary_fresnel"] == "no":
+        return "has water without Fresnel reflection at its boundaries (boundary_fresnel 'no')"
+    if is_wet and not is_point:
+        return "has water between grains that are no points"
+    if is_wet or not is_point:
+        which = "has water" if is_wet else "has no point grains"
+        for name, choice in RECIPROCAL_RULES.items():
+            if rules[name] != choice:
+                return (
+                    f"{which}, and {name} is {rules[name]!r} in its interpretation, not {choice!r}"
+                )
+    return None
+
+
+def _find_table_obstacle(layer: Any, wavelength_nm: np.ndarray) -> str | None:
+    """Return why the tables of natural snow do not hold."""
     is_wet = layer.saturation > 0.0
     table = load_natural_grains(wet=is_wet)
+    optics = GranularLayer.from_medium(layer, wavelength_nm, table)
     outside = ~table.contrast.contains(optics.contrast)
     if outside.any():
         limits = 1.0 + table.contrast.nodes[[0, -1]]
@@ -71,8 +199,6 @@ def _find_obstacle_in_layer(layer: Any, wavelength_nm: np.ndarray) -> str | None
         return f"absorbs too strongly at {wavelength_nm[strong][0]:g} nm"
     if not is_wet:
         return None
-    if layer.saturation > MAX_SATURATION:
-        return f"has a saturation of {layer.saturation:g}, above {MAX_SATURATION:g}"
     expected = table.contrast.compute_weights(optics.contrast) @ table.water
     if np.abs(optics.water_index - expected).max() > MAX_WATER_DIFFERENCE:
         return "has another refractive index of water than by default"
@@ -89,6 +215,10 @@ def find_parameter_obstacle(medium: Medium, parameters: Sequence[str]) -> str | 
         Parameters of the medium.
     """
     layers: Any = medium.scene_layers
+    for number, layer in enumerate(layers):
+        if not _is_tabulated(layer):
+            which = f"layers[{number}]" if len(layers) > 1 else "it"
+            return f"derivatives need natural snow, and {which} is another medium"
     for name in parameters:
         *place, key = name.split(".")
         if key in SHAPE_PARAMETERS:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.discrete_ordinates.applicability import make_snowpack
+from splits.discrete_ordinates.applicability import make_pack
 from splits.discrete_ordinates.integrals import TINY
 from splits.discrete_ordinates.parameter_derivatives import (
     DryDerivatives,
@@ -16,8 +16,8 @@ from splits.discrete_ordinates.parameter_derivatives import (
     combine_differences,
     sample_media,
 )
-from splits.discrete_ordinates.snowpack import (
-    Snowpack,
+from splits.discrete_ordinates.plane_pack import (
+    PlanePack,
     SpectrumSolution,
     choose_trial_wavelengths,
     spread_truncation,
@@ -54,7 +54,7 @@ class SolutionDifference(NamedTuple):
     offsets : tuple of float
         Points, in steps.
     step : float
-    snowpacks : sequence of Snowpack
+    snowpacks : sequence of PlanePack
         At the points.
     angles : sequence of float
         Angles of incidence (degrees) at the points; empty for diffuse light.
@@ -62,7 +62,7 @@ class SolutionDifference(NamedTuple):
 
     offsets: tuple[float, ...]
     step: float
-    snowpacks: Sequence[Snowpack]
+    snowpacks: Sequence[PlanePack]
     angles: Sequence[float]
 
     @classmethod
@@ -74,12 +74,12 @@ class SolutionDifference(NamedTuple):
             # The solution is an even function of the angle.
             offsets, value = STENCILS[0], float(incidence)
             step = min(INCIDENCE_STEP, 0.25 * (90.0 - value))
-            snowpacks = [make_snowpack(medium, wavelength_nm)] * len(offsets)
+            snowpacks = [make_pack(medium, wavelength_nm)] * len(offsets)
             return cls(offsets, step, snowpacks, [value + step * x for x in offsets])
         step = STEPS.choose(name, get_parameter(medium, name))
         offsets, media = sample_media(medium, name, step, STENCILS)
         angles = [] if isinstance(incidence, str) else [incidence] * len(offsets)
-        return cls(offsets, step, [make_snowpack(one, wavelength_nm) for one in media], angles)
+        return cls(offsets, step, [make_pack(one, wavelength_nm) for one in media], angles)
 
     def solve(self, n_streams: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the derivative and its error, each of shape (2, wavelengths).
@@ -109,12 +109,12 @@ class WetDerivatives(NamedTuple):
 
     Attributes
     ----------
-    snowpack : Snowpack
+    snowpack : PlanePack
     differences : sequence of SolutionDifference
         Over each of the parameters.
     """
 
-    snowpack: Snowpack
+    snowpack: PlanePack
     differences: Sequence[SolutionDifference]
 
     @classmethod
@@ -126,7 +126,7 @@ class WetDerivatives(NamedTuple):
             SolutionDifference.from_parameter(medium, name, wavelength_nm, incidence)
             for name in names
         ]
-        return cls(make_snowpack(medium, wavelength_nm), differences)
+        return cls(make_pack(medium, wavelength_nm), differences)
 
     def select(self, wavelengths: np.ndarray) -> WetDerivatives:
         """Return the derivatives at some of the wavelengths."""
@@ -157,7 +157,7 @@ def solve_derivatives(
     """Return derivatives and their errors, shape (2, parameters, wavelengths).
 
     The errors combine that of the number of streams, which is measured as that of the spectrum
-    (`splits.discrete_ordinates.snowpack.solve_spectrum`), those of differences, and those of the
+    (`splits.discrete_ordinates.plane_pack.solve_spectrum`), those of differences, and those of the
     optics: the changes of the derivatives for changes of the absorption and of the scattering by
     the grains that change the reflectance of half-spaces by its error.
 
@@ -182,7 +182,7 @@ def solve_derivatives(
     return values, np.hypot(step_error, error)
 
 
-def _compute_optics_change(snowpack: Snowpack, error: np.ndarray) -> np.ndarray:
+def _compute_optics_change(snowpack: PlanePack, error: np.ndarray) -> np.ndarray:
     """Return the relative change of the optics that changes reflectances by their error.
 
     Of the half-spaces of the layers, the one whose reflectance changes most counts: that of grains
@@ -190,7 +190,7 @@ def _compute_optics_change(snowpack: Snowpack, error: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    snowpack : Snowpack
+    snowpack : PlanePack
     error : float, shape (wavelengths,)
     """
     slopes, diffuse = [], np.zeros(0)
@@ -198,7 +198,7 @@ def _compute_optics_change(snowpack: Snowpack, error: np.ndarray) -> np.ndarray:
         half_space = layer._replace(depth_m=np.asarray(np.inf))
         versions = (half_space, SCALES[0].apply(half_space))
         before, after = (
-            Snowpack([one], 0.0 * error).solve(diffuse, 8).reflectance[..., 0] for one in versions
+            PlanePack([one], 0.0 * error).solve(diffuse, 8).reflectance[..., 0] for one in versions
         )
         slopes.append(np.abs(after - before) / SCALE_STEP)
     change: np.ndarray = np.minimum(

@@ -96,6 +96,20 @@ class GrainTable(NamedTuple):
     stderr: np.ndarray
     water: np.ndarray
 
+    @property
+    def n_orders(self) -> int:
+        """Number of known moments."""
+        return self.moments.shape[-1]
+
+    @property
+    def n_states(self) -> int:
+        """Number of kinds of pores: 2 with wet ones."""
+        return self.moments.shape[2]
+
+    def select(self, wavelengths: object) -> GrainTable:
+        """Return the table, which holds for all wavelengths."""
+        return self
+
     def compute_moments(
         self, contrast: np.ndarray, absorption: np.ndarray, saturation: float, orders: int
     ) -> np.ndarray:

@@ -3,9 +3,10 @@
 The errors combine
 
 - truncation, the difference from twice as many streams at some wavelengths;
-- the statistical error of the tables.  The relative errors of (1 − ω) and of (1 − g) of the grains
-  are those with which the reflectance of weakly absorbing snow has its error in the table.  Their
-  effects are those of more absorbing and of more grains;
+- the statistical error of the tables of natural snow.  The relative errors of (1 − ω) and of
+  (1 − g) of the grains are those with which the reflectance of weakly absorbing snow has its error
+  in the table.  Their effects are those of more absorbing and of more grains.  Traced grains have
+  replicates instead (jackknife);
 - for wet snow, the error of the balance between dry and wet pores.
 """
 
@@ -16,18 +17,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.discrete_ordinates.pores import WET
-from splits.discrete_ordinates.snow_layers import SnowLayer
-from splits.discrete_ordinates.snow_profile import SnowProfile, compute_snow_profile
-from splits.discrete_ordinates.snowpack import (
+from splits.core.uncertainty import compute_jackknife_stderr
+from splits.discrete_ordinates.grain_table import GrainTable
+from splits.discrete_ordinates.granular_layers import GranularLayer
+from splits.discrete_ordinates.pack_profile import PackProfile, compute_pack_profile
+from splits.discrete_ordinates.plane_pack import (
     STREAM_NUMBERS,
     WET_ERROR,
-    Snowpack,
+    PlanePack,
     choose_trial_wavelengths,
     compute_optics_error,
     load_natural_grains,
     spread_truncation,
 )
+from splits.discrete_ordinates.pores import WET
+from splits.discrete_ordinates.replicates import iterate_replicates, list_traced
 
 N_MATERIALS = 3
 """Materials of a layer of snow: air, water and ice."""
@@ -65,7 +69,7 @@ class IntervalProfile(NamedTuple):
     Attributes
     ----------
     downward, upward : float, shape (depths, wavelengths)
-        Irradiances, see `SnowProfile`.
+        Irradiances, see `PackProfile`.
     absorptance : float, shape (intervals, wavelengths)
     by_material : float, shape (intervals, materials, wavelengths)
         Absorptance by air, water and ice of the layers, top first.
@@ -101,15 +105,15 @@ class ProfileSolution(NamedTuple):
 
 
 def solve_profile(
-    parts: Snowpack, geometry: LayerDivision, incidence: float | None, max_error: float,
+    parts: PlanePack, geometry: LayerDivision, incidence: float | None, max_error: float,
     limit_irradiance: bool = True,
 ) -> ProfileSolution:  # fmt: skip
     """Return a profile by as many streams as an error requires.
 
     Parameters
     ----------
-    parts : Snowpack
-        With its layers divided at the depths (`Snowpack.divide`).
+    parts : PlanePack
+        With its layers divided at the depths (`PlanePack.divide`).
     geometry : LayerDivision
     incidence : float, optional
         Cosine of the beam; by default diffuse light.
@@ -132,7 +136,7 @@ def solve_profile(
         if max(one.max() for one in limited) <= 0.5 * max_error:
             break
     profile = _compute_intervals(parts, geometry, incidence, n_streams)
-    optics_error = _compute_table_error(few, coarse, geometry, incidence, n_streams)
+    optics_error = _compute_grain_error(few, coarse, geometry, incidence, n_streams)
     truncation, perturbed = (
         IntervalProfile(*(spread_truncation(values, trial, n_wavelengths) for values in errors))
         for errors in (difference, optics_error)
@@ -145,10 +149,10 @@ def solve_profile(
 
 
 def _compute_intervals(
-    parts: Snowpack, geometry: LayerDivision, incidence: float | None, n_streams: int
+    parts: PlanePack, geometry: LayerDivision, incidence: float | None, n_streams: int
 ) -> IntervalProfile:
     """Return the profile of a divided snowpack for a number of streams."""
-    solution = compute_snow_profile(parts, incidence, n_streams)
+    solution = compute_pack_profile(parts, incidence, n_streams)
     in_grains = np.maximum(solution.grain_absorption, 0.0)
     n_layers = geometry.pore_fraction.size
     by_layer = np.zeros((len(in_grains), n_layers, N_MATERIALS, parts.ground.size))
@@ -173,7 +177,7 @@ def _compute_intervals(
 
 
 def _compute_path_length(
-    parts: Snowpack, solution: SnowProfile, geometry: LayerDivision
+    parts: PlanePack, solution: PackProfile, geometry: LayerDivision
 ) -> np.ndarray:
     """Return path lengths in pores and grains (m), shape (parts, wavelengths)."""
     pore_fraction, attenuation = (
@@ -187,29 +191,48 @@ def _compute_path_length(
     return path
 
 
-def _compute_table_error(
-    parts: Snowpack, values: IntervalProfile, geometry: LayerDivision, incidence: float | None,
+def _compute_grain_error(
+    parts: PlanePack, values: IntervalProfile, geometry: LayerDivision, incidence: float | None,
     n_streams: int,
 ) -> IntervalProfile:  # fmt: skip
-    """Return the effects of the errors of (1 − ω) and of (1 − g), added in quadrature."""
-    error = find_similarity_error(parts.layers[0].contrast, parts.is_wet)
+    """Return the effects of the errors of single scattering, added in quadrature."""
+
+    def compute(snowpack: PlanePack) -> IntervalProfile:
+        return _compute_intervals(snowpack, geometry, incidence, n_streams)
+
     total = IntervalProfile(*(np.zeros_like(one) for one in values))
-    absorbing = [
-        layer._replace(grain_absorption=layer.grain_absorption * (1.0 + error))
-        for layer in parts.layers
-    ]
-    # One number for all wavelengths: the largest error of (1 − g) is nearly the same for all.
-    denser = [
-        layer._replace(collisions_per_m=layer.collisions_per_m * (1.0 + error.max()),
-                       grain_absorption=layer.grain_absorption / (1.0 + error.max()))
-        for layer in parts.layers
-    ]  # fmt: skip
-    for layers in (absorbing, denser):
-        perturbed = _compute_intervals(
-            Snowpack(layers, parts.ground), geometry, incidence, n_streams
+    for layers in _perturb_tables(parts):
+        change = _subtract(compute(parts._replace(layers=layers)), values)
+        total = IntervalProfile(*map(np.hypot, total, change))
+    for digest in list_traced(parts.layers):
+        replicates = [
+            compute(parts._replace(layers=layers))
+            for layers in iterate_replicates(parts.layers, digest)
+        ]
+        stderr = (
+            compute_jackknife_stderr(np.array(field)) for field in zip(*replicates, strict=True)
         )
-        total = IntervalProfile(*map(np.hypot, total, _subtract(perturbed, values)))
+        total = IntervalProfile(*map(np.hypot, total, stderr))
     return total
+
+
+def _perturb_tables(parts: PlanePack) -> list[list[GranularLayer]]:
+    """Return the layers with more absorbing, and with more grains of natural snow, if any."""
+    numbers = [i for i, one in enumerate(parts.layers) if isinstance(one.grains, GrainTable)]
+    if not numbers:
+        return []
+    error = find_similarity_error(parts.layers[0].contrast, parts.is_wet)
+    # One number for all wavelengths: the largest error of (1 − g) is nearly the same for all.
+    largest = error.max()
+    absorbing, denser = list(parts.layers), list(parts.layers)
+    for number in numbers:
+        layer = parts.layers[number]
+        absorbing[number] = layer._replace(grain_absorption=layer.grain_absorption * (1.0 + error))
+        denser[number] = layer._replace(
+            collisions_per_m=layer.collisions_per_m * (1.0 + largest),
+            grain_absorption=layer.grain_absorption / (1.0 + largest),
+        )
+    return [absorbing, denser]
 
 
 def find_similarity_error(contrast: np.ndarray, is_wet: bool) -> np.ndarray:
@@ -227,11 +250,11 @@ def _tabulate_similarity_errors(is_wet: bool) -> np.ndarray:
     n, q = table.contrast.nodes.size, table.absorption.nodes[_WEAK_NODE]
 
     def reflect(absorption: float) -> np.ndarray:
-        layer = SnowLayer(
+        layer = GranularLayer(
             np.asarray(np.inf), np.asarray(1000.0), np.asarray(_ERROR_SATURATION * is_wet),
-            table.contrast.nodes, table.water, np.full(n, absorption), np.zeros((n, 2)),
+            table.contrast.nodes, table.water, np.full(n, absorption), np.zeros((n, 2)), table,
         )  # fmt: skip
-        return Snowpack([layer], np.zeros(n)).solve(np.array([1.0]), _ERROR_STREAMS).reflectance
+        return PlanePack([layer], np.zeros(n)).solve(np.array([1.0]), _ERROR_STREAMS).reflectance
 
     x = q / (1.0 - q)
     slope = np.abs(reflect(x * (1.0 + _STEP)) - reflect(x)).max(axis=-1) / _STEP

@@ -8,8 +8,8 @@ import numpy as np
 
 from splits.discrete_ordinates.applicability import MAX_SATURATION, find_obstacle
 from splits.discrete_ordinates.grain_table import MAX_ABSORPTION
-from splits.discrete_ordinates.snow_layers import SnowLayer
-from splits.discrete_ordinates.snowpack import Snowpack
+from splits.discrete_ordinates.granular_layers import GranularLayer
+from splits.discrete_ordinates.plane_pack import PlanePack, load_natural_grains
 from splits.materials.density import interpolate_ice_density
 from splits.materials.impurities import make_impurities
 from splits.materials.lookup import absorption_coefficient
@@ -24,7 +24,7 @@ class PackMaterials(NamedTuple):
     Attributes
     ----------
     contrast, water_index : float, shape (wavelengths,)
-        See `SnowLayer`.
+        See `GranularLayer`.
     ice_absorption : float, shape (wavelengths,)
         Absorption coefficient (1/m).
     pore_absorption : float, shape (wavelengths, 2)
@@ -90,7 +90,7 @@ def compute_saturation(arrays: SnowPackArrays) -> np.ndarray:
 
 def make_snowpacks(
     arrays: SnowPackArrays, rows: np.ndarray, ground: np.ndarray, materials: PackMaterials
-) -> Snowpack:
+) -> PlanePack:
     """Return some of the snowpacks, all of the same number of layers.
 
     Parameters
@@ -111,7 +111,7 @@ def make_snowpacks(
             for values in (arrays.density_kg_m3, arrays.specific_surface_area_m2_kg)
         )
         layers.append(
-            SnowLayer(
+            GranularLayer(
                 arrays.thickness_m[rows, number],
                 # 𝓔 K, with the volume fraction of ice 𝓔 and K of a quarter of the surface area.
                 0.25 * density * area,
@@ -121,9 +121,10 @@ def make_snowpacks(
                 _compute_grain_absorption(arrays, materials, rows, number),
                 # A path between point grains includes them, see `GranularMedium.pore_fraction`.
                 porosity[:, number, np.newaxis, np.newaxis] * materials.pore_absorption,
+                load_natural_grains(wet=bool(saturation.any())),
             )
         )
-    return Snowpack(layers, ground)
+    return PlanePack(layers, ground)
 
 
 def _compute_grain_absorption(

@@ -15,12 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.core.validation import InvalidValue, invalid
-from splits.discrete_ordinates.applicability import make_snowpack
+from splits.discrete_ordinates.applicability import make_pack
 from splits.discrete_ordinates.derivatives import compute_gradient
-from splits.discrete_ordinates.grain_table import GrainTable
+from splits.discrete_ordinates.granular_layers import LAYER_ARRAYS, GranularLayer
+from splits.discrete_ordinates.plane_pack import PlanePack, load_natural_grains
 from splits.discrete_ordinates.slab import LayerOptics
-from splits.discrete_ordinates.snow_layers import SnowLayer
-from splits.discrete_ordinates.snowpack import Snowpack, load_natural_grains
 from splits.discrete_ordinates.streams import Streams
 from splits.media.medium import Medium
 from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
@@ -74,14 +73,14 @@ class OpticsScale(NamedTuple):
     collisions: float
     absorption: float
 
-    def apply(self, layer: SnowLayer) -> SnowLayer:
+    def apply(self, layer: GranularLayer) -> GranularLayer:
         """Return a layer, or derivatives of its properties, with other optics."""
         return layer._replace(
             collisions_per_m=self.collisions * layer.collisions_per_m,
             grain_absorption=self.absorption * layer.grain_absorption,
         )
 
-    def apply_to_layers(self, snowpack: Snowpack) -> Snowpack:
+    def apply_to_layers(self, snowpack: PlanePack) -> PlanePack:
         """Return a snowpack with other optics of all grains."""
         return snowpack._replace(layers=[self.apply(layer) for layer in snowpack.layers])
 
@@ -91,7 +90,7 @@ class Tangent(NamedTuple):
 
     Attributes
     ----------
-    layers : dict of int to SnowLayer
+    layers : dict of int to GranularLayer
         Derivatives of the properties of the layers that depend on it, by number.
     ground : float
         Derivative of the albedo of the ground.
@@ -99,7 +98,7 @@ class Tangent(NamedTuple):
         Derivative of the angle of incidence (degrees).
     """
 
-    layers: dict[int, SnowLayer]
+    layers: dict[int, GranularLayer]
     ground: float = 0.0
     incidence: float = 0.0
 
@@ -118,14 +117,22 @@ class Tangent(NamedTuple):
             versions: list[Any] = [one.scene_layers[number] for one in media]
             if all(version is same for version in versions):
                 continue
-            properties = [SnowLayer.from_snow(version, wavelength_nm) for version in versions]
-            fields = (np.array(field) for field in zip(*properties, strict=True))
-            layers[number] = SnowLayer(*(combine_differences(weights, one) for one in fields))
+            grains = load_natural_grains(wet=False)
+            properties = [
+                GranularLayer.from_medium(version, wavelength_nm, grains) for version in versions
+            ]
+            changes: dict[str, Any] = {
+                name: combine_differences(
+                    weights, np.array([getattr(one, name) for one in properties])
+                )
+                for name in LAYER_ARRAYS
+            }
+            layers[number] = properties[0]._replace(**changes)
         return cls(layers)
 
     def select(self, wavelengths: np.ndarray) -> Tangent:
         """Return the derivatives at some of the wavelengths."""
-        layers = Snowpack(list(self.layers.values()), np.zeros(wavelengths.max() + 1))
+        layers = PlanePack(list(self.layers.values()), np.zeros(wavelengths.max() + 1))
         selected = layers.select(wavelengths).layers
         return self._replace(layers=dict(zip(self.layers, selected, strict=True)))
 
@@ -135,14 +142,14 @@ class DryDerivatives(NamedTuple):
 
     Attributes
     ----------
-    snowpack : Snowpack
+    snowpack : PlanePack
     tangents : sequence of Tangent
         With respect to each of the parameters.
     incidence : float or "diffuse"
         Degrees, or isotropic light.
     """
 
-    snowpack: Snowpack
+    snowpack: PlanePack
     tangents: Sequence[Tangent]
     incidence: float | str
 
@@ -152,7 +159,7 @@ class DryDerivatives(NamedTuple):
     ) -> DryDerivatives:
         """Return the derivatives of a medium with respect to parameters."""
         tangents = [Tangent.from_parameter(medium, name, wavelength_nm) for name in names]
-        return cls(make_snowpack(medium, wavelength_nm), tangents, incidence)
+        return cls(make_pack(medium, wavelength_nm), tangents, incidence)
 
     def select(self, wavelengths: np.ndarray) -> DryDerivatives:
         """Return the derivatives at some of the wavelengths."""
@@ -180,8 +187,8 @@ class DryDerivatives(NamedTuple):
         two arrays, shape (2, parameters, wavelengths)
             Of reflectance and transmittance.
         """
-        table, incidence = load_natural_grains(wet=False), self.incidence
-        layers = [layer.compute_optics(table, n_streams + 1) for layer in self.snowpack.layers]
+        incidence = self.incidence
+        layers = [layer.compute_optics(n_streams + 1) for layer in self.snowpack.layers]
         optics = LayerOptics(*(np.stack(field) for field in zip(*layers, strict=True)))
         angle = 0.0 if isinstance(incidence, str) else np.radians(incidence)
         cosine = None if isinstance(incidence, str) else float(np.cos(angle))
@@ -194,7 +201,7 @@ class DryDerivatives(NamedTuple):
             derivative = derivative + tangent.incidence * by_degree * gradient.cosine
             for number, change in tangent.layers.items():
                 layer = self.snowpack.layers[number]
-                by_optics = differentiate_optics(layer, change, table, n_streams)
+                by_optics = differentiate_optics(layer, change, n_streams)
                 derivative = derivative + gradient.differentiate(number, by_optics)
             derivatives.append(derivative)
         values = np.stack(derivatives, axis=1)
@@ -202,7 +209,7 @@ class DryDerivatives(NamedTuple):
 
 
 def differentiate_optics(
-    layer: SnowLayer, tangent: SnowLayer, table: GrainTable, n_streams: int
+    layer: GranularLayer, tangent: GranularLayer, n_streams: int
 ) -> LayerOptics:
     """Return the derivatives of the optics of a dry layer, after truncation.
 
@@ -210,17 +217,16 @@ def differentiate_optics(
 
     Parameters
     ----------
-    layer : SnowLayer
-    tangent : SnowLayer
+    layer : GranularLayer
+    tangent : GranularLayer
         Derivatives of its properties.
-    table : GrainTable
     n_streams : int
     """
     shifted = {
         name: getattr(layer, name) + 1j * COMPLEX_STEP * getattr(tangent, name)
         for name in _VARYING_FIELDS
     }
-    optics = layer._replace(**shifted).compute_optics(table, n_streams + 1).truncate(n_streams)
+    optics = layer._replace(**shifted).compute_optics(n_streams + 1).truncate(n_streams)
     return LayerOptics(
         np.asarray(tangent.depth_m),
         optics.extinction.imag / COMPLEX_STEP,

@@ -8,22 +8,29 @@ of optics therefore change its logarithm, in proportion to 1 + |ln T|, and combi
   mean free path (Ishimaru 1978, Wave Propagation and Scattering in Random Media, section 9.1).  The
   errors of (1 − ω) and (1 − g) are independent, and the relative error of their ratio is known;
   this rate has half of it;
-- for wet snow, the error of the balance between dry and wet pores.
+- for other grains, the scatter of ln T without each batch of the paths through them (jackknife), and
+  the bound for grains of finite extent;
+- for wet media, the error of the balance between dry and wet pores.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from splits.discrete_ordinates.grain_table import GrainTable
+from splits.discrete_ordinates.granular_layers import GranularLayer
 from splits.discrete_ordinates.integrals import TINY
 from splits.discrete_ordinates.interval_profile import find_similarity_error
-from splits.discrete_ordinates.snowpack import (
-    Snowpack,
+from splits.discrete_ordinates.plane_pack import (
+    PlanePack,
     SpectrumSolution,
     choose_trial_wavelengths,
     solve_spectrum,
     spread_truncation,
 )
+from splits.discrete_ordinates.replicates import compute_replicate_error, list_traced
 
 OPTICS_SHARE = 0.5
 """Error of ln T, relative to 1 + |ln T|, over that of (1 − ω)/(1 − g)."""
@@ -35,7 +42,7 @@ SUFFICIENT_ERROR = 0.01
 
 
 def solve_with_exponent_error(
-    snowpack: Snowpack, cosines: np.ndarray, max_error: float
+    snowpack: PlanePack, cosines: np.ndarray, max_error: float
 ) -> SpectrumSolution:
     """Return the budget of light with the errors of small transmittances; see `solve_spectrum`."""
     solution = solve_spectrum(snowpack, cosines, max_error)
@@ -47,19 +54,27 @@ def solve_with_exponent_error(
     return solution._replace(exponent_error=error)
 
 
-def _compute_exponent_error(snowpack: Snowpack, cosines: np.ndarray, n_streams: int) -> np.ndarray:
+def _compute_exponent_error(snowpack: PlanePack, cosines: np.ndarray, n_streams: int) -> np.ndarray:
     """Return the error of ln T relative to 1 + |ln T|, shape (wavelengths,)."""
     n_wavelengths = snowpack.ground.size
     trial = choose_trial_wavelengths(n_wavelengths)
     few = snowpack.select(trial)
-    coarse, fine = (
-        np.log(np.maximum(few.solve(cosines, number).transmittance, TINY))
-        for number in (n_streams, 2 * n_streams)
-    )
-    truncation = (np.abs(coarse - fine) / (1.0 + np.abs(fine))).max(axis=-1)
-    optics = OPTICS_SHARE * find_similarity_error(snowpack.layers[0].contrast, snowpack.is_wet)
-    balance = BALANCE_ERROR if snowpack.is_wet else 0.0
-    error: np.ndarray = np.sqrt(
-        spread_truncation(truncation, trial, n_wavelengths) ** 2 + optics**2 + balance**2
-    )
+
+    def solve(layers: Sequence[GranularLayer], number: int = n_streams) -> np.ndarray:
+        transmittance = few._replace(layers=layers).solve(cosines, number).transmittance
+        logarithm: np.ndarray = np.log(np.maximum(transmittance, TINY))
+        return logarithm
+
+    fine = solve(few.layers, 2 * n_streams)
+    changes = [np.abs(solve(few.layers) - fine)]
+    if list_traced(few.layers):
+        changes.append(compute_replicate_error(few.layers, solve))
+    relative = [(change / (1.0 + np.abs(fine))).max(axis=-1) for change in changes]
+    spread = spread_truncation(np.sqrt(sum(np.square(relative))), trial, n_wavelengths)
+    has_tables = any(isinstance(layer.grains, GrainTable) for layer in snowpack.layers)
+    contrast, is_wet = snowpack.layers[0].contrast, snowpack.is_wet
+    optics = OPTICS_SHARE * find_similarity_error(contrast, is_wet) if has_tables else 0.0
+    extent = np.max([layer.compute_packing_bound() for layer in snowpack.layers], axis=0)
+    balance = BALANCE_ERROR if is_wet else 0.0
+    error: np.ndarray = np.sqrt(spread**2 + optics**2 + extent**2 + balance**2)
     return error

@@ -1,4 +1,4 @@
-"""BRDFs, BTDFs and factors of natural snow by discrete ordinates, in the form of simulations."""
+"""BRDFs, BTDFs and factors by discrete ordinates, in the form of simulations."""
 
 from __future__ import annotations
 
@@ -7,12 +7,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.discrete_ordinates.applicability import make_snowpack
+from splits.discrete_ordinates.applicability import find_direction_obstacle, make_pack
 from splits.discrete_ordinates.geometry import Geometry
-from splits.discrete_ordinates.snow_brdf import solve_bidirectional, solve_relative_spectrum
-from splits.discrete_ordinates.snowpack import Snowpack, SpectrumSolution
+from splits.discrete_ordinates.pack_brdf import solve_bidirectional, solve_relative_spectrum
+from splits.discrete_ordinates.plane_pack import PlanePack, SpectrumSolution
 from splits.instruments.angular_estimate import AngularEstimate
 from splits.media.medium import Medium
+
+PHASE_FUNCTION_SHARE = 0.06
+"""Error of a reflectance for which the paths through grains give a phase function with an error
+of 1 in proportion."""
 
 
 class AngularRequest(NamedTuple):
@@ -66,22 +70,22 @@ class AngularResult(NamedTuple):
         return bool(self.attributes["stop_reason"] == "converged")
 
 
-def find_angular_obstacle(estimator: str, rays: int | None) -> str | None:
+def find_angular_obstacle(medium: Medium, estimator: str, rays: int | None) -> str | None:
     """Return why discrete ordinates cannot replace a goniophotometer, None if they can.
 
     Parameters
     ----------
-    estimator, rays
+    medium, estimator, rays
         As for `splits.goniophotometer`.
     """
     if estimator != "expansion":
         return f"the estimator {estimator} needs paths"
     if rays is not None:
         return "a number of rays needs paths"
-    return None
+    return find_direction_obstacle(medium)
 
 
-def solve_angular_result(medium: Medium, request: AngularRequest) -> AngularResult:
+def solve_angular_result(medium: Medium, request: AngularRequest, threads: int) -> AngularResult:
     """Return angular distributions by discrete ordinates.
 
     Parameters
@@ -89,15 +93,19 @@ def solve_angular_result(medium: Medium, request: AngularRequest) -> AngularResu
     medium : Medium
         Without obstacle.
     request : AngularRequest
+    threads : int
+        For paths through grains.
     """
-    snowpack = make_snowpack(medium, request.wavelengths)
+    snowpack = make_pack(
+        medium, request.wavelengths, PHASE_FUNCTION_SHARE * request.relative_stderr, threads
+    )
     solve = _solve_diffuse if request.incidence == "diffuse" else _solve_beam
     estimate, attributes = solve(snowpack, request)
     return AngularResult(estimate, {}, (), attributes)
 
 
 def _solve_diffuse(
-    snowpack: Snowpack, request: AngularRequest
+    snowpack: PlanePack, request: AngularRequest
 ) -> tuple[AngularEstimate, dict[str, Any]]:
     """Return factors under diffuse light, by reciprocity.
 
@@ -120,7 +128,7 @@ def _solve_diffuse(
 
 
 def _solve_beam(
-    snowpack: Snowpack, request: AngularRequest
+    snowpack: PlanePack, request: AngularRequest
 ) -> tuple[AngularEstimate, dict[str, Any]]:
     """Return the BRDF and the BTDF under a beam."""
     cosine = np.cos(np.radians(np.array([float(request.incidence)])))

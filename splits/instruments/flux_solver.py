@@ -1,4 +1,4 @@
-"""Fluxes inside natural snow by discrete ordinates, in the form of simulations."""
+"""Fluxes inside layers of grains by discrete ordinates, in the form of simulations."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import xarray as xr
 
 from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
 from splits.core.validation import ROUNDING_TOLERANCE
-from splits.discrete_ordinates.applicability import make_snowpack
+from splits.discrete_ordinates.applicability import make_pack
 from splits.discrete_ordinates.interval_profile import (
     IntervalProfile,
     LayerDivision,
     ProfileSolution,
     solve_profile,
 )
-from splits.discrete_ordinates.snowpack import Snowpack
+from splits.discrete_ordinates.plane_pack import PlanePack
 from splits.instruments.flux_dataset import (
     ACTINIC_LABEL,
     MATERIAL_LABEL,
@@ -26,6 +26,7 @@ from splits.instruments.flux_dataset import (
 from splits.instruments.solver import DISCRETE_ORDINATES
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.medium import Medium
+from splits.simulation.scene import N_PORE_MATERIALS, compute_material_constants
 
 
 def find_profile_obstacle(medium: Medium, wavelength_nm: np.ndarray) -> str | None:
@@ -37,17 +38,22 @@ def find_profile_obstacle(medium: Medium, wavelength_nm: np.ndarray) -> str | No
         See `splits.discrete_ordinates.applicability.find_obstacle`.
     wavelength_nm : float, shape (wavelengths,)
     """
-    for number, layer in enumerate(make_snowpack(medium, wavelength_nm).layers):
-        transparent = layer.grain_absorption <= 0.0
+    layers: Any = medium.scene_layers
+    for number, layer in enumerate(layers):
+        if len(layer.list_materials()) > N_PORE_MATERIALS + 1:
+            return f"layers[{number}] has grains of several materials"
+        if layer.interpretation.grain_extent != "point":
+            return f"layers[{number}] has no point grains"
+        transparent = compute_material_constants(layer, wavelength_nm).absorption[:, -1] <= 0.0
         if transparent.any():
             first = wavelength_nm[transparent][0]
-            return f"the ice of layers[{number}] absorbs nothing at {first:g} nm"
+            return f"the grains of layers[{number}] absorb nothing at {first:g} nm"
     return None
 
 
 def solve_flux(
     medium: Medium, wavelengths: np.ndarray, depths: np.ndarray, incidence: float | str,
-    max_stderr: float, limit_irradiance: bool,
+    max_stderr: float, limit_irradiance: bool, threads: int,
 ) -> tuple[dict[str, Variable], dict[str, Any], dict[str, Any]]:  # fmt: skip
     """Return variables, coordinates and attributes of `splits.irradiance_profile`.
 
@@ -60,12 +66,15 @@ def solve_flux(
     incidence : float or "diffuse"
         Degrees, or isotropic light.
     max_stderr : float
-        Determines the number of streams.
+        Determines the number of streams, and of paths through grains.
     limit_irradiance : bool
         Whether it applies to irradiances, too.
+    threads : int
+        For paths through grains.
     """
     edges = np.array([0.0, *depths, medium.depth_m])
-    parts, geometry = divide_medium(medium, wavelengths, edges)
+    whole = make_pack(medium, wavelengths, max_stderr, threads)
+    parts, geometry = divide_medium(medium, whole, edges)
     cosine = None if incidence == "diffuse" else float(np.cos(np.radians(float(incidence))))
     solution = solve_profile(parts, geometry, cosine, max_stderr, limit_irradiance)
     variables = _make_variables(solution, edges)
@@ -75,9 +84,9 @@ def solve_flux(
 
 
 def divide_medium(
-    medium: Medium, wavelengths: np.ndarray, edges: np.ndarray
-) -> tuple[Snowpack, LayerDivision]:
-    """Return a medium as a snowpack that is divided at the edges of intervals (m)."""
+    medium: Medium, whole: PlanePack, edges: np.ndarray
+) -> tuple[PlanePack, LayerDivision]:
+    """Return a medium and its snowpack divided at the edges of intervals (m)."""
     layers: Any = medium.scene_layers
     boundaries = np.cumsum([layer.depth_m for layer in layers])[:-1]
     begin = edges[:-1]
@@ -86,7 +95,7 @@ def divide_medium(
     for boundary, same in zip(boundaries, known, strict=True):
         begin = np.where(same[:-1], boundary, begin)
     starts = np.union1d(begin, boundaries)
-    parts, owners = make_snowpack(medium, wavelengths).divide(starts)
+    parts, owners = whole.divide(starts)
     fractions, attenuation = (
         np.array([getattr(layer, name) for layer in layers])
         for name in ("pore_fraction", "attenuation_per_m")

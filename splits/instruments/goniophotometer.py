@@ -97,10 +97,11 @@ def goniophotometer(
         `splits.instruments.goniophotometer.MAX_CONVERGED_POLAR_DEG`; with ``next_event``, for
         all.
     solver : {"auto", "discrete_ordinates", "monte_carlo"}
-        "discrete_ordinates" solves the equation of radiative transfer in plane layers of modelled
-        natural snow (`splits.Snow.natural`), which may be semi-infinite: see
-        docs/theory/discrete-ordinates.md.  Other media, `rays` and other estimators than
-        "expansion" are rejected, or simulated with paths under "auto".
+        "discrete_ordinates" solves the equation of radiative transfer in plane layers of point
+        grains, such as modelled natural snow (`splits.Snow.natural`), which may be semi-infinite:
+        see docs/theory/discrete-ordinates.md.  Wet grains other than natural snow, grains of finite
+        extent, `rays` and other estimators than "expansion" are rejected, or simulated with paths
+        under "auto".
     target : {"brdf", "btdf"}
         The function to which the error applies; wavelengths without light there are ignored.
     polar_deg : array_like
@@ -181,10 +182,10 @@ def goniophotometer(
     request = AngularRequest(
         wavelengths, incidence, polar, azimuth, relative_stderr, direction_mask, side
     )
-    obstacle = find_angular_obstacle(estimator, rays)
+    obstacle = find_angular_obstacle(medium, estimator, rays)
     chosen = choose_solver(solver, [medium], wavelengths, obstacle)
     if chosen == DISCRETE_ORDINATES:
-        result = solve_angular_result(medium, request)
+        result = solve_angular_result(medium, request, run.threads)
         # Paths need a finite medium.
         if solver == AUTO and not (medium.is_semi_infinite or result.is_converged):
             chosen = MONTE_CARLO

@@ -127,7 +127,7 @@ def irradiance_profile(
     the light that crosses them, both are approximate; their errors include this
     (`splits.instruments.absorption_steps`).  The absorptance of an interval is not affected.  With
     discrete ordinates both follow exactly from the balance of light in each interval
-    (`splits.discrete_ordinates.snow_profile`).
+    (`splits.discrete_ordinates.pack_profile`).
 
     References
     ----------
@@ -192,8 +192,9 @@ def simulate_flux(
     medium, wavelengths, depths, incidence, max_stderr, max_rays = request
     if solver == DISCRETE_ORDINATES:
         solved = solve_flux(
-            medium, wavelengths, depths, incidence, max_stderr, target.limit_irradiance
-        )
+            medium, wavelengths, depths, incidence, max_stderr, target.limit_irradiance,
+            run.threads,
+        )  # fmt: skip
         return make_solved_dataset(solved, _describe_request(request, target, run, solver))
     traced_medium = prepare_medium(medium, wavelengths, depths, max_stderr, run)
     scene = build_scene(traced_medium.medium, incidence, False)

@@ -10,16 +10,18 @@ import numpy as np
 
 from splits.core.validation import check_choice, invalid
 from splits.discrete_ordinates.applicability import (
+    compute_least_error,
     find_obstacle,
     find_parameter_obstacle,
-    make_snowpack,
+    make_pack,
 )
 from splits.discrete_ordinates.derivative_errors import WetDerivatives, solve_derivatives
 from splits.discrete_ordinates.parameter_derivatives import DryDerivatives
-from splits.discrete_ordinates.snowpack import SpectrumSolution, compute_optics_error
+from splits.discrete_ordinates.plane_pack import SpectrumSolution
 from splits.discrete_ordinates.transmittance_error import solve_with_exponent_error
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.medium import Medium
+from splits.simulation.run_options import RunOptions
 from splits.simulation.spectral_tally import Derivatives, SpectralEstimate
 from splits.simulation.threads import limit_blas_threads
 
@@ -45,8 +47,8 @@ def choose_solver(
     parameters : sequence of str
         Parameters of the only medium with respect to which derivatives are computed.
     max_stderr : float
-        Requested error of hemispherical values; "auto" uses paths if the tables of the grains have
-        a larger one.
+        Requested error of hemispherical values; "auto" uses paths if discrete ordinates have a
+        larger one.
 
     Raises
     ------
@@ -61,21 +63,20 @@ def choose_solver(
     obstacle = obstacle or next((reason for reason in reasons if reason), None)
     if obstacle is None and parameters:
         obstacle = find_parameter_obstacle(media[0], parameters)
-    if solver == AUTO:
-        is_accurate = obstacle is None and all(
-            compute_optics_error(make_snowpack(medium, wavelength_nm)).max() <= max_stderr
-            for medium in media
+    if obstacle is None:
+        is_accurate = solver != AUTO or all(
+            compute_least_error(medium, wavelength_nm) <= max_stderr for medium in media
         )
         return DISCRETE_ORDINATES if is_accurate else MONTE_CARLO
-    if obstacle is None:
-        return DISCRETE_ORDINATES
+    if solver == AUTO:
+        return MONTE_CARLO
     allowed = "'monte_carlo' or 'auto' for this medium"
     raise invalid("solver", solver, allowed, f"for discrete ordinates, {obstacle}")
 
 
 def solve_estimate(
     media: Sequence[Medium], wavelength_nm: np.ndarray, incidence: float | str, max_stderr: float,
-    parameters: Sequence[str] = (),
+    run: RunOptions, parameters: Sequence[str] = (),
 ) -> SpectralEstimate:  # fmt: skip
     """Return hemispherical values of media by discrete ordinates, in the form of simulations.
 
@@ -87,7 +88,9 @@ def solve_estimate(
     incidence : float or "diffuse"
         Degrees, or isotropic light.
     max_stderr : float
-        Determines the number of streams.
+        Determines the number of streams, and of paths through grains.
+    run : RunOptions
+        Of which only the threads matter.
     parameters : sequence of str
         Parameters of the only medium with respect to which derivatives are computed, without
         obstacle (`splits.discrete_ordinates.applicability.find_parameter_obstacle`).
@@ -96,7 +99,9 @@ def solve_estimate(
     cosines = np.array([] if is_diffuse else [np.cos(np.radians(float(incidence)))])
     with limit_blas_threads():
         solutions = [
-            solve_with_exponent_error(make_snowpack(medium, wavelength_nm), cosines, max_stderr)
+            solve_with_exponent_error(
+                make_pack(medium, wavelength_nm, max_stderr, run.threads), cosines, max_stderr
+            )
             for medium in media
         ]
         estimate = make_estimate(solutions, -1 if is_diffuse else 0)

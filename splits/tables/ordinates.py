@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.discrete_ordinates.applicability import make_snowpack
-from splits.discrete_ordinates.snowpack import SpectrumSolution
+from splits.discrete_ordinates.applicability import make_pack
+from splits.discrete_ordinates.plane_pack import SpectrumSolution
 from splits.discrete_ordinates.transmittance_error import solve_with_exponent_error
 from splits.instruments.solver import make_estimate
 from splits.media.medium import Medium
@@ -72,7 +72,8 @@ def _solve_media(
     threads: int,
 ) -> list[SpectrumSolution]:  # fmt: skip
     def solve(medium: Medium) -> SpectrumSolution:
-        return solve_with_exponent_error(make_snowpack(medium, wavelength_nm), cosines, max_stderr)
+        pack = make_pack(medium, wavelength_nm, max_stderr)
+        return solve_with_exponent_error(pack, cosines, max_stderr)
 
     with limit_blas_threads(), DaemonThreadPool(threads) as pool:
         return list(pool.map(solve, media))

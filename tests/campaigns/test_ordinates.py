@@ -1,8 +1,9 @@
-"""Random snowpacks by discrete ordinates against paths.
+"""Random snowpacks, and media of other grains, by discrete ordinates against paths.
 
     SNOWPACKS=200 pytest -s tests/campaigns/test_ordinates.py
 
-compares 200 snowpacks to an error of 0.0015 each, in about ten minutes.
+compares 200 snowpacks to an error of 0.0015 each, in about ten minutes, and as many media of point
+and of finite grains.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import os
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, judge_z
+from test_ordinates_media import FINITE, compare_media
 from test_ordinates_profile_snow import compare_profiles
 from test_ordinates_snow import compare_snowpacks
 
@@ -28,6 +30,18 @@ def test_random_snowpacks_agree_with_paths():
     judge_z(z, "reflectance and transmittance", independent=number, bound_added=True)
     reflectance = z[:, 0][z[:, 0] != 0.0]
     print(f"rms z of reflectance {np.sqrt((reflectance**2).mean()):.2f}")
+
+
+@NEEDS_JIT
+@pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.parametrize("interpretation", ["radiative_transfer", FINITE], ids=["points", "finite"])
+def test_random_media_agree_with_paths(interpretation):
+    number = int(SNOWPACKS or FEW)
+    seeds, error = range(3000, 3000 + number), 0.0015 if SNOWPACKS else 0.004
+    is_point = interpretation != FINITE
+    z = compare_media(seeds, error, lambda seed: is_point and seed % 3 == 0, interpretation)
+    judge_z(z, "reflectance and transmittance", independent=number, bound_added=True)
 
 
 @NEEDS_JIT

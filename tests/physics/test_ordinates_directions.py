@@ -208,7 +208,7 @@ def test_figures_accept_the_dataset():
         (make_snow(saturation=0.6), {}, "a saturation of 0.6"),
         (make_snow(), {"estimator": "bins"}, "the estimator bins needs paths"),
         (make_snow(), {"rays": 1000}, "a number of rays"),
-        (splits.Snow(depth_m=0.1, saturation=0.0), {}, "no natural snow"),
+        (splits.Snow(depth_m=0.1, saturation=0.0), {}, "no points"),
     ],
 )
 def test_refusals_state_the_reason(medium, settings, reason):

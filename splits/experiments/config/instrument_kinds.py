@@ -56,8 +56,8 @@ Depths = Annotated[Angles, AfterValidator(lambda x: tuple(check_screen_depths(""
 Solver = Annotated[
     Literal["monte_carlo", "discrete_ordinates", "auto"],
     Field(
-        description="paths, or the equation of radiative transfer in plane layers of modelled "
-        "natural snow; `auto` solves the equation where it applies and traces paths elsewhere"
+        description="paths, or the equation of radiative transfer in plane layers of grains; "
+        "`auto` solves the equation where it applies and traces paths elsewhere"
     ),
 ]
 
@@ -147,7 +147,7 @@ class Goniophotometer(OpticalInstrument):
 
     def choose_solver(self, medium: Medium) -> str:
         """Return the solver for a medium, see `splits.instruments.solver.choose_solver`."""
-        obstacle = find_angular_obstacle(self.estimator, self.rays)
+        obstacle = find_angular_obstacle(medium, self.estimator, self.rays)
         with key_prefix("instrument"):
             return choose_solver(self.solver, [medium], self.get_wavelengths(), obstacle)
 

@@ -91,7 +91,10 @@ def test_cached_kernels_are_counted_and_cleared(tmp_path, capsys, monkeypatch):
     (tmp_path / "a.nbc").write_bytes(b"x" * 2000)
     monkeypatch.setattr(cache_folder, "find_cache_folder", lambda: tmp_path)
     assert cli.main(["cache"]) == 0
-    assert capsys.readouterr().out == f"{tmp_path}: 1 compiled kernels, 0.0 MB\n"
+    assert (
+        capsys.readouterr().out
+        == f"{tmp_path}: 1 compiled kernels, 0 results of paths through grains, 0.0 MB\n"
+    )
     assert cli.main(["cache", "--clear"]) == 0
     assert capsys.readouterr().out.endswith("deleted 1\n")
     assert list(tmp_path.iterdir()) == []

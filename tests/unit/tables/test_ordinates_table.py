@@ -54,7 +54,10 @@ def test_diffuse_light_is_an_incidence():
 @pytest.mark.parametrize(
     ("settings", "reason"),
     [
-        ({"make": splits.Snow, "grid": {"depth_m": [0.1, 0.2]}}, "is no natural snow"),
+        (
+            {"make": splits.Snow, "grid": {"depth_m": [0.1, 0.2]}},
+            "no equation of radiative transfer",
+        ),
         ({"covariance": True}, "a covariance needs batches of rays"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Spectra of plane snowpacks by discrete ordinates: number of streams, and errors."""
+"""Spectra of plane layers by discrete ordinates: number of streams, and errors."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from splits.discrete_ordinates.adding import (
     make_isotropic,
 )
 from splits.discrete_ordinates.grain_table import GrainTable
+from splits.discrete_ordinates.granular_layers import MIN_SATURATION, GranularLayer
 from splits.discrete_ordinates.pores import make_wet_faces, refract_directions
+from splits.discrete_ordinates.replicates import compute_replicate_error, list_traced
 from splits.discrete_ordinates.slab import LayerOptics, solve_slab
-from splits.discrete_ordinates.snow_layers import MIN_SATURATION, SnowLayer
 from splits.discrete_ordinates.streams import Streams
 
 STREAM_NUMBERS = (8, 12, 16, 24, 32, 48, 64)
@@ -62,20 +63,20 @@ class PlaneStack(NamedTuple):
         return compute_budget(self.elements, ends, self.boundaries, self.ground, self.n_streams)
 
 
-class Snowpack(NamedTuple):
-    """Layers of natural snow over a ground, at several wavelengths.
+class PlanePack(NamedTuple):
+    """Layers of grains over a ground, at several wavelengths.
 
-    Dry snowpacks of the same number of layers may be along a leading dimension.
+    Dry snowpacks of natural snow of the same number of layers may be along a leading dimension.
 
     Attributes
     ----------
-    layers : sequence of SnowLayer
+    layers : sequence of GranularLayer
         Top first.
     ground : float, shape (..., wavelengths)
         Albedo of the ground, 0 for an open lower boundary.
     """
 
-    layers: Sequence[SnowLayer]
+    layers: Sequence[GranularLayer]
     ground: np.ndarray
 
     @property
@@ -83,12 +84,12 @@ class Snowpack(NamedTuple):
         """Whether any layer holds water."""
         return any(np.any(layer.saturation > 0.0) for layer in self.layers)
 
-    def select(self, wavelengths: Any, snowpacks: Any = ...) -> Snowpack:
+    def select(self, wavelengths: Any, snowpacks: Any = ...) -> PlanePack:
         """Return the snowpack at some of its wavelengths, or some snowpacks of several."""
         layers = [layer.select(snowpacks, wavelengths) for layer in self.layers]
-        return Snowpack(layers, self.ground[snowpacks][..., wavelengths])
+        return PlanePack(layers, self.ground[snowpacks][..., wavelengths])
 
-    def divide(self, edges_m: np.ndarray) -> tuple[Snowpack, np.ndarray]:
+    def divide(self, edges_m: np.ndarray) -> tuple[PlanePack, np.ndarray]:
         """Return the snowpack with its layers divided at depths, and the layer of each part.
 
         Parameters
@@ -98,7 +99,7 @@ class Snowpack(NamedTuple):
 
         Returns
         -------
-        Snowpack, int (parts,)
+        PlanePack, int (parts,)
         """
         bottoms = np.cumsum([float(layer.depth_m) for layer in self.layers])
         edges = np.append(edges_m, bottoms[-1])
@@ -108,7 +109,7 @@ class Snowpack(NamedTuple):
             self.layers[owner]._replace(depth_m=np.asarray(thickness))
             for owner, thickness in zip(owners, np.diff(edges), strict=True)
         ]
-        return Snowpack(parts, self.ground), owners
+        return PlanePack(parts, self.ground), owners
 
     def build(self, cosines: np.ndarray, n_streams: int) -> PlaneStack:
         """Return the layers and interfaces for beams and for diffuse light.
@@ -122,16 +123,24 @@ class Snowpack(NamedTuple):
         """
         n_beams = cosines.shape[-1]
         streams = Streams.from_number(n_streams)
-        table = load_natural_grains(wet=self.is_wet)
-        optics = [layer.compute_optics(table, n_streams + 1) for layer in self.layers]
+        optics = [layer.compute_optics(n_streams + 1) for layer in self.layers]
         directions = cosines[..., np.newaxis, :]
         if self.is_wet:
             directions = refract_directions(cosines, self.layers[0].water_index)
-        isotropic = [make_isotropic(one, streams, n_beams) for one in optics]
-        elements = [
-            Element.from_slab(solve_slab(one.truncate(n_streams), streams, directions), vector)
-            for one, vector in zip(optics, isotropic, strict=True)
+        own = [make_isotropic(one, streams, n_beams) for one in optics]
+        isotropic = [
+            make_isotropic(
+                one._replace(equilibrium=layer.compute_air_equilibrium()), streams, n_beams
+            )
+            for one, layer in zip(optics, self.layers, strict=True)
         ]
+        elements = [
+            Element.from_slab(
+                solve_slab(one.truncate(n_streams), streams, directions), outside,
+                inside if self.is_wet else None,
+            )
+            for one, outside, inside in zip(optics, isotropic, own, strict=True)
+        ]  # fmt: skip
         faces = self.make_faces(streams, cosines)
         combined, levels = elements[:1], isotropic[:1]
         for number, interface in enumerate(faces.interfaces, start=1):
@@ -186,12 +195,12 @@ class SpectrumSolution(NamedTuple):
         return error
 
 
-def solve_spectrum(snowpack: Snowpack, cosines: np.ndarray, max_error: float) -> SpectrumSolution:
+def solve_spectrum(snowpack: PlanePack, cosines: np.ndarray, max_error: float) -> SpectrumSolution:
     """Return the budget of light by as many streams as an error requires.
 
     Parameters
     ----------
-    snowpack : Snowpack
+    snowpack : PlanePack
     cosines : float, shape (beams,)
     max_error : float
         The number of streams is the first whose truncation error is at most half of this.
@@ -202,9 +211,20 @@ def solve_spectrum(snowpack: Snowpack, cosines: np.ndarray, max_error: float) ->
         difference = measure_truncation(few, cosines, n_streams)
         if difference.max() <= 0.5 * max_error:
             break
-    truncation = spread_truncation(difference, trial, snowpack.ground.size)
+
+    def spread(error: np.ndarray) -> np.ndarray:
+        return spread_truncation(error, trial, snowpack.ground.size)
+
+    def solve_few(layers: Sequence[GranularLayer]) -> np.ndarray:
+        budget = few._replace(layers=layers).solve(cosines, n_streams)
+        return np.stack([budget.reflectance, budget.transmittance])
+
+    optics_error = compute_optics_error(snowpack)
+    if list_traced(few.layers):
+        by_paths = compute_replicate_error(few.layers, solve_few).max(axis=(0, -1))
+        optics_error = np.hypot(optics_error, spread(by_paths))
     return SpectrumSolution(
-        snowpack.solve(cosines, n_streams), n_streams, truncation, compute_optics_error(snowpack)
+        snowpack.solve(cosines, n_streams), n_streams, spread(difference), optics_error
     )
 
 
@@ -214,7 +234,7 @@ def choose_trial_wavelengths(n_wavelengths: int) -> np.ndarray:
     return np.unique(np.linspace(0, n_wavelengths - 1, count).round().astype(int))
 
 
-def measure_truncation(snowpack: Snowpack, cosines: np.ndarray, n_streams: int) -> np.ndarray:
+def measure_truncation(snowpack: PlanePack, cosines: np.ndarray, n_streams: int) -> np.ndarray:
     """Return the largest change of reflectance and transmittance by twice the streams.
 
     Returns
@@ -239,13 +259,18 @@ def spread_truncation(difference: np.ndarray, trial: np.ndarray, n_wavelengths: 
     return np.maximum(difference[..., position], before)
 
 
-def compute_optics_error(snowpack: Snowpack) -> np.ndarray:
-    """Return the error of the tables of single scattering, shape (..., wavelengths)."""
-    table = load_natural_grains(wet=snowpack.is_wet)
-    errors = [
-        table.interpolate_stderr(layer.contrast, layer.grain_absorption)
-        for layer in snowpack.layers
-    ]
+def compute_optics_error(snowpack: PlanePack) -> np.ndarray:
+    """Return the error of single scattering without that of the replicates.
+
+    It combines, for the layer with the largest one, the error of the table of natural snow or the
+    bound on interpolation between refractive indices, the bound due to the extent of grains, and
+    the balance of wet and dry pores.
+
+    Returns
+    -------
+    float, shape (..., wavelengths)
+    """
+    errors = [layer.compute_optics_error() for layer in snowpack.layers]
     return np.hypot(np.max(errors, axis=0), WET_ERROR if snowpack.is_wet else 0.0)
 
 

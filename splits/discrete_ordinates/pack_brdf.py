@@ -18,20 +18,19 @@ import numpy as np
 
 from splits.discrete_ordinates.direct_light import DirectLight, scatter_once, trace_direct_light
 from splits.discrete_ordinates.geometry import Geometry, PlaneLayers
+from splits.discrete_ordinates.granular_layers import MIN_SATURATION
 from splits.discrete_ordinates.integrals import TINY
-from splits.discrete_ordinates.pores import WET
-from splits.discrete_ordinates.radiance import compute_bidirectional, sum_legendre
-from splits.discrete_ordinates.slab import LayerOptics
-from splits.discrete_ordinates.snow_layers import MIN_SATURATION
-from splits.discrete_ordinates.snowpack import (
+from splits.discrete_ordinates.plane_pack import (
     STREAM_NUMBERS,
-    Snowpack,
+    PlanePack,
     SpectrumSolution,
     choose_trial_wavelengths,
-    load_natural_grains,
     solve_spectrum,
     spread_truncation,
 )
+from splits.discrete_ordinates.pores import WET
+from splits.discrete_ordinates.radiance import compute_bidirectional, sum_legendre
+from splits.discrete_ordinates.slab import LayerOptics
 from splits.discrete_ordinates.streams import Streams
 
 MAX_BRDF_STREAMS = 32
@@ -81,13 +80,13 @@ class BidirectionalSolution(NamedTuple):
 
 
 def solve_bidirectional(
-    snowpack: Snowpack, geometry: Geometry, relative_error: float, limited: np.ndarray, side: int
+    snowpack: PlanePack, geometry: Geometry, relative_error: float, limited: np.ndarray, side: int
 ) -> BidirectionalSolution:
     """Return the BRDF and the BTDF of a snowpack by as many streams as a relative error requires.
 
     Parameters
     ----------
-    snowpack : Snowpack
+    snowpack : PlanePack
     geometry : Geometry
         Of one beam.
     relative_error : float
@@ -124,7 +123,7 @@ def solve_bidirectional(
 
 
 def solve_relative_spectrum(
-    snowpack: Snowpack, cosines: np.ndarray, relative_error: float, side: int
+    snowpack: PlanePack, cosines: np.ndarray, relative_error: float, side: int
 ) -> SpectrumSolution:
     """Return the budget of light to a relative error of one side, see `solve_spectrum`."""
     trial = choose_trial_wavelengths(snowpack.ground.size)
@@ -133,7 +132,7 @@ def solve_relative_spectrum(
     return solve_spectrum(snowpack, cosines, relative_error * smallest)
 
 
-def _solve(snowpack: Snowpack, geometry: Geometry, n_streams: int) -> np.ndarray:
+def _solve(snowpack: PlanePack, geometry: Geometry, n_streams: int) -> np.ndarray:
     """Return the BRDF and the BTDF of one beam, shape (2, wavelengths, views, azimuths)."""
     streams, n_known = Streams.from_number(n_streams), _count_orders(snowpack)
     values = []
@@ -152,7 +151,7 @@ def _solve(snowpack: Snowpack, geometry: Geometry, n_streams: int) -> np.ndarray
     return np.concatenate(values, axis=1)
 
 
-def _divide_wavelengths(snowpack: Snowpack, geometry: Geometry) -> list[Snowpack]:
+def _divide_wavelengths(snowpack: PlanePack, geometry: Geometry) -> list[PlanePack]:
     """Return the snowpack at parts of its wavelengths, which fit into memory."""
     n_values = len(snowpack.layers) * geometry.views.size * geometry.azimuths.size
     size = max(1, MAX_CHUNK_VALUES // n_values)
@@ -164,7 +163,7 @@ def _divide_wavelengths(snowpack: Snowpack, geometry: Geometry) -> list[Snowpack
 
 
 def _compute_single_scattering_error(
-    snowpack: Snowpack, geometry: Geometry, n_streams: int
+    snowpack: PlanePack, geometry: Geometry, n_streams: int
 ) -> np.ndarray:
     """Return the error of light scattered once, shape (2, wavelengths, views, azimuths)."""
     n_known = _count_orders(snowpack)
@@ -241,14 +240,13 @@ def extend_forward_peak(scattering: np.ndarray) -> np.ndarray:
     return extended
 
 
-def _count_orders(snowpack: Snowpack) -> int:
-    return load_natural_grains(wet=snowpack.is_wet).moments.shape[-1]
+def _count_orders(snowpack: PlanePack) -> int:
+    return max(layer.grains.n_orders for layer in snowpack.layers)
 
 
-def _stack_layers(snowpack: Snowpack, orders: int) -> PlaneLayers:
+def _stack_layers(snowpack: PlanePack, orders: int) -> PlaneLayers:
     """Return the layers with a number of moments, and with the forward peak of wet layers."""
-    table = load_natural_grains(wet=snowpack.is_wet)
-    layers = [layer.compute_optics(table, orders) for layer in snowpack.layers]
+    layers = [layer.compute_optics(orders, in_air=True) for layer in snowpack.layers]
     optics = LayerOptics(*(np.stack(values) for values in zip(*layers, strict=True)))
     if not snowpack.is_wet:
         return PlaneLayers(optics, snowpack.ground)

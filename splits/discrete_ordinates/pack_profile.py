@@ -1,4 +1,4 @@
-"""Fluxes, absorption and path lengths within dry and wet snowpacks.
+"""Fluxes, absorption and path lengths within dry and wet layers.
 
 Path lengths follow from conservation of light in each state.  With the net fluxes F_s, the path
 lengths Φ_s between grains, the extinction σ_s and the scattering b_st from the state t into s, all
@@ -15,13 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.discrete_ordinates.plane_pack import PlanePack, PlaneStack
 from splits.discrete_ordinates.pores import DRY, WET
 from splits.discrete_ordinates.profile import apply_rows, iterate_levels
 from splits.discrete_ordinates.slab import LayerOptics
-from splits.discrete_ordinates.snowpack import PlaneStack, Snowpack
 
 
-class SnowProfile(NamedTuple):
+class PackProfile(NamedTuple):
     """Fluxes at depths and absorption in the parts of a snowpack between them.
 
     All are for an irradiance of 1 on the horizontal, under one beam or under diffuse light.
@@ -61,15 +61,15 @@ class _Levels(NamedTuple):
     upward: np.ndarray
 
 
-def compute_snow_profile(
-    snowpack: Snowpack, incidence: float | None, n_streams: int
-) -> SnowProfile:
+def compute_pack_profile(
+    snowpack: PlanePack, incidence: float | None, n_streams: int
+) -> PackProfile:
     """Return the profile of a snowpack whose layers are divided at the depths of interest.
 
     Parameters
     ----------
-    snowpack : Snowpack
-        See `Snowpack.divide`.
+    snowpack : PlanePack
+        See `PlanePack.divide`.
     incidence : float, optional
         Cosine of the beam; by default diffuse light.
     n_streams : int
@@ -96,7 +96,7 @@ def compute_snow_profile(
         bottom = levels.downward[-1:]
         downward = np.concatenate([downward, bottom])
         upward = np.concatenate([upward, snowpack.ground * bottom])
-    return SnowProfile(
+    return PackProfile(
         downward, upward, absorption, np.stack(paths), np.stack(in_pores), np.stack(in_grains)
     )
 

@@ -1,0 +1,224 @@
+"""Layers of grains as arrays, for one snowpack or for many, and their optics."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from splits.discrete_ordinates.grain_table import GrainTable
+from splits.discrete_ordinates.integrals import TINY
+from splits.discrete_ordinates.pores import DRY, WET
+from splits.discrete_ordinates.slab import LayerOptics
+from splits.discrete_ordinates.traced_grains import TracedGrains
+from splits.kernels.base.scene import DRY_PORE, WET_PORE
+from splits.simulation.scene import compute_material_constants
+
+MIN_SATURATION = 1e-9
+"""Saturation of a dry layer of a wet snowpack, so that its wet pores have a radiance."""
+
+
+class GranularLayer(NamedTuple):
+    """One layer of each of several snowpacks, at several wavelengths.
+
+    Attributes
+    ----------
+    depth_m : float, shape (...)
+        Thickness (m), 0 for an absent layer.
+    collisions_per_m : float, shape (...)
+        Collisions with grains per metre of path.
+    saturation : float, shape (...)
+        Fraction of wet pores.
+    contrast : float, shape (wavelengths,)
+        Refractive index of ice minus 1.
+    water_index : float, shape (wavelengths,)
+        Refractive index of water.
+    grain_absorption : float, shape (..., wavelengths)
+        Absorption coefficient of the grains times their mean chord, if they have one material.
+    pore_absorption : float, shape (..., wavelengths, 2)
+        Absorption coefficient (1/m) of dry and of wet pores, per metre of path between grains.
+    grains : GrainTable or TracedGrains
+        Single scattering; with two states if any layer of the snowpack is wet.
+    packing_error : float
+        Bound on the error of fluxes due to the extent of the grains if the layer is thick; 0 for
+        point grains.
+    """
+
+    depth_m: np.ndarray
+    collisions_per_m: np.ndarray
+    saturation: np.ndarray
+    contrast: np.ndarray
+    water_index: np.ndarray
+    grain_absorption: np.ndarray
+    pore_absorption: np.ndarray
+    grains: GrainTable | TracedGrains
+    packing_error: float = 0.0
+
+    @classmethod
+    def from_medium(
+        cls, medium: Any, wavelength_nm: np.ndarray, grains: GrainTable | TracedGrains,
+        packing_error: float = 0.0,
+    ) -> GranularLayer:  # fmt: skip
+        """Return a layer of grains, with their single scattering, at wavelengths (nm)."""
+        index, absorption = compute_material_constants(medium, wavelength_nm)
+        return cls(
+            np.asarray(medium.depth_m),
+            np.asarray(medium.extinction_per_m),
+            np.asarray(medium.wet_fraction),
+            index[:, -1].real - 1.0,
+            medium.refractive_index["water"](wavelength_nm).real,
+            absorption[:, -1] / medium.attenuation_per_m,
+            absorption[:, [DRY_PORE, WET_PORE]],
+            grains,
+            packing_error,
+        )
+
+    def select(self, snowpacks: Any, wavelengths: Any) -> GranularLayer:
+        """Return the layer of some snowpacks (`...`: of all), at some of its wavelengths."""
+        return GranularLayer(
+            self.depth_m[snowpacks],
+            self.collisions_per_m[snowpacks],
+            self.saturation[snowpacks],
+            self.contrast[wavelengths],
+            self.water_index[wavelengths],
+            self.grain_absorption[snowpacks][..., wavelengths],
+            self.pore_absorption[snowpacks][..., wavelengths, :],
+            self.grains.select(wavelengths),
+            self.packing_error,
+        )
+
+    def compute_optics(self, orders: int, in_air: bool = False) -> LayerOptics:
+        """Return the optics, per metre, with leading dimensions (..., wavelengths).
+
+        Parameters
+        ----------
+        orders : int
+            Number of Legendre moments.
+        in_air : bool
+            Whether wet and dry pores are in equilibrium with air, so that all is reciprocal,
+            instead of the equilibrium of the grains, which differs by a few per cent.
+        """
+        shape = self.grain_absorption.shape
+        collisions, depth = (
+            np.broadcast_to(values[..., np.newaxis], shape)
+            for values in (self.collisions_per_m, self.depth_m)
+        )
+        moments = self._compute_moments(orders)
+        n_states = moments.shape[-2]
+        extinction = collisions[..., np.newaxis] + self.pore_absorption[..., :n_states]
+        rate = collisions[..., np.newaxis, np.newaxis, np.newaxis]
+        depth = depth * self._compute_packing_ratio()
+        if n_states == 1:
+            return LayerOptics(depth, extinction, rate * moments, np.ones((*shape, 1)))
+        saturation = np.maximum(self.saturation, MIN_SATURATION)[..., np.newaxis]
+        ratio = saturation * self.water_index**2 / (1.0 - saturation) if in_air else None
+        scattering, equilibrium = _balance_states(moments, saturation, ratio)
+        return LayerOptics(depth, extinction, rate * scattering, equilibrium)
+
+    def compute_air_equilibrium(self) -> np.ndarray:
+        """Return the radiance of each state in equilibrium with a radiance of 1 in air.
+
+        Returns
+        -------
+        float, shape (..., wavelengths, states)
+            n² times the fraction of the pores.
+        """
+        shape = self.grain_absorption.shape
+        if self.grains.n_states == 1:
+            return np.ones((*shape, 1))
+        saturation = np.maximum(self.saturation, MIN_SATURATION)[..., np.newaxis]
+        wet = np.broadcast_to(saturation * self.water_index**2, shape)
+        return np.stack([np.broadcast_to(1.0 - saturation, shape), wet], axis=-1)
+
+    def use_replicate(self, digest: str, number: int) -> GranularLayer:
+        """Return the layer with a replicate of its grains, if they are those of a digest."""
+        grains = self.grains
+        if not isinstance(grains, TracedGrains) or grains.digest != digest:
+            return self
+        return self._replace(grains=grains._replace(replicate=number))
+
+    def compute_optics_error(self) -> np.ndarray:
+        """Return the error of a reflectance, see `splits.discrete_ordinates.plane_pack`."""
+        if isinstance(self.grains, GrainTable):
+            return self.grains.interpolate_stderr(self.contrast, self.grain_absorption)
+        return np.hypot(self.grains.interpolation_bound, self.compute_packing_bound())
+
+    def compute_packing_bound(self) -> np.ndarray:
+        """Return the bound on the error of fluxes due to the extent of traced grains."""
+        if isinstance(self.grains, GrainTable):
+            return np.zeros(self.contrast.shape)
+        return self.packing_error + self.grains.compute_thinness_error(self.depth_m)
+
+    def _compute_packing_ratio(self) -> np.ndarray:
+        """Return the optical thickness relative to that of point grains."""
+        if isinstance(self.grains, GrainTable):
+            return np.ones(1)
+        shares = np.stack([1.0 - self.saturation, self.saturation])
+        return self.grains.compute_packing_ratio(
+            self.collisions_per_m + self.pore_absorption @ shares
+        )
+
+    def _compute_moments(self, orders: int) -> np.ndarray:
+        """Return the moments of the grains, shape (..., wavelengths, states, states, orders)."""
+        table = self.grains
+        if isinstance(table, TracedGrains):
+            return table.get_moments(orders)
+        n_states = table.moments.shape[2]
+        if n_states == 1 or not np.ndim(self.depth_m):
+            saturation = 0.0 if n_states == 1 else float(self.saturation)
+            return table.compute_moments(self.contrast, self.grain_absorption, saturation, orders)
+        moments = np.empty((*self.grain_absorption.shape, n_states, n_states, orders))
+        for position in np.ndindex(self.depth_m.shape):
+            moments[position] = table.compute_moments(
+                self.contrast, self.grain_absorption[position], float(self.saturation[position]),
+                orders,
+            )  # fmt: skip
+        return moments
+
+
+LAYER_ARRAYS = GranularLayer._fields[:7]
+"""Fields that are arrays."""
+
+
+def _balance_states(
+    moments: np.ndarray, saturation: np.ndarray, ratio: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the symmetric scattering between dry and wet pores, and their equilibrium.
+
+    In equilibrium, as much light changes from dry to wet pores as back.  The equilibrium of the
+    traced grains is that of the moments of order 0.  Moments of higher orders are the mean of both
+    directions, which differ as far as the rules within a grain are not reciprocal.  With another
+    equilibrium, so are those of order 0, and the rest of the light stays in its pores.
+
+    Parameters
+    ----------
+    moments : float, shape (..., wavelengths, 2, 2, orders)
+        See `GrainTable`.
+    saturation : float, shape (..., 1)
+    ratio : float, shape (..., wavelengths), optional
+        Radiance of wet pores over that of dry ones; by default that of the traced grains.
+
+    Returns
+    -------
+    float (..., wavelengths, 2, 2, orders), float (..., wavelengths, 2)
+        Divided by the square roots of the radiances of both states in equilibrium; these radiances,
+        of which that of dry pores is their fraction.
+    """
+    fraction = saturation[..., np.newaxis]
+    into_wet = fraction * moments[..., DRY, 1, :]
+    into_dry = moments[..., WET, 0, :] - fraction * moments[..., WET, 1, :]
+    if ratio is None:
+        # Grains that absorb all light exchange none.
+        ratio = np.maximum(into_wet[..., 0], TINY) / np.maximum(into_dry[..., 0], TINY)
+        root = np.sqrt(ratio)[..., np.newaxis]
+        exchange = 0.5 * (into_wet / root + into_dry * root)
+    else:
+        root = np.sqrt(ratio)[..., np.newaxis]
+        exchange = 0.5 * (into_wet / root + into_dry * root)
+        into_wet, into_dry = exchange * root, exchange / root
+    scattering = np.empty_like(moments)
+    scattering[..., DRY, DRY, :] = moments[..., DRY, 0, :] - into_wet
+    scattering[..., WET, WET, :] = moments[..., WET, 0, :] - into_dry
+    scattering[..., DRY, WET, :] = scattering[..., WET, DRY, :] = exchange
+    dry = np.broadcast_to(1.0 - saturation, ratio.shape)
+    return scattering, np.stack([dry, dry * ratio], axis=-1)

@@ -8,7 +8,7 @@ of optics therefore change its logarithm, in proportion to 1 + |ln T|, and combi
   mean free path (Ishimaru 1978, Wave Propagation and Scattering in Random Media, section 9.1).  The
   errors of (1 − ω) and (1 − g) are independent, and the relative error of their ratio is known;
   this rate has half of it;
-- for other grains, the scatter of ln T without each batch of the paths through them (jackknife), and
+- for other grains, the scatter of ln T without each batch of the paths through them, and
   the bound for grains of finite extent;
 - for wet media, the error of the balance between dry and wet pores.
 """

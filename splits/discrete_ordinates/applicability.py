@@ -11,14 +11,10 @@ from splits.discrete_ordinates.grain_cache import load_grains
 from splits.discrete_ordinates.grain_table import MAX_ABSORPTION, GrainTable
 from splits.discrete_ordinates.granular_layers import GranularLayer
 from splits.discrete_ordinates.plane_pack import (
-    WET_ERROR,
     PlanePack,
-    compute_optics_error,
     load_natural_grains,
 )
 from splits.discrete_ordinates.traced_grains import (
-    ERROR_PER_THINNESS,
-    LEAST_TRACED_ERROR,
     TracedGrains,
     choose_rays,
 )
@@ -33,8 +29,6 @@ MAX_SATURATION = 0.5
 DEFAULT_ERROR = 0.002
 PACKING_ERROR_PER_FRACTION = 0.02
 """Bound on the error of fluxes due to the extent of grains, over the volume fraction of grains."""
-DISPLACEMENT_PER_DIAMETER = 0.4
-"""About the rms displacement of light in a grain over the largest diameter, or more."""
 RECIPROCAL_RULES = {
     "entry_point": "projected",
     "facet_sampling": "projected",
@@ -87,7 +81,7 @@ def make_pack(
     grain_layers = []
     for layer in layers:
         grains: GrainTable | TracedGrains
-        if _is_tabulated(layer):
+        if _is_natural_layer(layer):
             grains = load_natural_grains(wet=is_wet)
         else:
             grains = load_grains(layer, wavelength_nm, choose_rays(max_error), threads)
@@ -111,30 +105,17 @@ def compute_packing_error(layer: GranularMedium) -> float:
     return PACKING_ERROR_PER_FRACTION * (1.0 - layer.porosity)
 
 
-def compute_least_error(medium: Medium, wavelength_nm: np.ndarray) -> float:
-    """Return about the smallest error of fluxes of a medium without obstacle.
-
-    That of natural snow does not depend on the requested error.
-    """
+def is_tabulated(medium: Medium) -> bool:
+    """Return whether all layers are natural snow, which needs no paths through grains."""
     layers: Any = medium.scene_layers
-    if all(map(_is_tabulated, layers)):
-        return float(compute_optics_error(make_pack(medium, wavelength_nm)).max())
-    least = WET_ERROR if any(layer.wet_fraction > 0.0 for layer in layers) else 0.0
-    for layer in layers:
-        if not _is_tabulated(layer):
-            thinness = 0.0
-            if layer.interpretation.grain_extent != "point":
-                thinness = DISPLACEMENT_PER_DIAMETER * layer.largest_grain_m / layer.depth_m
-            by_packing = compute_packing_error(layer) + ERROR_PER_THINNESS * thinness
-            least = max(least, LEAST_TRACED_ERROR, by_packing)
-    return least
+    return all(map(_is_natural_layer, layers))
 
 
 def find_direction_obstacle(medium: Medium) -> str | None:
     """Return why a medium without other obstacle has no BRDF by discrete ordinates."""
     layers: Any = medium.scene_layers
     for layer in layers:
-        if not layer.has_grains or _is_tabulated(layer):
+        if not layer.has_grains or _is_natural_layer(layer):
             continue
         if layer.wet_fraction > 0.0:
             return "the BRDF of wet grains other than natural snow needs paths"
@@ -143,7 +124,7 @@ def find_direction_obstacle(medium: Medium) -> str | None:
     return None
 
 
-def _is_tabulated(layer: Any) -> bool:
+def _is_natural_layer(layer: Any) -> bool:
     """Return whether the tables of natural snow are those of a layer."""
     return isinstance(layer, Snow) and is_natural(layer)
 
@@ -158,7 +139,7 @@ def _find_obstacle_in_layer(layer: Any, wavelength_nm: np.ndarray) -> str | None
             f"has a saturation of {layer.saturation:g}, by which more than {MAX_SATURATION:g} "
             "of its pores are wet"
         )
-    if _is_tabulated(layer):
+    if _is_natural_layer(layer):
         return _find_table_obstacle(layer, wavelength_nm)
     rules = layer.interpretation.as_dict()
     for name in ("overlap_with_boundary", "overlap_with_previous_segment"):
@@ -215,14 +196,15 @@ def find_parameter_obstacle(medium: Medium, parameters: Sequence[str]) -> str | 
         Parameters of the medium.
     """
     layers: Any = medium.scene_layers
+    for name in parameters:
+        if name.split(".")[-1] in SHAPE_PARAMETERS:
+            return f"{name} changes the shape of natural grains"
     for number, layer in enumerate(layers):
-        if not _is_tabulated(layer):
+        if not _is_natural_layer(layer):
             which = f"layers[{number}]" if len(layers) > 1 else "it"
             return f"derivatives need natural snow, and {which} is another medium"
     for name in parameters:
         *place, key = name.split(".")
-        if key in SHAPE_PARAMETERS:
-            return f"{name} changes the shape of natural grains"
         layer = layers[int(place[1])] if len(place) > 1 else layers[0]
         if key in WATER_PARAMETERS and layer.saturation == 0.0:
             return f"{name} changes dry snow into wet snow"

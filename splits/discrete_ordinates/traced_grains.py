@@ -50,8 +50,6 @@ ERROR_PER_THINNESS = 0.1
 in a grain."""
 MIN_RAYS, MAX_RAYS = 2**15, 2**23
 """Limits of the rays of all types of grains, for each refractive index and pore."""
-LEAST_TRACED_ERROR = 2.0 * ERROR_PER_RAY / MAX_RAYS**0.5
-"""Smallest error of a spectrum for which these rays suffice."""
 
 
 def choose_rays(max_error: float) -> int:

@@ -10,14 +10,14 @@ import numpy as np
 
 from splits.core.validation import check_choice, invalid
 from splits.discrete_ordinates.applicability import (
-    compute_least_error,
     find_obstacle,
     find_parameter_obstacle,
+    is_tabulated,
     make_pack,
 )
 from splits.discrete_ordinates.derivative_errors import WetDerivatives, solve_derivatives
 from splits.discrete_ordinates.parameter_derivatives import DryDerivatives
-from splits.discrete_ordinates.plane_pack import SpectrumSolution
+from splits.discrete_ordinates.plane_pack import SpectrumSolution, compute_optics_error
 from splits.discrete_ordinates.transmittance_error import solve_with_exponent_error
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.medium import Medium
@@ -34,7 +34,10 @@ def choose_solver(
     solver: Any, media: Iterable[Medium], wavelength_nm: np.ndarray, obstacle: str | None = None,
     parameters: Sequence[str] = (), max_stderr: float = np.inf,
 ) -> str:  # fmt: skip
-    """Return the solver for media: with "auto", discrete ordinates where they are accurate enough.
+    """Return the solver for media: with "auto", discrete ordinates where they are the best.
+
+    They are if they apply to natural snow, and are accurate enough.  For other grains, their first
+    spectrum takes longer than paths.
 
     Parameters
     ----------
@@ -64,10 +67,12 @@ def choose_solver(
     if obstacle is None and parameters:
         obstacle = find_parameter_obstacle(media[0], parameters)
     if obstacle is None:
-        is_accurate = solver != AUTO or all(
-            compute_least_error(medium, wavelength_nm) <= max_stderr for medium in media
+        is_best = solver != AUTO or all(
+            is_tabulated(medium)
+            and compute_optics_error(make_pack(medium, wavelength_nm)).max() <= max_stderr
+            for medium in media
         )
-        return DISCRETE_ORDINATES if is_accurate else MONTE_CARLO
+        return DISCRETE_ORDINATES if is_best else MONTE_CARLO
     if solver == AUTO:
         return MONTE_CARLO
     allowed = "'monte_carlo' or 'auto' for this medium"

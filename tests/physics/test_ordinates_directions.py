@@ -7,6 +7,7 @@ import pytest
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
+from splits.discrete_ordinates.plane_pack import WET_ERROR
 from splits.instruments.angular_dataset import BEAM_TOTALS
 
 WAVELENGTHS = [600.0, 1030.0, 1500.0]
@@ -144,16 +145,18 @@ def test_distributions_integrate_to_totals_of_spectrophotometer(depth_m, water):
         for name in ("brdf", "btdf")
     )
     spectrum = splits.spectrophotometer(*arguments, max_stderr=1e-4, **SOLVED)
+    # Distributions of wet snow assume the equilibrium with air in all layers.
+    error = WET_ERROR if water else 0.0
     for scattered, total, direct in (
         (reflected, solved.reflectance, solved.specular_reflectance),
         (transmitted, solved.transmittance, solved.direct_transmittance),
     ):
-        np.testing.assert_allclose(scattered + direct, total, rtol=3e-3)
+        np.testing.assert_allclose(scattered + direct, total, rtol=3e-3, atol=error)
     for name in ("reflectance", "transmittance"):
         np.testing.assert_allclose(solved[name], spectrum[name], atol=1e-4)
     # π times the BRDF over the reflectance, so that its mean is 1.
     anisotropy = 2.0 * solved.anisotropy_factor.mean("azimuth").values @ (weights * cosines)
-    np.testing.assert_allclose(anisotropy, 1.0, rtol=3e-3)
+    assert (np.abs(anisotropy - 1.0) <= 3e-3 + 1.1 * error / solved.reflectance).all()
 
 
 def test_factors_under_diffuse_light_are_totals_of_a_beam():

@@ -175,7 +175,7 @@ def test_quadratic_models_are_interpolated_exactly():
 
 OBSTACLES = {
     "no natural snow": (splits.Snow(), {"density_kg_m3": (100, 400)}, "overlap_with_boundary"),
-    "sand": (splits.Sand(), {"saturation": (0, 1)}, "saturation"),
+    "sand": (splits.Sand(), {"saturation": (0, 1)}, "overlap_with_boundary"),
     "shape": (make_snow(), {"facetness": (0.2, 0.6)}, "facetness changes the shape"),
     "water": (make_snow(density_kg_m3=300), {"saturation": (0.0, 0.8)}, "saturation of 0.7"),
     "absorption": (make_snow(), {SIZE: (50, 18_000)}, "absorbs too strongly"),

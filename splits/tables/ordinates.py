@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.discrete_ordinates.applicability import make_pack
-from splits.discrete_ordinates.plane_pack import SpectrumSolution, solve_spectrum
+from splits.discrete_ordinates.plane_pack import PlanePack, SpectrumSolution, solve_spectrum
 from splits.instruments.solver import make_estimate
 from splits.media.medium import Medium
 from splits.simulation.spectral_tally import SpectralEstimate
@@ -70,8 +70,11 @@ def _solve_media(
     media: Sequence[Medium], wavelength_nm: np.ndarray, cosines: np.ndarray, max_stderr: float,
     threads: int,
 ) -> list[SpectrumSolution]:  # fmt: skip
-    def solve(medium: Medium) -> SpectrumSolution:
-        return solve_spectrum(make_pack(medium, wavelength_nm, max_stderr), cosines, max_stderr)
+    # Paths through grains use all threads themselves.
+    packs = [make_pack(medium, wavelength_nm, max_stderr, threads) for medium in media]
+
+    def solve(pack: PlanePack) -> SpectrumSolution:
+        return solve_spectrum(pack, cosines, max_stderr)
 
     with limit_blas_threads(), DaemonThreadPool(threads) as pool:
-        return list(pool.map(solve, media))
+        return list(pool.map(solve, packs))

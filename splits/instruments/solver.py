@@ -102,13 +102,9 @@ def solve_estimate(
     """
     is_diffuse = incidence == "diffuse"
     cosines = np.array([] if is_diffuse else [np.cos(np.radians(float(incidence)))])
+    packs = [make_pack(medium, wavelength_nm, max_stderr, run.threads) for medium in media]
     with limit_blas_threads():
-        solutions = [
-            solve_with_exponent_error(
-                make_pack(medium, wavelength_nm, max_stderr, run.threads), cosines, max_stderr
-            )
-            for medium in media
-        ]
+        solutions = [solve_with_exponent_error(pack, cosines, max_stderr) for pack in packs]
         estimate = make_estimate(solutions, -1 if is_diffuse else 0)
         if not parameters:
             return estimate

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.discrete_ordinates.applicability import make_pack
-from splits.discrete_ordinates.plane_pack import SpectrumSolution
+from splits.discrete_ordinates.plane_pack import PlanePack, SpectrumSolution
 from splits.discrete_ordinates.transmittance_error import solve_with_exponent_error
 from splits.instruments.solver import make_estimate
 from splits.media.medium import Medium
@@ -71,9 +71,11 @@ def _solve_media(
     media: Sequence[Medium], wavelength_nm: np.ndarray, cosines: np.ndarray, max_stderr: float,
     threads: int,
 ) -> list[SpectrumSolution]:  # fmt: skip
-    def solve(medium: Medium) -> SpectrumSolution:
-        pack = make_pack(medium, wavelength_nm, max_stderr)
+    # Paths through grains use all threads themselves.
+    packs = [make_pack(medium, wavelength_nm, max_stderr, threads) for medium in media]
+
+    def solve(pack: PlanePack) -> SpectrumSolution:
         return solve_with_exponent_error(pack, cosines, max_stderr)
 
     with limit_blas_threads(), DaemonThreadPool(threads) as pool:
-        return list(pool.map(solve, media))
+        return list(pool.map(solve, packs))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from chi2 import NEEDS_JIT
 
 import splits
 
@@ -48,6 +49,18 @@ def test_diffuse_light_is_an_incidence():
     )  # fmt: skip
     snow = splits.Snow.natural(optical_radius_um=200.0)
     single = splits.spectrophotometer(snow, WAVELENGTHS, "diffuse", 0.003, solver="auto")
+    np.testing.assert_allclose(table.reflectance[1], single.reflectance, rtol=1e-6)
+
+
+@NEEDS_JIT
+def test_tables_of_other_grains_equal_single_spectra():
+    def make(depth_m):
+        return splits.Snow(depth_m=depth_m, saturation=0.0, interpretation="radiative_transfer")
+
+    settings = {"max_stderr": 0.02, "solver": "discrete_ordinates"}
+    table = splits.build_table(make, {"depth_m": [0.02, 0.05]}, [1300.0], threads=2, **settings)
+    single = splits.spectrophotometer(make(0.05), [1300.0], **settings)
+    assert table.attrs["solver"] == single.attrs["solver"] == "discrete_ordinates"
     np.testing.assert_allclose(table.reflectance[1], single.reflectance, rtol=1e-6)
 
 

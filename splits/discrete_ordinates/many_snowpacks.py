@@ -11,9 +11,9 @@ from splits.discrete_ordinates.plane_pack import (
     N_TRIAL_WAVELENGTHS,
     STREAM_NUMBERS,
     PlanePack,
+    Truncation,
     choose_trial_wavelengths,
     compute_optics_error,
-    measure_truncation,
     solve_spectrum,
     spread_truncation,
 )
@@ -108,7 +108,7 @@ def _choose_streams(
         for rows, columns in _split(pending, trial.size, n_layers, 2 * n_streams):
             # All trial wavelengths of a snowpack are in the same part.
             part = snowpacks.select(trial[columns], rows)
-            difference = measure_truncation(part, cosines[rows, np.newaxis], n_streams)
+            difference = Truncation.measure(part, cosines[rows, np.newaxis], n_streams).largest
             result.truncation[rows] = spread_truncation(difference, trial, n_wavelengths)
             result.n_streams[rows] = n_streams
             failed.append(rows[difference.max(axis=-1) > 0.5 * max_error])

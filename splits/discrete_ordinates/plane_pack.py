@@ -166,6 +166,27 @@ class PlanePack(NamedTuple):
         return make_wet_faces(saturations, self.layers[0].water_index, streams, cosines)
 
 
+class Truncation(NamedTuple):
+    """Budgets of light with a number of streams, and with twice as many."""
+
+    coarse: Budget
+    fine: Budget
+
+    @classmethod
+    def measure(cls, snowpack: PlanePack, cosines: np.ndarray, n_streams: int) -> Truncation:
+        """Return the budgets for the beams of `PlanePack.build`."""
+        return cls(*(snowpack.solve(cosines, number) for number in (n_streams, 2 * n_streams)))
+
+    @property
+    def largest(self) -> np.ndarray:
+        """Largest change of reflectance and transmittance, shape (..., wavelengths)."""
+        changes = [
+            np.abs(getattr(self.coarse, name) - getattr(self.fine, name)).max(axis=-1)
+            for name in ("reflectance", "transmittance")
+        ]
+        return np.maximum(*changes)
+
+
 class SpectrumSolution(NamedTuple):
     """Budget of light with its errors.
 
@@ -177,6 +198,8 @@ class SpectrumSolution(NamedTuple):
         Error due to the number of streams.
     optics_error : float, shape (wavelengths,)
         Error due to the tables of single scattering, and to the balance of wet and dry pores.
+    trial : Truncation
+        At the wavelengths of `choose_trial_wavelengths`.
     exponent_error : float, shape (wavelengths,)
         Error of the logarithm of a transmittance T relative to 1 + |ln T|; infinite if the other
         errors are sufficient (`splits.discrete_ordinates.transmittance_error`).
@@ -186,6 +209,7 @@ class SpectrumSolution(NamedTuple):
     n_streams: int
     truncation: np.ndarray
     optics_error: np.ndarray
+    trial: Truncation
     exponent_error: np.ndarray | float = np.inf
 
     @property
@@ -208,8 +232,8 @@ def solve_spectrum(snowpack: PlanePack, cosines: np.ndarray, max_error: float) -
     trial = choose_trial_wavelengths(snowpack.ground.size)
     few = snowpack.select(trial)
     for n_streams in STREAM_NUMBERS:
-        difference = measure_truncation(few, cosines, n_streams)
-        if difference.max() <= 0.5 * max_error:
+        truncation = Truncation.measure(few, cosines, n_streams)
+        if truncation.largest.max() <= 0.5 * max_error:
             break
 
     def spread(error: np.ndarray) -> np.ndarray:
@@ -224,29 +248,15 @@ def solve_spectrum(snowpack: PlanePack, cosines: np.ndarray, max_error: float) -
         by_paths = compute_replicate_error(few.layers, solve_few).max(axis=(0, -1))
         optics_error = np.hypot(optics_error, spread(by_paths))
     return SpectrumSolution(
-        snowpack.solve(cosines, n_streams), n_streams, spread(difference), optics_error
-    )
+        snowpack.solve(cosines, n_streams), n_streams, spread(truncation.largest), optics_error,
+        truncation,
+    )  # fmt: skip
 
 
 def choose_trial_wavelengths(n_wavelengths: int) -> np.ndarray:
     """Return the positions of the wavelengths at which the truncation error is measured."""
     count = min(N_TRIAL_WAVELENGTHS, n_wavelengths)
     return np.unique(np.linspace(0, n_wavelengths - 1, count).round().astype(int))
-
-
-def measure_truncation(snowpack: PlanePack, cosines: np.ndarray, n_streams: int) -> np.ndarray:
-    """Return the largest change of reflectance and transmittance by twice the streams.
-
-    Returns
-    -------
-    float, shape (..., wavelengths)
-    """
-    coarse, fine = (snowpack.solve(cosines, number) for number in (n_streams, 2 * n_streams))
-    changes = [
-        np.abs(getattr(coarse, name) - getattr(fine, name)).max(axis=-1)
-        for name in ("reflectance", "transmittance")
-    ]
-    return np.maximum(*changes)
 
 
 def spread_truncation(difference: np.ndarray, trial: np.ndarray, n_wavelengths: int) -> np.ndarray:

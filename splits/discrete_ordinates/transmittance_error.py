@@ -19,6 +19,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from splits.discrete_ordinates.adding import Budget
 from splits.discrete_ordinates.grain_table import GrainTable
 from splits.discrete_ordinates.granular_layers import GranularLayer
 from splits.discrete_ordinates.integrals import TINY
@@ -50,23 +51,27 @@ def solve_with_exponent_error(
     is_small = transmittance * SUFFICIENT_ERROR < solution.error[:, np.newaxis]
     if not (is_small & (transmittance > 0.0)).any():
         return solution
-    error = _compute_exponent_error(snowpack, cosines, solution.n_streams)
+    error = _compute_exponent_error(snowpack, cosines, solution)
     return solution._replace(exponent_error=error)
 
 
-def _compute_exponent_error(snowpack: PlanePack, cosines: np.ndarray, n_streams: int) -> np.ndarray:
+def _compute_exponent_error(
+    snowpack: PlanePack, cosines: np.ndarray, solution: SpectrumSolution
+) -> np.ndarray:
     """Return the error of ln T relative to 1 + |ln T|, shape (wavelengths,)."""
     n_wavelengths = snowpack.ground.size
     trial = choose_trial_wavelengths(n_wavelengths)
     few = snowpack.select(trial)
 
-    def solve(layers: Sequence[GranularLayer], number: int = n_streams) -> np.ndarray:
-        transmittance = few._replace(layers=layers).solve(cosines, number).transmittance
-        logarithm: np.ndarray = np.log(np.maximum(transmittance, TINY))
+    def get_logarithm(budget: Budget) -> np.ndarray:
+        logarithm: np.ndarray = np.log(np.maximum(budget.transmittance, TINY))
         return logarithm
 
-    fine = solve(few.layers, 2 * n_streams)
-    changes = [np.abs(solve(few.layers) - fine)]
+    def solve(layers: Sequence[GranularLayer]) -> np.ndarray:
+        return get_logarithm(few._replace(layers=layers).solve(cosines, solution.n_streams))
+
+    fine = get_logarithm(solution.trial.fine)
+    changes = [np.abs(get_logarithm(solution.trial.coarse) - fine)]
     if list_traced(few.layers):
         changes.append(compute_replicate_error(few.layers, solve))
     relative = [(change / (1.0 + np.abs(fine))).max(axis=-1) for change in changes]

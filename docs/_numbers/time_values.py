@@ -149,13 +149,17 @@ def _list_solver_numbers() -> dict[str, QuotedNumber]:
         "PythonicDISORT": ("8 streams", "16 streams"),
         "table": ("12 sizes",), "TARTES": ("two streams",), "snowoptics": ("asymptotic",),
     }  # fmt: skip
-    columns = {"ms": ("milliseconds", "#.2g"), "deviation": ("deviation_largest", "#.2g")}
+    slow = ("paths", "PythonicDISORT")
     numbers: dict[str, QuotedNumber] = {}
     for snowpack in ("half-space", "three layers on soil"):
         for way, settings in ways.items():
             if snowpack != "half-space" and way in ("table", "snowoptics"):
                 continue
             for number, setting in enumerate(settings):
+                columns = {
+                    "ms": ("milliseconds", ".0f" if way in slow else "#.2g"),
+                    "deviation": ("deviation_largest", "#.2g"),
+                }
                 for name, (column, spec) in columns.items():
                     key = f"solvers.{snowpack.split('-')[0].split()[0]}.{way.lower()}.{number}"
                     select = select_cell(column, snowpack=snowpack, way=way, setting=setting)

@@ -202,7 +202,7 @@ def find_parameter_obstacle(medium: Medium, parameters: Sequence[str]) -> str | 
     for number, layer in enumerate(layers):
         if not _is_natural_layer(layer):
             which = f"layers[{number}]" if len(layers) > 1 else "it"
-            return f"derivatives need natural snow, and {which} is another medium"
+            return f"its parameters can vary only in natural snow, and {which} is another medium"
     for name in parameters:
         *place, key = name.split(".")
         layer = layers[int(place[1])] if len(place) > 1 else layers[0]

@@ -129,7 +129,7 @@ def compute_gradient(
     by_cosine = np.zeros_like(values)
     if cosine is not None:
         by_cosine = _differentiate_cosine(optics, streams, by_matrices)
-    by_ground = _differentiate_ground(down[-1], streams, ground)
+    by_ground = _differentiate_ground(down[-1], streams)
     return values, Gradient(by_thickness, absorption, scattering, by_ground, by_cosine)
 
 
@@ -255,7 +255,7 @@ def _differentiate_cosine(
     return total
 
 
-def _differentiate_ground(down: np.ndarray, streams: Streams, ground: np.ndarray) -> np.ndarray:
+def _differentiate_ground(down: np.ndarray, streams: Streams) -> np.ndarray:
     """Return the derivatives with respect to the albedo of the ground, shape (2, ...).
 
     Parameters
@@ -263,7 +263,6 @@ def _differentiate_ground(down: np.ndarray, streams: Streams, ground: np.ndarray
     down : float, shape (..., streams, 3)
         Light that falls on the ground.
     streams : Streams
-    ground : float, shape (...)
     """
     flux = np.moveaxis(streams.flux_vector @ down, -1, 0)
     derivative: np.ndarray = 2.0 * flux[MEASUREMENT] * flux[INCIDENT:]

@@ -30,7 +30,7 @@ class GranularLayer(NamedTuple):
     saturation : float, shape (...)
         Fraction of wet pores.
     contrast : float, shape (wavelengths,)
-        Refractive index of ice minus 1.
+        Refractive index of the last material of the grains minus 1.
     water_index : float, shape (wavelengths,)
         Refractive index of water.
     grain_absorption : float, shape (..., wavelengths)

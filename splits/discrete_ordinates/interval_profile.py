@@ -34,7 +34,7 @@ from splits.discrete_ordinates.pores import WET
 from splits.discrete_ordinates.replicates import iterate_replicates, list_traced
 
 N_MATERIALS = 3
-"""Materials of a layer of snow: air, water and ice."""
+"""Materials of a layer: air, water and grains."""
 PORE_BALANCE_ERROR = 0.035
 """Relative error of the path length in water relative to that in air, half of the difference of
 both estimates of the changes between them."""
@@ -221,7 +221,7 @@ def _perturb_tables(parts: PlanePack) -> list[list[GranularLayer]]:
     numbers = [i for i, one in enumerate(parts.layers) if isinstance(one.grains, GrainTable)]
     if not numbers:
         return []
-    error = find_similarity_error(parts.layers[0].contrast, parts.is_wet)
+    error = find_similarity_error(parts.layers[numbers[0]].contrast, parts.is_wet)
     # One number for all wavelengths: the largest error of (1 − g) is nearly the same for all.
     largest = error.max()
     absorbing, denser = list(parts.layers), list(parts.layers)

@@ -197,7 +197,8 @@ class SpectrumSolution(NamedTuple):
     truncation : float, shape (wavelengths,)
         Error due to the number of streams.
     optics_error : float, shape (wavelengths,)
-        Error due to the tables of single scattering, and to the balance of wet and dry pores.
+        Error due to single scattering, to the extent of grains, and to the balance of wet and dry
+        pores.
     trial : Truncation
         At the wavelengths of `choose_trial_wavelengths`.
     exponent_error : float, shape (wavelengths,)

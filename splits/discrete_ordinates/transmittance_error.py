@@ -76,9 +76,9 @@ def _compute_exponent_error(
         changes.append(compute_replicate_error(few.layers, solve))
     relative = [(change / (1.0 + np.abs(fine))).max(axis=-1) for change in changes]
     spread = spread_truncation(np.sqrt(sum(np.square(relative))), trial, n_wavelengths)
-    has_tables = any(isinstance(layer.grains, GrainTable) for layer in snowpack.layers)
-    contrast, is_wet = snowpack.layers[0].contrast, snowpack.is_wet
-    optics = OPTICS_SHARE * find_similarity_error(contrast, is_wet) if has_tables else 0.0
+    is_wet = snowpack.is_wet
+    contrasts = [one.contrast for one in snowpack.layers if isinstance(one.grains, GrainTable)]
+    optics = OPTICS_SHARE * find_similarity_error(contrasts[0], is_wet) if contrasts else 0.0
     extent = np.max([layer.compute_packing_bound() for layer in snowpack.layers], axis=0)
     balance = BALANCE_ERROR if is_wet else 0.0
     error: np.ndarray = np.sqrt(spread**2 + optics**2 + extent**2 + balance**2)

@@ -60,7 +60,7 @@ def simulate_points(
     seed = instrument.get_seed(seed)
     results: dict[int, xr.Dataset] = {}
     rays = 0
-    groups = _group_by_shared_paths(instrument, points)
+    groups = _group_by_shared_paths(instrument, points, accuracy)
     if len(groups) < len(points):
         log(f"{experiment.name}: {len(groups)} sets of paths for {len(points)} points")
     for indices, group in groups:
@@ -86,16 +86,17 @@ def simulate_points(
 
 
 def _group_by_shared_paths(
-    instrument: Instrument, points: Sequence[GridPoint]
+    instrument: Instrument, points: Sequence[GridPoint], accuracy: Accuracy
 ) -> list[tuple[list[int], MediaGroup | None]]:
     """Return the indices of points that share paths, with their group (None for single points)."""
     if not isinstance(instrument, Spectrophotometer) or instrument.estimator == "analog":
         return [([index], None) for index in range(len(points))]
     wavelengths = np.asarray(instrument.get_wavelengths(), dtype=float)
+    max_stderr = instrument.scale_stderr(accuracy.max_stderr)
     solved = [
         index
         for index, (_, medium, _) in enumerate(points)
-        if instrument.choose_solver(medium) == DISCRETE_ORDINATES
+        if instrument.choose_solver(medium, max_stderr) == DISCRETE_ORDINATES
     ]
     groups: list[tuple[list[int], MediaGroup | None]] = [([index], None) for index in solved]
     traced = [index for index in range(len(points)) if index not in set(solved)]
@@ -169,6 +170,7 @@ def _log_result(prefix: str, datasets: Sequence[xr.Dataset], log: LogCallback) -
     rays, seconds = attributes["rays"], attributes["wall_time_s"]
     log(f"{prefix}: done, {rays} rays{''.join(reached)}, {seconds:.1f} s")
     reasons = {
+        "solver_error": "the error of discrete ordinates is larger than the requested one",
         "max_rays": f"stopped by max_rays = {attributes.get('max_rays')} before the error was "
         "reached",
         "max_degree": "stopped before the error was reached: in some directions the BRDF changes "

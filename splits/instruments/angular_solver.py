@@ -13,6 +13,7 @@ from splits.discrete_ordinates.pack_brdf import solve_bidirectional, solve_relat
 from splits.discrete_ordinates.plane_pack import PlanePack, SpectrumSolution
 from splits.instruments.angular_estimate import AngularEstimate
 from splits.media.medium import Medium
+from splits.simulation.threads import limit_blas_threads
 
 PHASE_FUNCTION_SHARE = 0.06
 """Error of a reflectance for which the paths through grains give a phase function with an error
@@ -100,7 +101,8 @@ def solve_angular_result(medium: Medium, request: AngularRequest, threads: int) 
         medium, request.wavelengths, PHASE_FUNCTION_SHARE * request.relative_stderr, threads
     )
     solve = _solve_diffuse if request.incidence == "diffuse" else _solve_beam
-    estimate, attributes = solve(snowpack, request)
+    with limit_blas_threads():
+        estimate, attributes = solve(snowpack, request)
     return AngularResult(estimate, {}, (), attributes)
 
 
@@ -186,7 +188,7 @@ def _describe(
     """Return the attributes of a solution."""
     reached = estimate.compute_max_error(request.side, request.direction_mask)
     return {
-        "stop_reason": "converged" if reached <= request.relative_stderr else "interpolation_bound",
+        "stop_reason": "converged" if reached <= request.relative_stderr else "solver_error",
         "rays": 0,
         "streams": n_streams,
         "truncation_error": float(spectrum.truncation.max()),

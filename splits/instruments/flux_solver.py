@@ -27,6 +27,7 @@ from splits.instruments.solver import DISCRETE_ORDINATES
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.medium import Medium
 from splits.simulation.scene import N_PORE_MATERIALS, compute_material_constants
+from splits.simulation.threads import limit_blas_threads
 
 
 def find_profile_obstacle(medium: Medium, wavelength_nm: np.ndarray) -> str | None:
@@ -76,7 +77,8 @@ def solve_flux(
     whole = make_pack(medium, wavelengths, max_stderr, threads)
     parts, geometry = divide_medium(medium, whole, edges)
     cosine = None if incidence == "diffuse" else float(np.cos(np.radians(float(incidence))))
-    solution = solve_profile(parts, geometry, cosine, max_stderr, limit_irradiance)
+    with limit_blas_threads():
+        solution = solve_profile(parts, geometry, cosine, max_stderr, limit_irradiance)
     variables = _make_variables(solution, edges)
     materials = list(medium.material_columns)
     coordinates = make_flux_coordinates(wavelengths, edges, materials)
@@ -117,7 +119,7 @@ def describe_solution(
     return {
         "solver": DISCRETE_ORDINATES,
         "max_stderr_reached": reached,
-        "stop_reason": "converged" if reached <= max_stderr else "interpolation_bound",
+        "stop_reason": "converged" if reached <= max_stderr else "solver_error",
         "rays": 0,
         "streams": solution.n_streams,
         "truncation_error": reduce(solution.truncation),

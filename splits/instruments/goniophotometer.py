@@ -123,7 +123,8 @@ def goniophotometer(
     max_rays : int
         Number of rays after which a run to an error stops.  The attribute ``stop_reason`` is
         "converged", "max_rays", "fixed_rays" (where `rays` or bins set their number), "no_light"
-        (where none reached the directions), "max_degree" or "unresolved_lobe".  "max_degree" means
+        (where none reached the directions), "solver_error" (where discrete ordinates do not reach
+        the error), "max_degree" or "unresolved_lobe".  "max_degree" means
         that the light is in lobes too narrow for the polynomials, which more rays do not change;
         use bins.  "unresolved_lobe" means that the run has converged except for directions in a
         lobe, where terms that are insignificant individually keep the reported error above the

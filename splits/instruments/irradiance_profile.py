@@ -17,6 +17,7 @@ from splits.core.validation import (
     check_range,
     invalid,
 )
+from splits.discrete_ordinates.applicability import find_obstacle
 from splits.instruments.flux_dataset import make_flux_dataset
 from splits.instruments.flux_media import TracedMedium, prepare_medium
 from splits.instruments.flux_solver import (
@@ -86,7 +87,8 @@ def irradiance_profile(
     seed : int
         Non-negative; results with the same seed are identical on any number of threads.
     solver : {"auto", "discrete_ordinates", "monte_carlo"}
-        As for `splits.spectrophotometer`.
+        As for `splits.spectrophotometer`.  Discrete ordinates need point grains of one material
+        that absorbs.
     target : {"irradiance", "absorptance"}
         Quantities to which `max_stderr` applies: all irradiances and absorptances, or only
         absorptances and reflectance, which need far fewer rays in thick, weakly absorbing media.
@@ -179,10 +181,10 @@ def choose_flux_solver(
     solver: Any, medium: Medium, wavelengths: np.ndarray, max_stderr: float
 ) -> str:
     """Return the solver for fluxes, see `splits.instruments.solver.choose_solver`."""
-    chosen = choose_solver(solver, [medium], wavelengths, max_stderr=max_stderr)
-    if chosen == MONTE_CARLO:
-        return chosen
-    return choose_solver(solver, [medium], wavelengths, find_profile_obstacle(medium, wavelengths))
+    obstacle = None
+    if solver != MONTE_CARLO:
+        obstacle = find_obstacle(medium, wavelengths) or find_profile_obstacle(medium, wavelengths)
+    return choose_solver(solver, [medium], wavelengths, obstacle, max_stderr=max_stderr)
 
 
 def simulate_flux(

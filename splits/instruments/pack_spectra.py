@@ -92,7 +92,7 @@ def make_error_attributes(
     """Return the attributes of the solver and of its errors."""
     return {
         "max_stderr": max_stderr,
-        "stop_reason": "max_stderr",
+        "stop_reason": "converged" if max_stderr_reached <= max_stderr else "solver_error",
         "max_stderr_reached": max_stderr_reached,
         "rays": 0,
         **spectra.attributes,

@@ -79,7 +79,7 @@ def radiation_profile(
     seed : int
         Non-negative; diffuse light uses the next one.
     solver : {"auto", "discrete_ordinates", "monte_carlo"}
-        As for `splits.spectrophotometer`.
+        As for `splits.irradiance_profile`.
     target : {"absorbed_power", "irradiance"}
         Quantities to which `max_stderr` applies: absorbed power and the light reflected at the
         top, or also irradiances at all depths.  In thick, weakly absorbing media the latter need

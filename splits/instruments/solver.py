@@ -21,12 +21,10 @@ from splits.discrete_ordinates.plane_pack import SpectrumSolution, compute_optic
 from splits.discrete_ordinates.transmittance_error import solve_with_exponent_error
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.medium import Medium
-from splits.simulation.run_options import RunOptions
 from splits.simulation.spectral_tally import Derivatives, SpectralEstimate
 from splits.simulation.threads import limit_blas_threads
 
 MONTE_CARLO, DISCRETE_ORDINATES, AUTO = "monte_carlo", "discrete_ordinates", "auto"
-ANALYTIC, DIFFERENCE = "analytic", "central_difference"
 SOLVERS = (MONTE_CARLO, DISCRETE_ORDINATES, AUTO)
 
 
@@ -81,7 +79,7 @@ def choose_solver(
 
 def solve_estimate(
     media: Sequence[Medium], wavelength_nm: np.ndarray, incidence: float | str, max_stderr: float,
-    run: RunOptions, parameters: Sequence[str] = (),
+    threads: int, parameters: Sequence[str] = (),
 ) -> SpectralEstimate:  # fmt: skip
     """Return hemispherical values of media by discrete ordinates, in the form of simulations.
 
@@ -94,22 +92,21 @@ def solve_estimate(
         Degrees, or isotropic light.
     max_stderr : float
         Determines the number of streams, and of paths through grains.
-    run : RunOptions
-        Of which only the threads matter.
+    threads : int
+        For paths through grains.
     parameters : sequence of str
         Parameters of the only medium with respect to which derivatives are computed, without
         obstacle (`splits.discrete_ordinates.applicability.find_parameter_obstacle`).
     """
     is_diffuse = incidence == "diffuse"
     cosines = np.array([] if is_diffuse else [np.cos(np.radians(float(incidence)))])
-    packs = [make_pack(medium, wavelength_nm, max_stderr, run.threads) for medium in media]
+    packs = [make_pack(medium, wavelength_nm, max_stderr, threads) for medium in media]
     with limit_blas_threads():
         solutions = [solve_with_exponent_error(pack, cosines, max_stderr) for pack in packs]
         estimate = make_estimate(solutions, -1 if is_diffuse else 0)
         if not parameters:
             return estimate
-        is_wet = get_derivative_method(media[0]) != ANALYTIC
-        of_medium = (WetDerivatives if is_wet else DryDerivatives).from_medium(
+        of_medium = (WetDerivatives if packs[0].is_wet else DryDerivatives).from_medium(
             media[0], parameters, wavelength_nm, incidence
         )
         values, bound = solve_derivatives(of_medium, solutions[0])
@@ -138,15 +135,16 @@ def make_estimate(solutions: Sequence[SpectrumSolution], column: int) -> Spectra
     relative = exponent[has_light] * (1.0 + np.abs(np.log(passing)))
     stderr[1, has_light] = np.minimum(stderr[1, has_light], passing * relative)
     return SpectralEstimate(
-        mean, stderr, stderr, np.zeros((N_BATCHES, 2, n_rows)), _make_no_derivatives(n_rows),
-        np.zeros(n_rows), _describe(solutions),
+        mean, stderr, np.zeros_like(stderr), np.zeros((N_BATCHES, 2, n_rows)),
+        _make_no_derivatives(n_rows), np.zeros(n_rows), _describe(solutions),
     )  # fmt: skip
 
 
 def get_derivative_method(medium: Medium) -> str:
     """Return the method of derivatives by discrete ordinates: analytic, or differences if wet."""
     layers: Any = medium.scene_layers
-    return DIFFERENCE if any(layer.saturation > 0.0 for layer in layers) else ANALYTIC
+    is_wet = any(layer.wet_fraction > 0.0 for layer in layers)
+    return "finite_difference" if is_wet else "analytic"
 
 
 def _make_no_derivatives(n_rows: int) -> Derivatives:

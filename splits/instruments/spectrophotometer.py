@@ -86,9 +86,9 @@ def spectrophotometer(
         milliseconds: see docs/theory/discrete-ordinates.md.  Modelled natural snow
         (`splits.Snow.natural`) has tables of single scattering.  Paths through single grains of
         other snow and sand are traced in the first call and kept in the cache folder.  Media for
-        which the equation does not hold are rejected.  "auto" uses "monte_carlo" for these, and if
-        `max_stderr` is below the error of discrete ordinates.  Paths are not available for
-        `splits.SnowPacks`.
+        which the equation does not hold are rejected.  "auto" uses discrete ordinates for natural
+        snow where their error is at most `max_stderr`, and "monte_carlo" otherwise.  Paths are not
+        available for `splits.SnowPacks`.
     estimator : {"spectral", "analog"}
         "spectral" uses the same paths at all wavelengths.  "analog", for one medium, is the
         algorithm of the papers: each wavelength is traced separately, and absorption is sampled at
@@ -182,7 +182,7 @@ def spectrophotometer(
     chosen = choose_solver(solver, media.values(), wavelengths, obstacle, parameters, error)
     if chosen == DISCRETE_ORDINATES:
         estimate = solve_estimate(
-            list(media.values()), wavelengths, request.incidence, error, run, parameters
+            list(media.values()), wavelengths, request.incidence, error, run.threads, parameters
         )
         dataset = make_spectrum(request, first, estimate, truncation=None, dims=dims)
         dataset.attrs["solver"] = DISCRETE_ORDINATES

@@ -96,8 +96,8 @@ def retrieve(
     quantity : str
         Quantity of the table.
     solver : {"auto", "discrete_ordinates", "monte_carlo"}
-        Solver for a medium, as for `splits.spectrophotometer`.  "auto" uses discrete ordinates if
-        they apply within all ranges.
+        Solver for a medium, as for `splits.spectrophotometer`.  "auto" uses discrete ordinates for
+        natural snow if they apply within all ranges.
     seed : int
         Seed of the draws and of simulations.
     max_stderr : float, optional

@@ -112,11 +112,11 @@ class SpectralEstimate:
     def get_stop_reason(self, max_stderr: float) -> str:
         """Return why tracing stopped: the rows reached an error, which others may not have.
 
-        Without rays, the error is that of tables.
+        Without rays, it is that of discrete ordinates.
         """
         if self.stderr.max() <= max_stderr:
             return "converged"
-        return "max_rays" if self.rays["rays"] else "interpolation_bound"
+        return "max_rays" if self.rays["rays"] else "solver_error"
 
     def select(self, rows: slice) -> SpectralEstimate:
         """Return the estimate of some rows; derivatives are those of all rows."""

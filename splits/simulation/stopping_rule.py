@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 STOP_REASONS = (
-    "converged", "fixed_rays", "unresolved_lobe", "interpolation_bound", "no_light", "max_degree",
-    "max_rays",
+    "converged", "fixed_rays", "unresolved_lobe", "interpolation_bound", "solver_error", "no_light",
+    "max_degree", "max_rays",
 )  # fmt: skip
-"""Why runs stop.  Where several runs serve one result, the last of their reasons is stated."""
+"""Why runs stop; "solver_error": discrete ordinates have a larger error than the requested one.
+Where several runs serve one result, the last of their reasons is stated."""
 
 
 class StoppingRule(NamedTuple):

@@ -13,6 +13,7 @@ from splits.instruments.spectral_run import QUANTITY_LABELS
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.simulation.run_options import make_wavelength_coordinate
+from splits.simulation.stopping_rule import STOP_REASONS
 from splits.tables.axes import INCIDENCE
 from splits.tables.block import TableRequest
 from splits.tables.plan import TablePlan
@@ -79,9 +80,9 @@ def assemble_dataset(
         "interpolation_error_bound": max(
             float(block["interpolation_error_bound"]) for block in block_attrs
         ),
-        "stop_reason": "converged"
-        if all(block["stop_reason"] == "converged" for block in block_attrs)
-        else "max_rays",
+        "stop_reason": max(
+            (str(block["stop_reason"]) for block in block_attrs), key=STOP_REASONS.index
+        ),
         "solver": request.solver,
         "seed": spectral_request.run.seed,
         "rays": int(sum(int(block["rays"]) for block in block_attrs)),

@@ -17,6 +17,7 @@ from splits.core.paths import expand_path
 from splits.core.progress import Progress, ProgressCallback
 from splits.core.provenance import hash_physics_sources
 from splits.core.validation import check_choice, invalid
+from splits.instruments.solver import MONTE_CARLO
 from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest
 from splits.media.medium import Medium
 from splits.simulation.path_reuse import compute_absorption_signature, compute_path_signature
@@ -144,8 +145,9 @@ def compute_block_digest(path_group: PathGroup, request: TableRequest) -> str:
     digest = hashlib.sha256(hash_physics_sources().encode())
     spectral_request = request.spectral_request
     run = spectral_request.run
-    limits = [spectral_request.max_stderr, spectral_request.max_rays]
-    inputs = [path_group.incidence, *limits, run.seed, run.kernel, request.solver]
+    inputs = [path_group.incidence, spectral_request.max_stderr, request.solver]
+    if request.solver == MONTE_CARLO:
+        inputs += [spectral_request.max_rays, run.seed, run.kernel]
     digest.update(repr(inputs).encode())
     digest.update(repr([request.quantities, request.covariance]).encode())
     signature, unit = compute_path_signature(path_group.path_sharing.media[0])

@@ -16,7 +16,7 @@ FINITE = {
 }  # fmt: skip
 MIN_VALUE = 5.0
 """Smallest value that is compared, in units of the requested error of paths."""
-SOLVED = {"solver": "discrete_ordinates"}
+TRACED, SOLVED = {"solver": "monte_carlo"}, {"solver": "discrete_ordinates"}
 
 
 def draw_log(generator: np.random.Generator, low: float, high: float) -> float:
@@ -74,7 +74,7 @@ def compare_media(seeds, error: float, wet=lambda seed: False, interpretation=PO
     for seed in seeds:
         medium, incidence = make_random_medium(seed, wet(seed), interpretation)
         solved = splits.spectrophotometer(medium, WAVELENGTHS, incidence, 2.0 * error, **SOLVED)
-        paths = splits.spectrophotometer(medium, WAVELENGTHS, incidence, error, seed)
+        paths = splits.spectrophotometer(medium, WAVELENGTHS, incidence, error, seed, **TRACED)
         for name in ("reflectance", "transmittance"):
             stderr = np.hypot(solved[f"{name}_stderr"], paths[f"{name}_stderr"]).values
             difference = (solved[name] - paths[name]).values
@@ -110,7 +110,7 @@ def test_profiles_and_directions_of_point_grains_agree_with_paths():
     )
     for medium in (snow, wet):
         arguments = (medium, WAVELENGTHS[1:4], [0.01, 0.02], 30.0, 0.004)
-        paths, solved = (splits.irradiance_profile(*arguments, **how) for how in ({}, SOLVED))
+        paths, solved = (splits.irradiance_profile(*arguments, **how) for how in (TRACED, SOLVED))
         for name in ("downward_irradiance", "upward_irradiance", "absorptance_of_material"):
             stderr = np.hypot(paths[f"{name}_stderr"], solved[f"{name}_stderr"])
             z = ((solved[name] - paths[name]) / stderr).where(solved[name] > 0.01).values
@@ -122,7 +122,7 @@ def test_profiles_and_directions_of_point_grains_agree_with_paths():
             splits.goniophotometer(
                 medium, [600.0, 1000.0], 50.0, relative_stderr=0.04, **directions, **how
             )
-            for how in ({}, SOLVED)
+            for how in (TRACED, SOLVED)
         )
         stderr = np.hypot(paths.brdf_stderr, solved.brdf_stderr)
         judge_z((solved.brdf - paths.brdf) / stderr, "BRDF", independent=4, bound_added=True)
@@ -203,7 +203,7 @@ def test_refusals_name_the_rule(medium, reason):
 
 def test_refusals_of_derivatives_and_profiles_name_the_layer():
     sand = splits.Sand(interpretation=POINTS)
-    with pytest.raises(ValueError, match="derivatives need natural snow"):
+    with pytest.raises(ValueError, match="can vary only in natural snow"):
         splits.spectrophotometer(sand, [1000.0], jacobian=["porosity"], **SOLVED)
     with pytest.raises(ValueError, match=r"layers\[0\] has grains of several materials"):
         splits.irradiance_profile(sand, [1000.0], [0.001], **SOLVED)

@@ -57,7 +57,7 @@ Solver = Annotated[
     Literal["monte_carlo", "discrete_ordinates", "auto"],
     Field(
         description="paths, or the equation of radiative transfer in plane layers of grains; "
-        "`auto` solves the equation where it applies and traces paths elsewhere"
+        "`auto` solves it for natural snow where it is accurate enough, and traces paths otherwise"
     ),
 ]
 
@@ -88,11 +88,14 @@ class Spectrophotometer(OpticalInstrument):
         super().check_medium(medium)
         self.choose_solver(medium)
 
-    def choose_solver(self, medium: Medium) -> str:
+    def choose_solver(self, medium: Medium, max_stderr: float = math.inf) -> str:
         """Return the solver for a medium, see `splits.instruments.solver.choose_solver`."""
         obstacle = "the estimator needs paths" if self.estimator == "analog" else None
+        wavelengths = self.get_wavelengths()
         with key_prefix("instrument"):
-            return choose_solver(self.solver, [medium], self.get_wavelengths(), obstacle)
+            return choose_solver(
+                self.solver, [medium], wavelengths, obstacle, max_stderr=max_stderr
+            )
 
 
 class Goniophotometer(OpticalInstrument):

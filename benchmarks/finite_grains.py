@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 
 import splits
-from splits.discrete_ordinates.applicability import make_pack
+from splits.discrete_ordinates.applicability import make_granular_stack
 
 RULES = {"overlap_with_previous_segment": "keep", "overlap_with_boundary": "keep"}
 MEAN_FREE_PATHS = ("pore_only", "including_grain")
@@ -94,7 +94,7 @@ def compare_media(number: int, error: float) -> Iterator[Comparison]:
                 ("discrete_ordinates", (2.0 * error,)), ("monte_carlo", (error, seed)),
             )
         )  # fmt: skip
-        (layer,) = make_pack(medium, WAVELENGTHS_NM, 2.0 * error).layers
+        (layer,) = make_granular_stack(medium, WAVELENGTHS_NM, 2.0 * error).layers
         bound = layer.compute_packing_bound()
         is_thick = medium.depth_m > THICK_RATIO * medium.largest_grain_m
         depth = "thick" if is_thick else "thin"

@@ -43,7 +43,7 @@ from matplotlib.figure import Figure
 
 import splits
 from splits.discrete_ordinates import grain_cache
-from splits.discrete_ordinates.applicability import make_pack
+from splits.discrete_ordinates.applicability import make_granular_stack
 from splits.media.natural_snow import NATURAL_GRAIN_SHAPE
 from splits.plotting.style import TWO_COLUMNS_INCHES, make_subplots, pick_colours, use_style
 
@@ -127,7 +127,7 @@ def make_table_look_up() -> Callable[[], xr.Dataset]:
 
 def solve_pydisort(medium: splits.Stack, streams: int) -> np.ndarray:
     """Return the albedo by PythonicDISORT, with the same single scattering."""
-    snowpack = make_pack(medium, WAVELENGTHS_NM)
+    snowpack = make_granular_stack(medium, WAVELENGTHS_NM)
     optics = [one.compute_optics(streams + 1)
               for one in snowpack.layers]  # fmt: skip
     albedo = []
@@ -176,7 +176,7 @@ def measure_ways() -> pd.DataFrame:
     """Return one row for each snowpack and way, with its time and deviations."""
     rows = []
     for name, medium in SNOWPACKS.items():
-        reference = make_pack(medium, WAVELENGTHS_NM).solve(COSINES, REFERENCE_STREAMS)
+        reference = make_granular_stack(medium, WAVELENGTHS_NM).solve(COSINES, REFERENCE_STREAMS)
         expected = reference.reflectance[:, 0]
         for way, setting, function, repeats in list_ways(medium):
             function()

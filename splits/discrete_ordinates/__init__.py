@@ -17,9 +17,9 @@ Modules, each importing only those above it:
 - `grain_cache`: kept results of paths through them
 - `granular_layers`: layers of grains and their optics
 - `replicates`: the same without some of these paths, for errors
-- `plane_pack`: spectra of layers, with errors
-- `pack_brdf`: reflected and transmitted radiance of layers, with errors
-- `pack_profile`: fluxes, absorption and path lengths within layers
+- `granular_stack`: spectra of layers, with errors
+- `stack_brdf`: reflected and transmitted radiance of layers, with errors
+- `stack_profile`: fluxes, absorption and path lengths within layers
 - `interval_profile`: the same between depths, by material, with errors
 - `transmittance_error`: relative errors of small transmittances
 - `applicability`: media for which all this applies

@@ -10,8 +10,8 @@ import numpy as np
 from splits.discrete_ordinates.grain_cache import load_grains
 from splits.discrete_ordinates.grain_table import MAX_ABSORPTION, GrainTable
 from splits.discrete_ordinates.granular_layers import GranularLayer
-from splits.discrete_ordinates.plane_pack import (
-    PlanePack,
+from splits.discrete_ordinates.granular_stack import (
+    GranularStack,
     load_natural_grains,
 )
 from splits.discrete_ordinates.traced_grains import (
@@ -60,9 +60,9 @@ def find_obstacle(medium: Medium, wavelength_nm: np.ndarray) -> str | None:
     return None
 
 
-def make_pack(
+def make_granular_stack(
     medium: Medium, wavelength_nm: np.ndarray, max_error: float = DEFAULT_ERROR, threads: int = 1
-) -> PlanePack:
+) -> GranularStack:
     """Return a medium without obstacle as a snowpack at wavelengths (nm).
 
     Parameters
@@ -89,7 +89,7 @@ def make_pack(
                 grains = grains.add_wet_pores()
         error = compute_packing_error(layer)
         grain_layers.append(GranularLayer.from_medium(layer, wavelength_nm, grains, error))
-    return PlanePack(grain_layers, albedo)
+    return GranularStack(grain_layers, albedo)
 
 
 def compute_packing_error(layer: GranularMedium) -> float:

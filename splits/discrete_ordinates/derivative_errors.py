@@ -7,7 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.discrete_ordinates.applicability import make_pack
+from splits.discrete_ordinates.applicability import make_granular_stack
+from splits.discrete_ordinates.granular_stack import (
+    GranularStack,
+    SpectrumSolution,
+    choose_trial_wavelengths,
+    spread_truncation,
+)
 from splits.discrete_ordinates.integrals import TINY
 from splits.discrete_ordinates.parameter_derivatives import (
     DryDerivatives,
@@ -15,12 +21,6 @@ from splits.discrete_ordinates.parameter_derivatives import (
     StepSizes,
     combine_differences,
     sample_media,
-)
-from splits.discrete_ordinates.plane_pack import (
-    PlanePack,
-    SpectrumSolution,
-    choose_trial_wavelengths,
-    spread_truncation,
 )
 from splits.media.medium import Medium
 from splits.media.parameters import INCIDENCE_KEY, get_parameter
@@ -54,7 +54,7 @@ class SolutionDifference(NamedTuple):
     offsets : tuple of float
         Points, in steps.
     step : float
-    snowpacks : sequence of PlanePack
+    snowpacks : sequence of GranularStack
         At the points.
     angles : sequence of float
         Angles of incidence (degrees) at the points; empty for diffuse light.
@@ -62,7 +62,7 @@ class SolutionDifference(NamedTuple):
 
     offsets: tuple[float, ...]
     step: float
-    snowpacks: Sequence[PlanePack]
+    snowpacks: Sequence[GranularStack]
     angles: Sequence[float]
 
     @classmethod
@@ -74,12 +74,14 @@ class SolutionDifference(NamedTuple):
             # The solution is an even function of the angle.
             offsets, value = STENCILS[0], float(incidence)
             step = min(INCIDENCE_STEP, 0.25 * (90.0 - value))
-            snowpacks = [make_pack(medium, wavelength_nm)] * len(offsets)
+            snowpacks = [make_granular_stack(medium, wavelength_nm)] * len(offsets)
             return cls(offsets, step, snowpacks, [value + step * x for x in offsets])
         step = STEPS.choose(name, get_parameter(medium, name))
         offsets, media = sample_media(medium, name, step, STENCILS)
         angles = [] if isinstance(incidence, str) else [incidence] * len(offsets)
-        return cls(offsets, step, [make_pack(one, wavelength_nm) for one in media], angles)
+        return cls(
+            offsets, step, [make_granular_stack(one, wavelength_nm) for one in media], angles
+        )
 
     def solve(self, n_streams: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the derivative and its error, each of shape (2, wavelengths).
@@ -109,12 +111,12 @@ class WetDerivatives(NamedTuple):
 
     Attributes
     ----------
-    snowpack : PlanePack
+    snowpack : GranularStack
     differences : sequence of SolutionDifference
         Over each of the parameters.
     """
 
-    snowpack: PlanePack
+    snowpack: GranularStack
     differences: Sequence[SolutionDifference]
 
     @classmethod
@@ -126,7 +128,7 @@ class WetDerivatives(NamedTuple):
             SolutionDifference.from_parameter(medium, name, wavelength_nm, incidence)
             for name in names
         ]
-        return cls(make_pack(medium, wavelength_nm), differences)
+        return cls(make_granular_stack(medium, wavelength_nm), differences)
 
     def select(self, wavelengths: np.ndarray) -> WetDerivatives:
         """Return the derivatives at some of the wavelengths."""
@@ -157,9 +159,9 @@ def solve_derivatives(
     """Return derivatives and their errors, shape (2, parameters, wavelengths).
 
     The errors combine that of the number of streams, which is measured as that of the spectrum
-    (`splits.discrete_ordinates.plane_pack.solve_spectrum`), those of differences, and those of the
-    optics: the changes of the derivatives for changes of the absorption and of the scattering by
-    the grains that change the reflectance of half-spaces by its error.
+    (`splits.discrete_ordinates.granular_stack.solve_spectrum`), those of differences, and those of
+    the optics: the changes of the derivatives for changes of the absorption and of the scattering
+    by the grains that change the reflectance of half-spaces by its error.
 
     Parameters
     ----------
@@ -182,7 +184,7 @@ def solve_derivatives(
     return values, np.hypot(step_error, error)
 
 
-def _compute_optics_change(snowpack: PlanePack, error: np.ndarray) -> np.ndarray:
+def _compute_optics_change(snowpack: GranularStack, error: np.ndarray) -> np.ndarray:
     """Return the relative change of the optics that changes reflectances by their error.
 
     Of the half-spaces of the layers, the one whose reflectance changes most counts: that of grains
@@ -190,7 +192,7 @@ def _compute_optics_change(snowpack: PlanePack, error: np.ndarray) -> np.ndarray
 
     Parameters
     ----------
-    snowpack : PlanePack
+    snowpack : GranularStack
     error : float, shape (wavelengths,)
     """
     slopes, diffuse = [], np.zeros(0)
@@ -198,7 +200,8 @@ def _compute_optics_change(snowpack: PlanePack, error: np.ndarray) -> np.ndarray
         half_space = layer._replace(depth_m=np.asarray(np.inf))
         versions = (half_space, SCALES[0].apply(half_space))
         before, after = (
-            PlanePack([one], 0.0 * error).solve(diffuse, 8).reflectance[..., 0] for one in versions
+            GranularStack([one], 0.0 * error).solve(diffuse, 8).reflectance[..., 0]
+            for one in versions
         )
         slopes.append(np.abs(after - before) / SCALE_STEP)
     change: np.ndarray = np.minimum(

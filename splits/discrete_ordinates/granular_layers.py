@@ -138,7 +138,7 @@ class GranularLayer(NamedTuple):
         return self._replace(grains=grains._replace(replicate=number))
 
     def compute_optics_error(self) -> np.ndarray:
-        """Return the error of a reflectance, see `splits.discrete_ordinates.plane_pack`."""
+        """Return the error of a reflectance, see `splits.discrete_ordinates.granular_stack`."""
         if isinstance(self.grains, GrainTable):
             return self.grains.interpolate_stderr(self.contrast, self.grain_absorption)
         return np.hypot(self.grains.interpolation_bound, self.compute_packing_bound())

@@ -20,11 +20,10 @@ import numpy as np
 from splits.core.uncertainty import compute_jackknife_stderr
 from splits.discrete_ordinates.grain_table import GrainTable
 from splits.discrete_ordinates.granular_layers import GranularLayer
-from splits.discrete_ordinates.pack_profile import PackProfile, compute_pack_profile
-from splits.discrete_ordinates.plane_pack import (
+from splits.discrete_ordinates.granular_stack import (
     STREAM_NUMBERS,
     WET_ERROR,
-    PlanePack,
+    GranularStack,
     choose_trial_wavelengths,
     compute_optics_error,
     load_natural_grains,
@@ -32,6 +31,7 @@ from splits.discrete_ordinates.plane_pack import (
 )
 from splits.discrete_ordinates.pores import WET
 from splits.discrete_ordinates.replicates import iterate_replicates, list_traced
+from splits.discrete_ordinates.stack_profile import StackProfile, compute_pack_profile
 
 N_MATERIALS = 3
 """Materials of a layer: air, water and grains."""
@@ -69,7 +69,7 @@ class IntervalProfile(NamedTuple):
     Attributes
     ----------
     downward, upward : float, shape (depths, wavelengths)
-        Irradiances, see `PackProfile`.
+        Irradiances, see `StackProfile`.
     absorptance : float, shape (intervals, wavelengths)
     by_material : float, shape (intervals, materials, wavelengths)
         Absorptance by air, water and ice of the layers, top first.
@@ -105,15 +105,15 @@ class ProfileSolution(NamedTuple):
 
 
 def solve_profile(
-    parts: PlanePack, geometry: LayerDivision, incidence: float | None, max_error: float,
+    parts: GranularStack, geometry: LayerDivision, incidence: float | None, max_error: float,
     limit_irradiance: bool = True,
 ) -> ProfileSolution:  # fmt: skip
     """Return a profile by as many streams as an error requires.
 
     Parameters
     ----------
-    parts : PlanePack
-        With its layers divided at the depths (`PlanePack.divide`).
+    parts : GranularStack
+        With its layers divided at the depths (`GranularStack.divide`).
     geometry : LayerDivision
     incidence : float, optional
         Cosine of the beam; by default diffuse light.
@@ -149,7 +149,7 @@ def solve_profile(
 
 
 def _compute_intervals(
-    parts: PlanePack, geometry: LayerDivision, incidence: float | None, n_streams: int
+    parts: GranularStack, geometry: LayerDivision, incidence: float | None, n_streams: int
 ) -> IntervalProfile:
     """Return the profile of a divided snowpack for a number of streams."""
     solution = compute_pack_profile(parts, incidence, n_streams)
@@ -177,7 +177,7 @@ def _compute_intervals(
 
 
 def _compute_path_length(
-    parts: PlanePack, solution: PackProfile, geometry: LayerDivision
+    parts: GranularStack, solution: StackProfile, geometry: LayerDivision
 ) -> np.ndarray:
     """Return path lengths in pores and grains (m), shape (parts, wavelengths)."""
     pore_fraction, attenuation = (
@@ -192,12 +192,12 @@ def _compute_path_length(
 
 
 def _compute_grain_error(
-    parts: PlanePack, values: IntervalProfile, geometry: LayerDivision, incidence: float | None,
+    parts: GranularStack, values: IntervalProfile, geometry: LayerDivision, incidence: float | None,
     n_streams: int,
 ) -> IntervalProfile:  # fmt: skip
     """Return the effects of the errors of single scattering, added in quadrature."""
 
-    def compute(snowpack: PlanePack) -> IntervalProfile:
+    def compute(snowpack: GranularStack) -> IntervalProfile:
         return _compute_intervals(snowpack, geometry, incidence, n_streams)
 
     total = IntervalProfile(*(np.zeros_like(one) for one in values))
@@ -216,7 +216,7 @@ def _compute_grain_error(
     return total
 
 
-def _perturb_tables(parts: PlanePack) -> list[list[GranularLayer]]:
+def _perturb_tables(parts: GranularStack) -> list[list[GranularLayer]]:
     """Return the layers with more absorbing, and with more grains of natural snow, if any."""
     numbers = [i for i, one in enumerate(parts.layers) if isinstance(one.grains, GrainTable)]
     if not numbers:
@@ -254,7 +254,9 @@ def _tabulate_similarity_errors(is_wet: bool) -> np.ndarray:
             np.asarray(np.inf), np.asarray(1000.0), np.asarray(_ERROR_SATURATION * is_wet),
             table.contrast.nodes, table.water, np.full(n, absorption), np.zeros((n, 2)), table,
         )  # fmt: skip
-        return PlanePack([layer], np.zeros(n)).solve(np.array([1.0]), _ERROR_STREAMS).reflectance
+        return (
+            GranularStack([layer], np.zeros(n)).solve(np.array([1.0]), _ERROR_STREAMS).reflectance
+        )
 
     x = q / (1.0 - q)
     slope = np.abs(reflect(x * (1.0 + _STEP)) - reflect(x)).max(axis=-1) / _STEP

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.discrete_ordinates.plane_pack import (
+from splits.discrete_ordinates.granular_stack import (
     N_TRIAL_WAVELENGTHS,
     STREAM_NUMBERS,
-    PlanePack,
+    GranularStack,
     Truncation,
     choose_trial_wavelengths,
     compute_optics_error,
@@ -60,18 +60,20 @@ class SpectraSolution(NamedTuple):
         return cls(reflectance, transmittance, n_streams, truncation, optics_error)
 
 
-def solve_spectra(snowpacks: PlanePack, cosines: np.ndarray, max_error: float) -> SpectraSolution:
+def solve_spectra(
+    snowpacks: GranularStack, cosines: np.ndarray, max_error: float
+) -> SpectraSolution:
     """Return the spectra of several snowpacks of the same number of layers.
 
     Dry snowpacks are solved together, wet ones one by one.
 
     Parameters
     ----------
-    snowpacks : PlanePack
+    snowpacks : GranularStack
         All dry or all wet, along the first dimension.
     cosines : float, shape (snowpacks, beams)
     max_error : float
-        See `splits.discrete_ordinates.plane_pack.solve_spectrum`.
+        See `splits.discrete_ordinates.granular_stack.solve_spectrum`.
     """
     n_snowpacks, n_wavelengths = snowpacks.ground.shape
     result = SpectraSolution.make_empty(n_snowpacks, n_wavelengths, cosines.shape[-1] + 1)
@@ -97,7 +99,7 @@ def solve_spectra(snowpacks: PlanePack, cosines: np.ndarray, max_error: float) -
 
 
 def _choose_streams(
-    snowpacks: PlanePack, cosines: np.ndarray, max_error: float, result: SpectraSolution
+    snowpacks: GranularStack, cosines: np.ndarray, max_error: float, result: SpectraSolution
 ) -> None:
     """Set the number of streams and the truncation error of dry snowpacks."""
     n_wavelengths, n_layers = snowpacks.ground.shape[1], len(snowpacks.layers)

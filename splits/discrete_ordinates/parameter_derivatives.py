@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.core.validation import InvalidValue, invalid
-from splits.discrete_ordinates.applicability import make_pack
+from splits.discrete_ordinates.applicability import make_granular_stack
 from splits.discrete_ordinates.derivatives import compute_gradient
 from splits.discrete_ordinates.granular_layers import LAYER_ARRAYS, GranularLayer
-from splits.discrete_ordinates.plane_pack import PlanePack, load_natural_grains
+from splits.discrete_ordinates.granular_stack import GranularStack, load_natural_grains
 from splits.discrete_ordinates.slab import LayerOptics
 from splits.discrete_ordinates.streams import Streams
 from splits.media.medium import Medium
@@ -80,7 +80,7 @@ class OpticsScale(NamedTuple):
             grain_absorption=self.absorption * layer.grain_absorption,
         )
 
-    def apply_to_layers(self, snowpack: PlanePack) -> PlanePack:
+    def apply_to_layers(self, snowpack: GranularStack) -> GranularStack:
         """Return a snowpack with other optics of all grains."""
         return snowpack._replace(layers=[self.apply(layer) for layer in snowpack.layers])
 
@@ -132,7 +132,7 @@ class Tangent(NamedTuple):
 
     def select(self, wavelengths: np.ndarray) -> Tangent:
         """Return the derivatives at some of the wavelengths."""
-        layers = PlanePack(list(self.layers.values()), np.zeros(wavelengths.max() + 1))
+        layers = GranularStack(list(self.layers.values()), np.zeros(wavelengths.max() + 1))
         selected = layers.select(wavelengths).layers
         return self._replace(layers=dict(zip(self.layers, selected, strict=True)))
 
@@ -142,14 +142,14 @@ class DryDerivatives(NamedTuple):
 
     Attributes
     ----------
-    snowpack : PlanePack
+    snowpack : GranularStack
     tangents : sequence of Tangent
         With respect to each of the parameters.
     incidence : float or "diffuse"
         Degrees, or isotropic light.
     """
 
-    snowpack: PlanePack
+    snowpack: GranularStack
     tangents: Sequence[Tangent]
     incidence: float | str
 
@@ -159,7 +159,7 @@ class DryDerivatives(NamedTuple):
     ) -> DryDerivatives:
         """Return the derivatives of a medium with respect to parameters."""
         tangents = [Tangent.from_parameter(medium, name, wavelength_nm) for name in names]
-        return cls(make_pack(medium, wavelength_nm), tangents, incidence)
+        return cls(make_granular_stack(medium, wavelength_nm), tangents, incidence)
 
     def select(self, wavelengths: np.ndarray) -> DryDerivatives:
         """Return the derivatives at some of the wavelengths."""

@@ -22,15 +22,15 @@ import numpy as np
 from splits.discrete_ordinates.adding import Budget
 from splits.discrete_ordinates.grain_table import GrainTable
 from splits.discrete_ordinates.granular_layers import GranularLayer
-from splits.discrete_ordinates.integrals import TINY
-from splits.discrete_ordinates.interval_profile import find_similarity_error
-from splits.discrete_ordinates.plane_pack import (
-    PlanePack,
+from splits.discrete_ordinates.granular_stack import (
+    GranularStack,
     SpectrumSolution,
     choose_trial_wavelengths,
     solve_spectrum,
     spread_truncation,
 )
+from splits.discrete_ordinates.integrals import TINY
+from splits.discrete_ordinates.interval_profile import find_similarity_error
 from splits.discrete_ordinates.replicates import compute_replicate_error, list_traced
 
 OPTICS_SHARE = 0.5
@@ -43,7 +43,7 @@ SUFFICIENT_ERROR = 0.01
 
 
 def solve_with_exponent_error(
-    snowpack: PlanePack, cosines: np.ndarray, max_error: float
+    snowpack: GranularStack, cosines: np.ndarray, max_error: float
 ) -> SpectrumSolution:
     """Return the budget of light with the errors of small transmittances; see `solve_spectrum`."""
     solution = solve_spectrum(snowpack, cosines, max_error)
@@ -56,7 +56,7 @@ def solve_with_exponent_error(
 
 
 def _compute_exponent_error(
-    snowpack: PlanePack, cosines: np.ndarray, solution: SpectrumSolution
+    snowpack: GranularStack, cosines: np.ndarray, solution: SpectrumSolution
 ) -> np.ndarray:
     """Return the error of ln T relative to 1 + |ln T|, shape (wavelengths,)."""
     n_wavelengths = snowpack.ground.size

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.discrete_ordinates.applicability import find_direction_obstacle, make_pack
+from splits.discrete_ordinates.applicability import find_direction_obstacle, make_granular_stack
 from splits.discrete_ordinates.geometry import Geometry
-from splits.discrete_ordinates.pack_brdf import solve_bidirectional, solve_relative_spectrum
-from splits.discrete_ordinates.plane_pack import PlanePack, SpectrumSolution
+from splits.discrete_ordinates.granular_stack import GranularStack, SpectrumSolution
+from splits.discrete_ordinates.stack_brdf import solve_bidirectional, solve_relative_spectrum
 from splits.instruments.angular_estimate import AngularEstimate
 from splits.media.medium import Medium
 from splits.simulation.threads import limit_blas_threads
@@ -97,7 +97,7 @@ def solve_angular_result(medium: Medium, request: AngularRequest, threads: int) 
     threads : int
         For paths through grains.
     """
-    snowpack = make_pack(
+    snowpack = make_granular_stack(
         medium, request.wavelengths, PHASE_FUNCTION_SHARE * request.relative_stderr, threads
     )
     solve = _solve_diffuse if request.incidence == "diffuse" else _solve_beam
@@ -107,7 +107,7 @@ def solve_angular_result(medium: Medium, request: AngularRequest, threads: int) 
 
 
 def _solve_diffuse(
-    snowpack: PlanePack, request: AngularRequest
+    snowpack: GranularStack, request: AngularRequest
 ) -> tuple[AngularEstimate, dict[str, Any]]:
     """Return factors under diffuse light, by reciprocity.
 
@@ -130,7 +130,7 @@ def _solve_diffuse(
 
 
 def _solve_beam(
-    snowpack: PlanePack, request: AngularRequest
+    snowpack: GranularStack, request: AngularRequest
 ) -> tuple[AngularEstimate, dict[str, Any]]:
     """Return the BRDF and the BTDF under a beam."""
     cosine = np.cos(np.radians(np.array([float(request.incidence)])))

@@ -9,14 +9,14 @@ import xarray as xr
 
 from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
 from splits.core.validation import ROUNDING_TOLERANCE
-from splits.discrete_ordinates.applicability import make_pack
+from splits.discrete_ordinates.applicability import make_granular_stack
+from splits.discrete_ordinates.granular_stack import GranularStack
 from splits.discrete_ordinates.interval_profile import (
     IntervalProfile,
     LayerDivision,
     ProfileSolution,
     solve_profile,
 )
-from splits.discrete_ordinates.plane_pack import PlanePack
 from splits.instruments.flux_dataset import (
     ACTINIC_LABEL,
     MATERIAL_LABEL,
@@ -74,7 +74,7 @@ def solve_flux(
         For paths through grains.
     """
     edges = np.array([0.0, *depths, medium.depth_m])
-    whole = make_pack(medium, wavelengths, max_stderr, threads)
+    whole = make_granular_stack(medium, wavelengths, max_stderr, threads)
     parts, geometry = divide_medium(medium, whole, edges)
     cosine = None if incidence == "diffuse" else float(np.cos(np.radians(float(incidence))))
     with limit_blas_threads():
@@ -86,8 +86,8 @@ def solve_flux(
 
 
 def divide_medium(
-    medium: Medium, whole: PlanePack, edges: np.ndarray
-) -> tuple[PlanePack, LayerDivision]:
+    medium: Medium, whole: GranularStack, edges: np.ndarray
+) -> tuple[GranularStack, LayerDivision]:
     """Return a medium and its snowpack divided at the edges of intervals (m)."""
     layers: Any = medium.scene_layers
     boundaries = np.cumsum([layer.depth_m for layer in layers])[:-1]

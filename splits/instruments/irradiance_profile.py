@@ -129,7 +129,7 @@ def irradiance_profile(
     the light that crosses them, both are approximate; their errors include this
     (`splits.instruments.absorption_steps`).  The absorptance of an interval is not affected.  With
     discrete ordinates both follow exactly from the balance of light in each interval
-    (`splits.discrete_ordinates.pack_profile`).
+    (`splits.discrete_ordinates.stack_profile`).
 
     References
     ----------

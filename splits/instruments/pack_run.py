@@ -16,7 +16,7 @@ from splits.core.progress import Progress, open_progress
 from splits.core.uncertainty import Variable
 from splits.core.validation import check_choice, invalid
 from splits.discrete_ordinates.many_snowpacks import MAX_ROWS, SpectraSolution, solve_spectra
-from splits.discrete_ordinates.pack_layers import (
+from splits.discrete_ordinates.snow_pack_optics import (
     PackMaterials,
     find_spectral_obstacle,
     find_unsupported,

@@ -13,11 +13,11 @@ from splits.discrete_ordinates.applicability import (
     find_obstacle,
     find_parameter_obstacle,
     is_tabulated,
-    make_pack,
+    make_granular_stack,
 )
 from splits.discrete_ordinates.derivative_errors import WetDerivatives, solve_derivatives
+from splits.discrete_ordinates.granular_stack import SpectrumSolution, compute_optics_error
 from splits.discrete_ordinates.parameter_derivatives import DryDerivatives
-from splits.discrete_ordinates.plane_pack import SpectrumSolution, compute_optics_error
 from splits.discrete_ordinates.transmittance_error import solve_with_exponent_error
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.medium import Medium
@@ -67,7 +67,7 @@ def choose_solver(
     if obstacle is None:
         is_best = solver != AUTO or all(
             is_tabulated(medium)
-            and compute_optics_error(make_pack(medium, wavelength_nm)).max() <= max_stderr
+            and compute_optics_error(make_granular_stack(medium, wavelength_nm)).max() <= max_stderr
             for medium in media
         )
         return DISCRETE_ORDINATES if is_best else MONTE_CARLO
@@ -100,13 +100,13 @@ def solve_estimate(
     """
     is_diffuse = incidence == "diffuse"
     cosines = np.array([] if is_diffuse else [np.cos(np.radians(float(incidence)))])
-    packs = [make_pack(medium, wavelength_nm, max_stderr, threads) for medium in media]
+    stacks = [make_granular_stack(medium, wavelength_nm, max_stderr, threads) for medium in media]
     with limit_blas_threads():
-        solutions = [solve_with_exponent_error(pack, cosines, max_stderr) for pack in packs]
+        solutions = [solve_with_exponent_error(stack, cosines, max_stderr) for stack in stacks]
         estimate = make_estimate(solutions, -1 if is_diffuse else 0)
         if not parameters:
             return estimate
-        of_medium = (WetDerivatives if packs[0].is_wet else DryDerivatives).from_medium(
+        of_medium = (WetDerivatives if stacks[0].is_wet else DryDerivatives).from_medium(
             media[0], parameters, wavelength_nm, incidence
         )
         values, bound = solve_derivatives(of_medium, solutions[0])

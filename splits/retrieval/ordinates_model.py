@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from splits.core.validation import InvalidValue
-from splits.discrete_ordinates.applicability import make_pack
-from splits.discrete_ordinates.plane_pack import (
+from splits.discrete_ordinates.applicability import make_granular_stack
+from splits.discrete_ordinates.granular_stack import (
     choose_trial_wavelengths,
     compute_optics_error,
     solve_spectrum,
@@ -63,7 +63,9 @@ class OrdinatesForwardModel(MediumForwardModel):
         medium, incidence, _ = self.make_inputs(np.full(len(self.state_vector.names), 0.5))
         with limit_blas_threads():
             solution = solve_spectrum(
-                make_pack(medium, self.wavelengths), _compute_cosines(incidence), max_error
+                make_granular_stack(medium, self.wavelengths),
+                _compute_cosines(incidence),
+                max_error,
             )
         self.n_streams, self._truncation = solution.n_streams, solution.truncation
 
@@ -85,7 +87,7 @@ class OrdinatesForwardModel(MediumForwardModel):
         medium, incidence, scale = self.make_inputs(state)
         operator = self.operator[self.select_values(stage)]
         used = np.flatnonzero(operator.any(axis=0))
-        snowpack = make_pack(medium, self.wavelengths[used])
+        snowpack = make_granular_stack(medium, self.wavelengths[used])
         with limit_blas_threads():
             budget = snowpack.solve(_compute_cosines(incidence), self.n_streams)
         # The beam is first, and diffuse light alone where there is none.
@@ -100,7 +102,7 @@ class OrdinatesForwardModel(MediumForwardModel):
         Errors of the tables of grains and of streams are correlated over `ERROR_CORRELATION_NM`.
         """
         medium, _, scale = self.make_inputs(state)
-        optics = compute_optics_error(make_pack(medium, self.wavelengths))
+        optics = compute_optics_error(make_granular_stack(medium, self.wavelengths))
         stderr = scale * np.hypot(optics, self._truncation)
         distance = np.abs(self.wavelengths[:, np.newaxis] - self.wavelengths)
         covariance = np.exp(-distance / ERROR_CORRELATION_NM) * np.outer(stderr, stderr)

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.discrete_ordinates.applicability import make_pack
-from splits.discrete_ordinates.plane_pack import PlanePack, SpectrumSolution
+from splits.discrete_ordinates.applicability import make_granular_stack
+from splits.discrete_ordinates.granular_stack import GranularStack, SpectrumSolution
 from splits.discrete_ordinates.transmittance_error import solve_with_exponent_error
 from splits.instruments.solver import make_estimate
 from splits.media.medium import Medium
@@ -72,10 +72,10 @@ def _solve_media(
     threads: int,
 ) -> list[SpectrumSolution]:  # fmt: skip
     # Paths through grains use all threads themselves.
-    packs = [make_pack(medium, wavelength_nm, max_stderr, threads) for medium in media]
+    stacks = [make_granular_stack(medium, wavelength_nm, max_stderr, threads) for medium in media]
 
-    def solve(pack: PlanePack) -> SpectrumSolution:
-        return solve_with_exponent_error(pack, cosines, max_stderr)
+    def solve(stack: GranularStack) -> SpectrumSolution:
+        return solve_with_exponent_error(stack, cosines, max_stderr)
 
     with limit_blas_threads(), DaemonThreadPool(threads) as pool:
-        return list(pool.map(solve, packs))
+        return list(pool.map(solve, stacks))

@@ -7,7 +7,7 @@ import pytest
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
-from splits.discrete_ordinates.plane_pack import WET_ERROR
+from splits.discrete_ordinates.granular_stack import WET_ERROR
 from splits.instruments.angular_dataset import BEAM_TOTALS
 
 WAVELENGTHS = [600.0, 1030.0, 1500.0]

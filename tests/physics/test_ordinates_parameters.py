@@ -9,7 +9,7 @@ from test_ordinates_derivatives import N, extrapolate
 
 import splits
 from splits.core.validation import InvalidValue
-from splits.discrete_ordinates.applicability import make_pack
+from splits.discrete_ordinates.applicability import make_granular_stack
 from splits.discrete_ordinates.parameter_derivatives import DryDerivatives
 from splits.media.parameters import get_parameter, list_parameters, replace_parameter
 
@@ -58,7 +58,7 @@ def list_smooth_parameters(medium: splits.Stack) -> list[str]:
 
 def solve_medium(medium: splits.Stack, incidence: float | str, n_streams: int) -> np.ndarray:
     cosines = np.array([] if incidence == "diffuse" else [np.cos(np.radians(incidence))])
-    budget = make_pack(medium, WAVELENGTHS).solve(cosines, n_streams)
+    budget = make_granular_stack(medium, WAVELENGTHS).solve(cosines, n_streams)
     return np.stack([budget.reflectance[..., 0], budget.transmittance[..., 0]])
 
 

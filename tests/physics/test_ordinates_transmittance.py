@@ -7,7 +7,7 @@ import pytest
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
-from splits.discrete_ordinates.applicability import make_pack
+from splits.discrete_ordinates.applicability import make_granular_stack
 from splits.discrete_ordinates.grain_table import Axis
 from splits.discrete_ordinates.grain_tabulation import N_RAYS, TableAxes, tabulate_grains
 from splits.discrete_ordinates.interval_profile import find_similarity_error
@@ -29,7 +29,7 @@ SNOWS = {
 def test_relative_errors_cover_the_number_of_streams(kind, depth_m):
     snow = splits.Snow.natural(depth_m=depth_m, **SNOWS[kind])
     found = splits.spectrophotometer(snow, WAVELENGTHS, 0.0, solver="discrete_ordinates")
-    fine = make_pack(snow, WAVELENGTHS).solve(BEAM, 64).transmittance[:, 0]
+    fine = make_granular_stack(snow, WAVELENGTHS).solve(BEAM, 64).transmittance[:, 0]
     difference = np.abs(found.transmittance.values - fine)
     assert (difference <= found.transmittance_stderr).all()
     small = found.where(found.transmittance < 1e-3, drop=True)
@@ -44,10 +44,11 @@ def test_thick_layers_attenuate_light_exponentially(kind):
     depths = 0.2 * np.arange(2, 5)
     pieces = [splits.Snow.natural(depth_m=depth, **SNOWS[kind]) for depth in (*depths, 0.2)]
     one, two, three, half = (
-        make_pack(piece, WAVELENGTHS).solve(BEAM, 16).transmittance[:, 0] for piece in pieces
+        make_granular_stack(piece, WAVELENGTHS).solve(BEAM, 16).transmittance[:, 0]
+        for piece in pieces
     )
     np.testing.assert_allclose(one * three / two**2, 1.0, rtol=1e-9)
-    joined = make_pack(splits.Stack([pieces[-1]] * 2), WAVELENGTHS).solve(BEAM, 16)
+    joined = make_granular_stack(splits.Stack([pieces[-1]] * 2), WAVELENGTHS).solve(BEAM, 16)
     np.testing.assert_allclose(joined.transmittance[:, 0], one, rtol=1e-12)
     assert (half > one).all()
 
@@ -60,7 +61,7 @@ def test_errors_agree_with_the_scatter_between_tables():
     natural = splits.Snow.natural(optical_radius_um=100.0)
     for number, wavelength in enumerate((1030.0, 1300.0)):
         snow = splits.Snow.natural(depth_m=0.1, **SNOWS["dry"])
-        pack = make_pack(snow, np.array([wavelength]))
+        pack = make_granular_stack(snow, np.array([wavelength]))
         (layer,) = pack.layers
         q = layer.grain_absorption / (1.0 + layer.grain_absorption)
         axes = TableAxes(

@@ -34,4 +34,4 @@ def test_discrete_ordinates_by_name_state_the_error_that_they_reach():
         NATURAL, WAVELENGTHS, max_stderr=1e-6, solver=DISCRETE_ORDINATES
     )
     assert spectrum.attrs["max_stderr_reached"] > 1e-6
-    assert spectrum.attrs["stop_reason"] == "interpolation_bound"
+    assert spectrum.attrs["stop_reason"] == "solver_error"

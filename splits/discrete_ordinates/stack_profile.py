@@ -15,13 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.discrete_ordinates.plane_pack import PlanePack, PlaneStack
+from splits.discrete_ordinates.granular_stack import GranularStack, StackElements
 from splits.discrete_ordinates.pores import DRY, WET
 from splits.discrete_ordinates.profile import apply_rows, iterate_levels
 from splits.discrete_ordinates.slab import LayerOptics
 
 
-class PackProfile(NamedTuple):
+class StackProfile(NamedTuple):
     """Fluxes at depths and absorption in the parts of a snowpack between them.
 
     All are for an irradiance of 1 on the horizontal, under one beam or under diffuse light.
@@ -62,14 +62,14 @@ class _Levels(NamedTuple):
 
 
 def compute_pack_profile(
-    snowpack: PlanePack, incidence: float | None, n_streams: int
-) -> PackProfile:
+    snowpack: GranularStack, incidence: float | None, n_streams: int
+) -> StackProfile:
     """Return the profile of a snowpack whose layers are divided at the depths of interest.
 
     Parameters
     ----------
-    snowpack : PlanePack
-        See `PlanePack.divide`.
+    snowpack : GranularStack
+        See `GranularStack.divide`.
     incidence : float, optional
         Cosine of the beam; by default diffuse light.
     n_streams : int
@@ -96,7 +96,7 @@ def compute_pack_profile(
         bottom = levels.downward[-1:]
         downward = np.concatenate([downward, bottom])
         upward = np.concatenate([upward, snowpack.ground * bottom])
-    return PackProfile(
+    return StackProfile(
         downward, upward, absorption, np.stack(paths), np.stack(in_pores), np.stack(in_grains)
     )
 
@@ -126,7 +126,7 @@ def compute_pore_path(optics: LayerOptics, loss: np.ndarray, absorption: np.ndar
     return np.stack([dry, wet], axis=-1)
 
 
-def _compute_levels(stack: PlaneStack, column: int) -> _Levels:
+def _compute_levels(stack: StackElements, column: int) -> _Levels:
     """Return the values at the levels, of one column of the beams and of diffuse light (last)."""
     outside = stack.boundaries, stack.ground, stack.n_streams
     state = _label_states(stack)
@@ -155,7 +155,7 @@ def _compute_levels(stack: PlaneStack, column: int) -> _Levels:
     return _Levels(np.array(net), np.array(downward), np.array(upward))
 
 
-def _receive_at_ground(stack: PlaneStack, row: np.ndarray) -> np.ndarray:
+def _receive_at_ground(stack: StackElements, row: np.ndarray) -> np.ndarray:
     """Return the irradiance of the ground, below the lower boundary."""
     bottom = stack.boundaries[1]
     gain = 1.0 / (1.0 - stack.ground * bottom.outer_reflectance[..., -1])
@@ -163,7 +163,7 @@ def _receive_at_ground(stack: PlaneStack, row: np.ndarray) -> np.ndarray:
     return apply_rows(row, passing)[..., 0]
 
 
-def _label_states(stack: PlaneStack) -> np.ndarray:
+def _label_states(stack: StackElements) -> np.ndarray:
     """Return the state of each radiance, of streams and then of directions."""
     n_states = stack.optics[0].extinction.shape[-1]
     n_directions = stack.isotropic[0].shape[-1] - stack.n_streams

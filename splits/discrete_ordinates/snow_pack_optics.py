@@ -9,7 +9,7 @@ import numpy as np
 from splits.discrete_ordinates.applicability import MAX_SATURATION, find_obstacle
 from splits.discrete_ordinates.grain_table import MAX_ABSORPTION
 from splits.discrete_ordinates.granular_layers import GranularLayer
-from splits.discrete_ordinates.plane_pack import PlanePack, load_natural_grains
+from splits.discrete_ordinates.granular_stack import GranularStack, load_natural_grains
 from splits.materials.density import interpolate_ice_density
 from splits.materials.impurities import make_impurities
 from splits.materials.lookup import absorption_coefficient
@@ -90,7 +90,7 @@ def compute_saturation(arrays: SnowPackArrays) -> np.ndarray:
 
 def make_snowpacks(
     arrays: SnowPackArrays, rows: np.ndarray, ground: np.ndarray, materials: PackMaterials
-) -> PlanePack:
+) -> GranularStack:
     """Return some of the snowpacks, all of the same number of layers.
 
     Parameters
@@ -124,7 +124,7 @@ def make_snowpacks(
                 load_natural_grains(wet=bool(saturation.any())),
             )
         )
-    return PlanePack(layers, ground)
+    return GranularStack(layers, ground)
 
 
 def _compute_grain_absorption(

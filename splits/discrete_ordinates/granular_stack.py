@@ -33,7 +33,7 @@ WET_ERROR = 5e-4
 """Error of the balance between dry and wet pores, for any saturation above 0."""
 
 
-class PlaneStack(NamedTuple):
+class StackElements(NamedTuple):
     """Layers and interfaces of a snowpack, for a number of streams.
 
     Attributes
@@ -63,7 +63,7 @@ class PlaneStack(NamedTuple):
         return compute_budget(self.elements, ends, self.boundaries, self.ground, self.n_streams)
 
 
-class PlanePack(NamedTuple):
+class GranularStack(NamedTuple):
     """Layers of grains over a ground, at several wavelengths.
 
     Dry snowpacks of natural snow of the same number of layers may be along a leading dimension.
@@ -84,12 +84,12 @@ class PlanePack(NamedTuple):
         """Whether any layer holds water."""
         return any(np.any(layer.saturation > 0.0) for layer in self.layers)
 
-    def select(self, wavelengths: Any, snowpacks: Any = ...) -> PlanePack:
+    def select(self, wavelengths: Any, snowpacks: Any = ...) -> GranularStack:
         """Return the snowpack at some of its wavelengths, or some snowpacks of several."""
         layers = [layer.select(snowpacks, wavelengths) for layer in self.layers]
-        return PlanePack(layers, self.ground[snowpacks][..., wavelengths])
+        return GranularStack(layers, self.ground[snowpacks][..., wavelengths])
 
-    def divide(self, edges_m: np.ndarray) -> tuple[PlanePack, np.ndarray]:
+    def divide(self, edges_m: np.ndarray) -> tuple[GranularStack, np.ndarray]:
         """Return the snowpack with its layers divided at depths, and the layer of each part.
 
         Parameters
@@ -99,7 +99,7 @@ class PlanePack(NamedTuple):
 
         Returns
         -------
-        PlanePack, int (parts,)
+        GranularStack, int (parts,)
         """
         bottoms = np.cumsum([float(layer.depth_m) for layer in self.layers])
         edges = np.append(edges_m, bottoms[-1])
@@ -109,9 +109,9 @@ class PlanePack(NamedTuple):
             self.layers[owner]._replace(depth_m=np.asarray(thickness))
             for owner, thickness in zip(owners, np.diff(edges), strict=True)
         ]
-        return PlanePack(parts, self.ground), owners
+        return GranularStack(parts, self.ground), owners
 
-    def build(self, cosines: np.ndarray, n_streams: int) -> PlaneStack:
+    def build(self, cosines: np.ndarray, n_streams: int) -> StackElements:
         """Return the layers and interfaces for beams and for diffuse light.
 
         Parameters
@@ -151,7 +151,7 @@ class PlanePack(NamedTuple):
             levels.append(isotropic[number])
         levels.append(isotropic[-1])
         n_both = streams.cosines.size * (1 + self.is_wet)
-        return PlaneStack(combined, levels, faces.boundaries, self.ground, n_both, optics)
+        return StackElements(combined, levels, faces.boundaries, self.ground, n_both, optics)
 
     def solve(self, cosines: np.ndarray, n_streams: int) -> Budget:
         """Return the budget of light for beams, and for diffuse light (last); see `build`."""
@@ -173,8 +173,8 @@ class Truncation(NamedTuple):
     fine: Budget
 
     @classmethod
-    def measure(cls, snowpack: PlanePack, cosines: np.ndarray, n_streams: int) -> Truncation:
-        """Return the budgets for the beams of `PlanePack.build`."""
+    def measure(cls, snowpack: GranularStack, cosines: np.ndarray, n_streams: int) -> Truncation:
+        """Return the budgets for the beams of `GranularStack.build`."""
         return cls(*(snowpack.solve(cosines, number) for number in (n_streams, 2 * n_streams)))
 
     @property
@@ -220,12 +220,14 @@ class SpectrumSolution(NamedTuple):
         return error
 
 
-def solve_spectrum(snowpack: PlanePack, cosines: np.ndarray, max_error: float) -> SpectrumSolution:
+def solve_spectrum(
+    snowpack: GranularStack, cosines: np.ndarray, max_error: float
+) -> SpectrumSolution:
     """Return the budget of light by as many streams as an error requires.
 
     Parameters
     ----------
-    snowpack : PlanePack
+    snowpack : GranularStack
     cosines : float, shape (beams,)
     max_error : float
         The number of streams is the first whose truncation error is at most half of this.
@@ -270,7 +272,7 @@ def spread_truncation(difference: np.ndarray, trial: np.ndarray, n_wavelengths: 
     return np.maximum(difference[..., position], before)
 
 
-def compute_optics_error(snowpack: PlanePack) -> np.ndarray:
+def compute_optics_error(snowpack: GranularStack) -> np.ndarray:
     """Return the error of single scattering without that of the replicates.
 
     It combines, for the layer with the largest one, the error of the table of natural snow or the

@@ -19,15 +19,15 @@ import numpy as np
 from splits.discrete_ordinates.direct_light import DirectLight, scatter_once, trace_direct_light
 from splits.discrete_ordinates.geometry import Geometry, PlaneLayers
 from splits.discrete_ordinates.granular_layers import MIN_SATURATION
-from splits.discrete_ordinates.integrals import TINY
-from splits.discrete_ordinates.plane_pack import (
+from splits.discrete_ordinates.granular_stack import (
     STREAM_NUMBERS,
-    PlanePack,
+    GranularStack,
     SpectrumSolution,
     choose_trial_wavelengths,
     solve_spectrum,
     spread_truncation,
 )
+from splits.discrete_ordinates.integrals import TINY
 from splits.discrete_ordinates.pores import WET
 from splits.discrete_ordinates.radiance import compute_bidirectional, sum_legendre
 from splits.discrete_ordinates.slab import LayerOptics
@@ -80,13 +80,17 @@ class BidirectionalSolution(NamedTuple):
 
 
 def solve_bidirectional(
-    snowpack: PlanePack, geometry: Geometry, relative_error: float, limited: np.ndarray, side: int
+    snowpack: GranularStack,
+    geometry: Geometry,
+    relative_error: float,
+    limited: np.ndarray,
+    side: int,
 ) -> BidirectionalSolution:
     """Return the BRDF and the BTDF of a snowpack by as many streams as a relative error requires.
 
     Parameters
     ----------
-    snowpack : PlanePack
+    snowpack : GranularStack
     geometry : Geometry
         Of one beam.
     relative_error : float
@@ -123,7 +127,7 @@ def solve_bidirectional(
 
 
 def solve_relative_spectrum(
-    snowpack: PlanePack, cosines: np.ndarray, relative_error: float, side: int
+    snowpack: GranularStack, cosines: np.ndarray, relative_error: float, side: int
 ) -> SpectrumSolution:
     """Return the budget of light to a relative error of one side, see `solve_spectrum`."""
     trial = choose_trial_wavelengths(snowpack.ground.size)
@@ -132,7 +136,7 @@ def solve_relative_spectrum(
     return solve_spectrum(snowpack, cosines, relative_error * smallest)
 
 
-def _solve(snowpack: PlanePack, geometry: Geometry, n_streams: int) -> np.ndarray:
+def _solve(snowpack: GranularStack, geometry: Geometry, n_streams: int) -> np.ndarray:
     """Return the BRDF and the BTDF of one beam, shape (2, wavelengths, views, azimuths)."""
     streams, n_known = Streams.from_number(n_streams), _count_orders(snowpack)
     values = []
@@ -151,7 +155,7 @@ def _solve(snowpack: PlanePack, geometry: Geometry, n_streams: int) -> np.ndarra
     return np.concatenate(values, axis=1)
 
 
-def _divide_wavelengths(snowpack: PlanePack, geometry: Geometry) -> list[PlanePack]:
+def _divide_wavelengths(snowpack: GranularStack, geometry: Geometry) -> list[GranularStack]:
     """Return the snowpack at parts of its wavelengths, which fit into memory."""
     n_values = len(snowpack.layers) * geometry.views.size * geometry.azimuths.size
     size = max(1, MAX_CHUNK_VALUES // n_values)
@@ -163,7 +167,7 @@ def _divide_wavelengths(snowpack: PlanePack, geometry: Geometry) -> list[PlanePa
 
 
 def _compute_single_scattering_error(
-    snowpack: PlanePack, geometry: Geometry, n_streams: int
+    snowpack: GranularStack, geometry: Geometry, n_streams: int
 ) -> np.ndarray:
     """Return the error of light scattered once, shape (2, wavelengths, views, azimuths)."""
     n_known = _count_orders(snowpack)
@@ -240,11 +244,11 @@ def extend_forward_peak(scattering: np.ndarray) -> np.ndarray:
     return extended
 
 
-def _count_orders(snowpack: PlanePack) -> int:
+def _count_orders(snowpack: GranularStack) -> int:
     return max(layer.grains.n_orders for layer in snowpack.layers)
 
 
-def _stack_layers(snowpack: PlanePack, orders: int) -> PlaneLayers:
+def _stack_layers(snowpack: GranularStack, orders: int) -> PlaneLayers:
     """Return the layers with a number of moments, and with the forward peak of wet layers."""
     layers = [layer.compute_optics(orders, in_air=True) for layer in snowpack.layers]
     optics = LayerOptics(*(np.stack(values) for values in zip(*layers, strict=True)))

@@ -6,7 +6,6 @@ Modules, each importing only those above it:
 - `integrals`: exponential modes, and their integrals along directions
 - `slab`: reflection and transmission of homogeneous layers
 - `adding`: layers on top of each other, over a ground
-- `profile`: fluxes within the layers
 - `pores`: refraction at the boundaries and interfaces of wet layers
 - `geometry`: directions in air and within layers
 - `direct_light`: light that is not scattered, or only once

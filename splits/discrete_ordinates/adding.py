@@ -10,7 +10,7 @@ states; they are scaled as in `splits.discrete_ordinates.slab`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -233,3 +233,42 @@ def make_outlet(
         unit - reflection * top.reflection[..., np.newaxis, :]
     )
     return outlet
+
+
+def iterate_levels(
+    elements: Sequence[Element], isotropic: Sequence[np.ndarray],
+    boundaries: Sequence[Boundary], ground: np.ndarray, n_streams: int,
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
+    """Yield, at each level from the top, what leaves of rising light, and the reflection below it.
+
+    The first is the light that leaves the sample (`make_outlet`)
+    for light that rises at the level, with all reflections by what is below.
+
+    Parameters
+    ----------
+    elements : sequence of Element
+        Layers and the interfaces between them, top first.
+    isotropic : sequence of arrays, shape (..., radiances)
+        Isotropic radiance at each level, of the layer in which the level is.
+    boundaries, ground, n_streams
+        As in `compute_budget`.
+    """
+    top, bottom = boundaries
+    reflections = [reflect_at_bottom(bottom, isotropic[-1], ground, n_streams)[0]]
+    passages = []
+    for element in reversed(elements):
+        reflection, passage = add_above(element, reflections[-1])
+        reflections.append(reflection)
+        passages.append(passage)
+    outlet = make_outlet(reflections[-1], top, isotropic[0], n_streams)
+    while True:
+        yield outlet, reflections.pop()
+        if not passages:
+            return
+        outlet = outlet @ passages.pop()
+
+
+def apply_rows(rows: np.ndarray, source: np.ndarray) -> np.ndarray:
+    """Return the product of matrices with vectors."""
+    product: np.ndarray = (rows @ source[..., np.newaxis])[..., 0]
+    return product

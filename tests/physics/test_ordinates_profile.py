@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from level_fluxes import compute_profile, join_cosines
 
 from splits.discrete_ordinates.adding import Boundary, Element, compute_budget, make_isotropic
-from splits.discrete_ordinates.profile import compute_profile, join_cosines
 from splits.discrete_ordinates.slab import LayerOptics, solve_slab
 from splits.discrete_ordinates.streams import Streams
 

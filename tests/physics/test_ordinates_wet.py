@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from level_fluxes import compute_profile, join_cosines
 
 from splits.discrete_ordinates.adding import (
     Boundary,
@@ -18,7 +19,6 @@ from splits.discrete_ordinates.pores import (
     make_wet_interface,
     refract_directions,
 )
-from splits.discrete_ordinates.profile import compute_profile, join_cosines
 from splits.discrete_ordinates.slab import LayerOptics, solve_slab
 from splits.discrete_ordinates.streams import Streams
 

@@ -1,4 +1,4 @@
-"""Fluxes in layers over a Lambertian ground, by adding (van de Hulst 1980).
+"""Fluxes at the levels of layers, by reciprocity from isotropic sources at these levels.
 
 By reciprocity, the flux at a level under a beam is the radiance in the direction of the beam from
 an isotropic source at this level: the downward flux from a source that radiates upwards, the upward
@@ -9,18 +9,12 @@ source on both sides with a radiance of 1/μ.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from splits.discrete_ordinates.adding import (
-    Boundary,
-    Element,
-    add_above,
-    make_outlet,
-    reflect_at_bottom,
-)
+from splits.discrete_ordinates.adding import Boundary, Element, apply_rows, iterate_levels
 from splits.discrete_ordinates.streams import Streams
 
 
@@ -96,34 +90,3 @@ def compute_profile(
             )
         )
     return Profile(*(np.stack(values) for values in zip(*fluxes, strict=True)))
-
-
-def iterate_levels(
-    elements: Sequence[Element], isotropic: Sequence[np.ndarray],
-    boundaries: Sequence[Boundary], ground: np.ndarray, n_streams: int,
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
-    """Yield, at each level from the top, what leaves of rising light, and the reflection below it.
-
-    The first is the light that leaves the sample (`splits.discrete_ordinates.adding.make_outlet`)
-    for light that rises at the level, with all reflections by what is below.  Parameters are those
-    of `compute_profile`.
-    """
-    top, bottom = boundaries
-    reflections = [reflect_at_bottom(bottom, isotropic[-1], ground, n_streams)[0]]
-    passages = []
-    for element in reversed(elements):
-        reflection, passage = add_above(element, reflections[-1])
-        reflections.append(reflection)
-        passages.append(passage)
-    outlet = make_outlet(reflections[-1], top, isotropic[0], n_streams)
-    while True:
-        yield outlet, reflections.pop()
-        if not passages:
-            return
-        outlet = outlet @ passages.pop()
-
-
-def apply_rows(rows: np.ndarray, source: np.ndarray) -> np.ndarray:
-    """Return the product of matrices with vectors."""
-    product: np.ndarray = (rows @ source[..., np.newaxis])[..., 0]
-    return product

@@ -17,10 +17,10 @@ Modules, each importing only those above it:
 - `granular_layers`: layers of grains and their optics
 - `replicates`: the same without some of these paths, for errors
 - `granular_stack`: spectra of layers, with errors
-- `stack_brdf`: reflected and transmitted radiance of layers, with errors
 - `stack_profile`: fluxes, absorption and path lengths within layers
 - `interval_profile`: the same between depths, by material, with errors
 - `transmittance_error`: relative errors of small transmittances
+- `stack_brdf`: reflected and transmitted radiance of layers, with errors
 - `applicability`: media for which all this applies
 - `levels`: light at the levels between dry layers
 - `divided_differences`: of the impedances of a layer

@@ -56,7 +56,9 @@ def load_grains(
 def compute_grains_digest(tracing: GrainTracing) -> str:
     """Return the SHA-256 (first 32 hex digits) of all that determines moments of grains."""
     scene, nodes = tracing.scene, tracing.nodes
-    digest = hashlib.sha256(f"{hash_physics_sources()} {tracing.rays} {scene.rules}".encode())
+    digest = hashlib.sha256(
+        f"{hash_physics_sources()} {tracing.rays} {scene.rules} {type(scene.types)}".encode()
+    )
     arrays = (
         *scene.types, scene.layers.type_cdf, scene.layers.wet_fraction, *tracing.constants,
         nodes.index, nodes.weights, nodes.interpolation_bound,

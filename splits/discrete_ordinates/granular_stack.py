@@ -33,6 +33,11 @@ WET_ERROR = 5e-4
 """Error of the balance between dry and wet pores, for any saturation above 0."""
 
 
+GRAINS, AIR, REVERSED = "grains", "air", "reversed"
+GRAZING_COSINE = 0.02
+"""Cosine of a beam below which the change by more streams oscillates with wavelength."""
+
+
 class StackElements(NamedTuple):
     """Layers and interfaces of a snowpack, for a number of streams.
 
@@ -74,20 +79,25 @@ class GranularStack(NamedTuple):
         Top first.
     ground : float, shape (..., wavelengths)
         Albedo of the ground, 0 for an open lower boundary.
+    equilibrium : {"grains", "air", "reversed"}
+        Of wet and dry pores: that of the grains, which is not reciprocal at the boundaries; that of
+        air in all layers; or that of the grains for light that is traced backwards, so that the
+        reflectance of a beam is the radiance in its direction under diffuse light.
     """
 
     layers: Sequence[GranularLayer]
     ground: np.ndarray
+    equilibrium: str = GRAINS
 
     @property
     def is_wet(self) -> bool:
-        """Whether any layer holds water."""
-        return any(np.any(layer.saturation > 0.0) for layer in self.layers)
+        """Whether light is in wet and in dry pores, as any layer holds water."""
+        return any(layer.grains.n_states > 1 for layer in self.layers)
 
     def select(self, wavelengths: Any, snowpacks: Any = ...) -> GranularStack:
         """Return the snowpack at some of its wavelengths, or some snowpacks of several."""
         layers = [layer.select(snowpacks, wavelengths) for layer in self.layers]
-        return GranularStack(layers, self.ground[snowpacks][..., wavelengths])
+        return self._replace(layers=layers, ground=self.ground[snowpacks][..., wavelengths])
 
     def divide(self, edges_m: np.ndarray) -> tuple[GranularStack, np.ndarray]:
         """Return the snowpack with its layers divided at depths, and the layer of each part.
@@ -109,7 +119,7 @@ class GranularStack(NamedTuple):
             self.layers[owner]._replace(depth_m=np.asarray(thickness))
             for owner, thickness in zip(owners, np.diff(edges), strict=True)
         ]
-        return GranularStack(parts, self.ground), owners
+        return self._replace(layers=parts), owners
 
     def build(self, cosines: np.ndarray, n_streams: int) -> StackElements:
         """Return the layers and interfaces for beams and for diffuse light.
@@ -123,7 +133,8 @@ class GranularStack(NamedTuple):
         """
         n_beams = cosines.shape[-1]
         streams = Streams.from_number(n_streams)
-        optics = [layer.compute_optics(n_streams + 1) for layer in self.layers]
+        in_air = self.equilibrium == AIR
+        optics = [layer.compute_optics(n_streams + 1, in_air) for layer in self.layers]
         directions = cosines[..., np.newaxis, :]
         if self.is_wet:
             directions = refract_directions(cosines, self.layers[0].water_index)
@@ -134,6 +145,8 @@ class GranularStack(NamedTuple):
             )
             for one, layer in zip(optics, self.layers, strict=True)
         ]
+        if self.equilibrium == REVERSED:
+            own = [outside**2 / inside for outside, inside in zip(isotropic, own, strict=True)]
         elements = [
             Element.from_slab(
                 solve_slab(one.truncate(n_streams), streams, directions), outside,
@@ -179,12 +192,19 @@ class Truncation(NamedTuple):
 
     @property
     def largest(self) -> np.ndarray:
-        """Largest change of reflectance and transmittance, shape (..., wavelengths)."""
-        changes = [
-            np.abs(getattr(self.coarse, name) - getattr(self.fine, name)).max(axis=-1)
+        """Largest change of reflectance, transmittance and their sum, shape (..., wavelengths)."""
+        reflected, transmitted = (
+            getattr(self.coarse, name) - getattr(self.fine, name)
             for name in ("reflectance", "transmittance")
-        ]
-        return np.maximum(*changes)
+        )
+        changes = np.abs([reflected, transmitted, reflected + transmitted])
+        largest: np.ndarray = changes.max(axis=(0, -1))
+        return largest
+
+    def estimate_error(self, cosines: np.ndarray) -> np.ndarray:
+        """Return the error for beams as in `GranularStack.build`, shape (..., wavelengths)."""
+        is_grazing = cosines.min(axis=-1, initial=1.0) < GRAZING_COSINE
+        return np.where(is_grazing, self.largest.max(axis=-1, keepdims=True), self.largest)
 
 
 class SpectrumSolution(NamedTuple):
@@ -219,6 +239,21 @@ class SpectrumSolution(NamedTuple):
         error: np.ndarray = np.hypot(self.truncation, self.optics_error)
         return error
 
+    def bound_errors(self, values: np.ndarray) -> np.ndarray:
+        """Return the errors of reflectance, transmittance, and further quantities up to 1.
+
+        Parameters
+        ----------
+        values : float, shape (quantities, wavelengths)
+        """
+        # A bounded quantity cannot be wrong by much more than itself.
+        errors = np.minimum(self.error, np.maximum(values, np.finfo(float).eps))
+        transmittance = np.maximum(values[1], np.finfo(float).tiny)
+        # Errors of thick layers act on the logarithm of the transmittance.
+        relative = self.exponent_error * (1.0 + np.abs(np.log(transmittance)))
+        errors[1] = np.minimum(errors[1], transmittance * relative)
+        return errors
+
 
 def solve_spectrum(
     snowpack: GranularStack, cosines: np.ndarray, max_error: float
@@ -251,7 +286,8 @@ def solve_spectrum(
         by_paths = compute_replicate_error(few.layers, solve_few).max(axis=(0, -1))
         optics_error = np.hypot(optics_error, spread(by_paths))
     return SpectrumSolution(
-        snowpack.solve(cosines, n_streams), n_streams, spread(truncation.largest), optics_error,
+        snowpack.solve(cosines, n_streams), n_streams, spread(truncation.estimate_error(cosines)),
+        optics_error,
         truncation,
     )  # fmt: skip
 

@@ -110,7 +110,8 @@ def _choose_streams(
         for rows, columns in _split(pending, trial.size, n_layers, 2 * n_streams):
             # All trial wavelengths of a snowpack are in the same part.
             part = snowpacks.select(trial[columns], rows)
-            difference = Truncation.measure(part, cosines[rows, np.newaxis], n_streams).largest
+            beams = cosines[rows, np.newaxis]
+            difference = Truncation.measure(part, beams, n_streams).estimate_error(beams)
             result.truncation[rows] = spread_truncation(difference, trial, n_wavelengths)
             result.n_streams[rows] = n_streams
             failed.append(rows[difference.max(axis=-1) > 0.5 * max_error])

@@ -238,15 +238,26 @@ def differentiate_optics(
 def sample_media(
     medium: Medium, name: str, step: float, stencils: Sequence[tuple[float, ...]]
 ) -> tuple[tuple[float, ...], list[Medium]]:
-    """Return the first points, in steps, for which the medium exists, and the media there."""
-    value = get_parameter(medium, name)
+    """Return the first points, in steps, for which the medium exists, and the media there.
+
+    Dry and wet snow have different tables, and a difference must not mix them.
+    """
+    value, wet = get_parameter(medium, name), _find_wet_layers(medium)
     error = invalid(name, value, "inside its range")
     for offsets in stencils:
         try:
-            return offsets, [replace_parameter(medium, name, value + step * x) for x in offsets]
+            media = [replace_parameter(medium, name, value + step * x) for x in offsets]
         except InvalidValue as one:
             error = one
+            continue
+        if all(_find_wet_layers(one) == wet for one in media):
+            return offsets, media
     raise error
+
+
+def _find_wet_layers(medium: Medium) -> list[bool]:
+    layers: Any = medium.scene_layers
+    return [layer.wet_fraction > 0.0 for layer in layers]
 
 
 def combine_differences(weights: np.ndarray, values: np.ndarray) -> np.ndarray:

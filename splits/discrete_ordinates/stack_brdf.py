@@ -20,11 +20,11 @@ from splits.discrete_ordinates.direct_light import DirectLight, scatter_once, tr
 from splits.discrete_ordinates.geometry import Geometry, PlaneLayers
 from splits.discrete_ordinates.granular_layers import MIN_SATURATION
 from splits.discrete_ordinates.granular_stack import (
+    AIR,
     STREAM_NUMBERS,
     GranularStack,
     SpectrumSolution,
     choose_trial_wavelengths,
-    solve_spectrum,
     spread_truncation,
 )
 from splits.discrete_ordinates.integrals import TINY
@@ -32,6 +32,7 @@ from splits.discrete_ordinates.pores import WET
 from splits.discrete_ordinates.radiance import compute_bidirectional, sum_legendre
 from splits.discrete_ordinates.slab import LayerOptics
 from splits.discrete_ordinates.streams import Streams
+from splits.discrete_ordinates.transmittance_error import solve_with_exponent_error
 
 MAX_BRDF_STREAMS = 32
 """Largest number of streams of a BRDF: the number of moments of the table minus 1."""
@@ -117,13 +118,20 @@ def solve_bidirectional(
             break
     values = _solve(snowpack, geometry, n_streams)
     by_direction = spread_truncation(np.moveaxis(relative, 1, -1), trial, n_wavelengths)
-    truncation = values * np.moveaxis(by_direction, -1, 1)
-    largest = np.stack([getattr(spectrum.budget, name).max(axis=-1) for name in SIDE_NAMES])
-    by_table = spectrum.optics_error / np.where(largest > 0.0, largest, np.inf)
-    multiple = values * np.minimum(by_table, 1.0)[..., np.newaxis, np.newaxis]
+    floor = MIN_REFERENCE_FRACTION / np.pi * scattered[..., np.newaxis, np.newaxis]
+    truncation = np.maximum(values, floor) * np.moveaxis(by_direction, -1, 1)
+    errors = spectrum.bound_errors(totals)
+    if snowpack.is_wet:
+        # Distributions assume the equilibrium of air in all layers.
+        in_air = snowpack._replace(equilibrium=AIR).solve(geometry.beams, spectrum.n_streams)
+        change = np.stack([getattr(in_air, name)[..., 0] for name in SIDE_NAMES]) - totals
+        errors = np.hypot(errors, change)
+    by_total = np.minimum(errors / np.maximum(totals, TINY), 1.0)
+    multiple = values * by_total[..., np.newaxis, np.newaxis]
     once = _compute_single_scattering_error(snowpack, geometry, n_streams)
-    errors = truncation, np.hypot(multiple, once)
-    return BidirectionalSolution(values, *errors, n_streams, spectrum, direct)
+    return BidirectionalSolution(
+        values, truncation, np.hypot(multiple, once), n_streams, spectrum, direct
+    )
 
 
 def solve_relative_spectrum(
@@ -133,7 +141,7 @@ def solve_relative_spectrum(
     trial = choose_trial_wavelengths(snowpack.ground.size)
     budget = snowpack.select(trial).solve(cosines, STREAM_NUMBERS[0])
     smallest = float(getattr(budget, SIDE_NAMES[side]).min())
-    return solve_spectrum(snowpack, cosines, relative_error * smallest)
+    return solve_with_exponent_error(snowpack, cosines, relative_error * smallest)
 
 
 def _solve(snowpack: GranularStack, geometry: Geometry, n_streams: int) -> np.ndarray:

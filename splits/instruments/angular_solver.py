@@ -9,7 +9,7 @@ import numpy as np
 
 from splits.discrete_ordinates.applicability import find_direction_obstacle, make_granular_stack
 from splits.discrete_ordinates.geometry import Geometry
-from splits.discrete_ordinates.granular_stack import GranularStack, SpectrumSolution
+from splits.discrete_ordinates.granular_stack import REVERSED, GranularStack, SpectrumSolution
 from splits.discrete_ordinates.stack_brdf import solve_bidirectional, solve_relative_spectrum
 from splits.instruments.angular_estimate import AngularEstimate
 from splits.media.medium import Medium
@@ -115,17 +115,22 @@ def _solve_diffuse(
     transmittance factor is the transmittance of a beam from there through the inverted snowpack.
     """
     cosines = np.cos(np.radians(request.polar))
-    spectrum = solve_relative_spectrum(snowpack, cosines, request.relative_stderr, request.side)
-    inverted = snowpack._replace(layers=snowpack.layers[::-1])
-    below = solve_relative_spectrum(inverted, cosines, request.relative_stderr, request.side)
-    mean = np.stack([spectrum.budget.reflectance, below.budget.transmittance])[..., :-1] / np.pi
-    errors = np.stack([spectrum.error, below.error])[..., np.newaxis]
+    reversed_stack = snowpack._replace(equilibrium=REVERSED)
+    inverted = reversed_stack._replace(layers=snowpack.layers[::-1])
+    spectrum, above, below = (
+        solve_relative_spectrum(one, cosines, request.relative_stderr, request.side)
+        for one in (snowpack, reversed_stack, inverted)
+    )
+    values = np.stack([above.budget.reflectance, below.budget.transmittance])[..., :-1]
+    errors = np.stack([
+        np.stack([one.bound_errors(values[..., i])[side] for i in range(cosines.size)], axis=-1)
+        for side, one in enumerate((above, below))
+    ])  # fmt: skip
     mean, stderr = (
-        np.repeat(values, request.azimuth.size, axis=-1)
-        for values in (mean, np.minimum(errors / np.pi, mean))
+        np.repeat(one / np.pi, request.azimuth.size, axis=-1) for one in (values, errors)
     )
     estimate = _make_estimate(mean, stderr, spectrum, -1, 0.0)
-    n_streams = max(spectrum.n_streams, below.n_streams)
+    n_streams = max(one.n_streams for one in (spectrum, above, below))
     return estimate, _describe(estimate, request, spectrum, n_streams)
 
 
@@ -174,8 +179,7 @@ def _make_estimate(
     ])  # fmt: skip
     hemispherical = np.zeros((4, *totals.shape))
     hemispherical[0] = totals
-    # A bounded quantity cannot be wrong by more than itself.
-    hemispherical[1] = np.minimum(spectrum.error, totals)
+    hemispherical[1] = spectrum.bound_errors(totals)
     hemispherical[2] = direct
     return AngularEstimate(
         mean, stderr, stderr, hemispherical, np.zeros(totals.shape, dtype=int), np.zeros_like(mean)

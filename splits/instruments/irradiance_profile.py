@@ -27,7 +27,13 @@ from splits.instruments.flux_solver import (
 )
 from splits.instruments.flux_tally import FluxTally
 from splits.instruments.flux_target import FluxTarget
-from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO, choose_solver
+from splits.instruments.solver import (
+    AUTO,
+    DISCRETE_ORDINATES,
+    LEAST_PATH_ERROR,
+    MONTE_CARLO,
+    choose_solver,
+)
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
@@ -141,8 +147,7 @@ def irradiance_profile(
         medium, wavelength_nm, depth_m, incidence_deg, max_stderr, max_rays
     )
     run = RunOptions.from_arguments(seed, threads, kernel, progress)
-    chosen = choose_flux_solver(solver, medium, request.wavelengths, request.max_stderr)
-    return simulate_flux(request, FluxTarget(limit_irradiance), run, chosen)
+    return simulate_flux(request, FluxTarget(limit_irradiance), run, solver)
 
 
 class FluxRequest(NamedTuple):
@@ -188,16 +193,20 @@ def choose_flux_solver(
 
 
 def simulate_flux(
-    request: FluxRequest, target: FluxTarget, run: RunOptions, solver: str = MONTE_CARLO
+    request: FluxRequest, target: FluxTarget, run: RunOptions, solver: str
 ) -> xr.Dataset:
-    """Return the dataset of `irradiance_profile` to an error, by a solver for which it holds."""
+    """Return the dataset of `irradiance_profile` to an error, by a solver as given by the user."""
     medium, wavelengths, depths, incidence, max_stderr, max_rays = request
-    if solver == DISCRETE_ORDINATES:
+    chosen = choose_flux_solver(solver, medium, wavelengths, max_stderr)
+    if chosen == DISCRETE_ORDINATES:
         solved = solve_flux(
             medium, wavelengths, depths, incidence, max_stderr, target.limit_irradiance,
             run.threads,
         )  # fmt: skip
-        return make_solved_dataset(solved, _describe_request(request, target, run, solver))
+        dataset = make_solved_dataset(solved, _describe_request(request, target, run, chosen))
+        reached = dataset.attrs["max_stderr_reached"]
+        if solver != AUTO or reached <= max(max_stderr, LEAST_PATH_ERROR):
+            return dataset
     traced_medium = prepare_medium(medium, wavelengths, depths, max_stderr, run)
     scene = build_scene(traced_medium.medium, incidence, False)
     scene = add_recording_planes(scene, depths.tolist())
@@ -206,7 +215,7 @@ def simulate_flux(
     tally = FluxTally(nodes, traced_medium, scene, target)
     evaluation = simulate(scene, tally, StoppingRule(max_stderr, max_rays), run)
     attributes = {
-        **_describe_request(request, target, run, solver),
+        **_describe_request(request, target, run, MONTE_CARLO),
         "max_stderr_reached": evaluation.error,
         **tally.describe_run(evaluation.stop_reason),
     }

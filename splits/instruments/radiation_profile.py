@@ -16,7 +16,6 @@ from splits.illumination.sky import Sky
 from splits.instruments.flux_target import FluxTarget
 from splits.instruments.irradiance_profile import (
     FluxRequest,
-    choose_flux_solver,
     simulate_flux,
 )
 from splits.instruments.sky_mixing import (
@@ -132,13 +131,12 @@ def radiation_profile(
     targets = make_sky_targets(direct_fraction, weights, limit_irradiance)
 
     check_medium(medium, allow_semi_infinite=True)
-    chosen = choose_flux_solver(solver, medium, wavelengths, max_stderr)
 
     def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
         request = FluxRequest.from_arguments(
             medium, wavelengths, depth_m, incidence, max_stderr, max_rays
         )
-        return simulate_flux(request, targets[number], run._replace(seed=run.seed + number), chosen)
+        return simulate_flux(request, targets[number], run._replace(seed=run.seed + number), solver)
 
     dataset = mix_direct_and_diffuse(
         sky_spectrum, wavelengths, simulate_component, list(OUTPUT_VARIABLES)

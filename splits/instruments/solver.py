@@ -25,6 +25,10 @@ from splits.simulation.spectral_tally import Derivatives, SpectralEstimate
 from splits.simulation.threads import limit_blas_threads
 
 MONTE_CARLO, DISCRETE_ORDINATES, AUTO = "monte_carlo", "discrete_ordinates", "auto"
+OPTICS_SHARE_OF_ERROR = 0.86
+"""Error of single scattering that leaves half of a requested error for truncation."""
+LEAST_PATH_ERROR = 1e-4
+"""About the error of a reflectance by the default largest number of rays."""
 SOLVERS = (MONTE_CARLO, DISCRETE_ORDINATES, AUTO)
 
 
@@ -49,7 +53,7 @@ def choose_solver(
         Parameters of the only medium with respect to which derivatives are computed.
     max_stderr : float
         Requested error of hemispherical values; "auto" uses paths if discrete ordinates have a
-        larger one.
+        larger one, unless paths would hardly reach a smaller one.
 
     Raises
     ------
@@ -65,9 +69,10 @@ def choose_solver(
     if obstacle is None and parameters:
         obstacle = find_parameter_obstacle(media[0], parameters)
     if obstacle is None:
+        sufficient = max(OPTICS_SHARE_OF_ERROR * max_stderr, LEAST_PATH_ERROR)
         is_best = solver != AUTO or all(
             is_tabulated(medium)
-            and compute_optics_error(make_granular_stack(medium, wavelength_nm)).max() <= max_stderr
+            and compute_optics_error(make_granular_stack(medium, wavelength_nm)).max() <= sufficient
             for medium in media
         )
         return DISCRETE_ORDINATES if is_best else MONTE_CARLO
@@ -122,18 +127,11 @@ def make_estimate(solutions: Sequence[SpectrumSolution], column: int) -> Spectra
     ]
     reflectance, transmittance = (np.clip(side, 0.0, 1.0) for side in sides)
     mean = np.stack([reflectance, transmittance, 1.0 - reflectance - transmittance])
-    error = np.concatenate([one.error for one in solutions])
-    n_rows = error.size
-    # A bounded quantity cannot be wrong by more than itself.
-    stderr = np.minimum(error, np.maximum(mean, np.finfo(float).eps))
-    exponent = np.concatenate([
-        np.broadcast_to(one.exponent_error, one.error.shape) for one in solutions
-    ])  # fmt: skip
-    has_light = transmittance > 0.0
-    # Errors of thick layers act on the logarithm of the transmittance.
-    passing = transmittance[has_light]
-    relative = exponent[has_light] * (1.0 + np.abs(np.log(passing)))
-    stderr[1, has_light] = np.minimum(stderr[1, has_light], passing * relative)
+    n_rows = mean.shape[1]
+    parts = np.split(mean, np.cumsum([one.error.size for one in solutions])[:-1], axis=1)
+    stderr = np.concatenate(
+        [one.bound_errors(part) for one, part in zip(solutions, parts, strict=True)], axis=1
+    )
     return SpectralEstimate(
         mean, stderr, np.zeros_like(stderr), np.zeros((N_BATCHES, 2, n_rows)),
         _make_no_derivatives(n_rows), np.zeros(n_rows), _describe(solutions),

@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import splits
+from splits.discrete_ordinates.applicability import make_granular_stack
+from splits.discrete_ordinates.granular_stack import solve_spectrum
 from splits.discrete_ordinates.slab import LayerOptics, solve_slab
 from splits.discrete_ordinates.streams import Streams
 
@@ -54,3 +57,15 @@ def test_truncation_keeps_weak_absorption_exactly():
         for layers in (optics, optics.truncate(8))
     )
     np.testing.assert_array_equal(before, after)
+
+
+@pytest.mark.parametrize(("angle", "max_error"), [(89.9, 0.002), (89.5, 0.004), (80.0, 0.002)])
+def test_truncation_error_covers_grazing_beams(angle, max_error):
+    wavelengths = np.linspace(400.0, 1800.0, 113)
+    stack = make_granular_stack(splits.Snow.natural(optical_radius_um=160.0), wavelengths)
+    cosine = np.cos(np.radians([angle]))
+    solution = solve_spectrum(stack, cosine, max_error)
+    fine = stack.solve(cosine, 128).reflectance
+    difference = np.abs(solution.budget.reflectance - fine)[:, 0]
+    assert (difference <= 2.0 * solution.truncation + 1e-5).all()
+    assert difference.max() <= max_error

@@ -235,3 +235,15 @@ def test_auto_solves_wet_snow():
     wet = make_snow(liquid_water_content=0.02)
     solved = splits.goniophotometer(wet, [900.0], 30.0, **FEW, solver="auto")
     assert solved.attrs["solver"] == "discrete_ordinates"
+
+
+@pytest.mark.parametrize("water", [0.0, 0.05])
+def test_small_transmittances_have_relative_errors(water):
+    snow = make_snow(depth_m=0.1, ground=None, liquid_water_content=water)
+    arguments = (snow, [1030.0], 30.0)
+    solved = splits.goniophotometer(*arguments, **FEW, **SOLVED)
+    spectrum = splits.spectrophotometer(*arguments, **SOLVED)
+    assert solved.transmittance.item() < 1e-4
+    for dataset in (solved, spectrum):
+        assert (dataset.transmittance_stderr < 0.03 * dataset.transmittance).all()
+    assert (solved.btdf_stderr < 0.1 * solved.btdf).all()

@@ -161,3 +161,30 @@ def test_impurities_agree_with_paths():
         error = np.hypot(paths[f"{quantity}_stderr"], ordinates[f"{quantity}_stderr"])
         z = ((ordinates[quantity] - paths[quantity]) / error).values
         assert np.abs(z).max() < 4.0, z
+
+
+def test_stacks_of_dry_and_wet_layers_have_derivatives():
+    def make(depth=0.01):
+        dry = splits.Snow.natural(specific_surface_area_m2_kg=40.0, depth_m=depth)
+        keywords = {"specific_surface_area_m2_kg": 15.0, "liquid_water_content": 0.03}
+        return splits.Stack([dry, splits.Snow.natural(**keywords, depth_m=0.02)], ground=0.3)
+
+    def measure(stack, **settings):
+        return splits.spectrophotometer(
+            stack, [600.0, 1030.0, 1300.0], 53.0, solver="discrete_ordinates", **settings
+        )
+
+    names = ["ground", "layers.0.depth_m", "layers.1.liquid_water_content"]
+    result = measure(make(), jacobian=names)
+    assert (result.parameter_method == "finite_difference").all()
+    high, low = (measure(make(0.01 + step)).reflectance.values for step in (1e-5, -1e-5))
+    np.testing.assert_allclose(result.reflectance_jacobian[1], (high - low) / 2e-5, rtol=1e-3)
+
+
+def test_differences_do_not_mix_dry_and_wet_snow():
+    snow = splits.Snow.natural(specific_surface_area_m2_kg=20.0, liquid_water_content=2e-5)
+    jacobian = {"jacobian": ["liquid_water_content"], "solver": "discrete_ordinates"}
+    result = splits.spectrophotometer(snow, [1200.0], **jacobian)
+    more = splits.Snow.natural(specific_surface_area_m2_kg=20.0, liquid_water_content=1e-3)
+    expected = splits.spectrophotometer(more, [1200.0], **jacobian).reflectance_jacobian
+    np.testing.assert_allclose(result.reflectance_jacobian, expected, rtol=0.2)

@@ -43,7 +43,9 @@ RUNS: dict[str, Callable[[], xr.Dataset]] = {
         splits.Stack([splits.Snow(depth_m=0.02), splits.Snow(depth_m=0.05, density_kg_m3=350.0)],
                      ground=0.2), BANDS_NM, 30.0, 0.005
     ),
-    "natural snow": lambda: splits.spectrophotometer(NATURAL_SNOW, BANDS_NM, 60.0, 0.005),
+    "natural snow": lambda: splits.spectrophotometer(
+        NATURAL_SNOW, BANDS_NM, 60.0, 0.005, solver="monte_carlo"
+    ),
     "natural snow, geometric": lambda: splits.spectrophotometer(
         splits.Snow.natural(
             specific_surface_area_m2_kg=20.0, depth_m=0.1, interpretation="geometric"

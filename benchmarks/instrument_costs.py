@@ -22,6 +22,7 @@ from splits.io.data_frame import write_data_frame
 
 SPECTRUM_NM = range(400, 2501, 10)
 SKY = "midlatitude_winter"
+PATHS = {"solver": "monte_carlo"}
 DEPTHS_M = [0.01, 0.02, 0.05, 0.1, 0.2]
 LARGE_ERRORS = {"max_stderr": 0.1, "relative_stderr": 0.5, "rays": 1000}
 """Accuracy of the first run, by keyword."""
@@ -43,22 +44,22 @@ def make_cases() -> list[CostCase]:
     sand, layer = splits.Sand(), splits.ParticleLayer()
     return [
         CostCase("spectrophotometer", "max_stderr", "snow, 211 wavelengths",
-                 lambda **e: splits.spectrophotometer(snow, SPECTRUM_NM, **e)),
+                 lambda **e: splits.spectrophotometer(snow, SPECTRUM_NM, **PATHS, **e)),
         CostCase("spectrophotometer", "max_stderr", "sand, 61 wavelengths",
                  lambda **e: splits.spectrophotometer(sand, range(400, 1001, 10), **e)),
         CostCase("spectrophotometer", "max_stderr", "particle layer under a rough surface",
                  lambda **e: splits.spectrophotometer(layer, [600], **e)),
         CostCase("albedo", "max_stderr", "snow under a winter sky",
-                 lambda **e: splits.albedo(deep, SKY, **e)),
+                 lambda **e: splits.albedo(deep, SKY, **PATHS, **e)),
         CostCase("goniophotometer", "relative_stderr", "snow, one wavelength, 2592 directions",
-                 lambda **e: splits.goniophotometer(snow, [865], 60.0, **e)),
+                 lambda **e: splits.goniophotometer(snow, [865], 60.0, **PATHS, **e)),
         CostCase("hdrf", "relative_stderr", "snow under a winter sky, one wavelength",
-                 lambda **e: splits.hdrf(snow, SKY, [865], **e)),
+                 lambda **e: splits.hdrf(snow, SKY, [865], **PATHS, **e)),
         CostCase("irradiance_profile", "max_stderr", "snow, five wavelengths, five depths",
                  lambda **e: splits.irradiance_profile(
-                     snow, [450, 600, 850, 1000, 1300], DEPTHS_M, **e)),
+                     snow, [450, 600, 850, 1000, 1300], DEPTHS_M, **PATHS, **e)),
         CostCase("radiation_profile", "max_stderr", "snow under a winter sky, five depths",
-                 lambda **e: splits.radiation_profile(deep, SKY, DEPTHS_M, total_w_m2=500.0, **e)),
+                 lambda **e: splits.radiation_profile(deep, SKY, DEPTHS_M, total_w_m2=500.0, **PATHS, **e)),
         CostCase("beam_spread", "rays", "snow, one wavelength",
                  lambda **e: splits.beam_spread(snow, [800], **e)),
         CostCase("single_scattering", "rays", "grains of snow, one wavelength",

@@ -65,13 +65,19 @@ def report_plane_costs(n_planes: Sequence[int], rounds: int) -> None:
 
     def spectrum(seed: int) -> xr.Dataset:
         return splits.spectrophotometer(
-            snow, WAVELENGTHS_NM, max_stderr=LARGE_ERROR, seed=seed, threads=1
+            snow, WAVELENGTHS_NM, max_stderr=LARGE_ERROR, seed=seed, threads=1, solver="monte_carlo"
         )
 
     def make_profile_run(planes: int) -> Callable[[int], xr.Dataset]:
         depths = snow.depth_m * np.arange(1, planes + 1) / (planes + 1)
         return lambda seed: splits.irradiance_profile(
-            snow, WAVELENGTHS_NM, depths, max_stderr=LARGE_ERROR, seed=seed, threads=1
+            snow,
+            WAVELENGTHS_NM,
+            depths,
+            max_stderr=LARGE_ERROR,
+            seed=seed,
+            threads=1,
+            solver="monte_carlo",
         )
 
     runs = {"spectrum": spectrum, **{f"{n} planes": make_profile_run(n) for n in n_planes}}

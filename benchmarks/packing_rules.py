@@ -81,7 +81,9 @@ def make_snow(rule: str, density: float, **settings: Any) -> splits.Snow:
 @cache
 def reflect_dilute(rule: str, incidence: float | str, stderr: float) -> xr.Dataset:
     """Return the spectrum of the dilute half-space."""
-    return splits.spectrophotometer(make_snow(rule, 10.0), [1300.0], incidence, stderr, 20)
+    return splits.spectrophotometer(
+        make_snow(rule, 10.0), [1300.0], incidence, stderr, 20, solver="monte_carlo"
+    )
 
 
 def measure_similarity(
@@ -92,7 +94,9 @@ def measure_similarity(
     deep = make_snow(rule, density, depth_m=1e4 / density)
     optics = correct_dense_packing(splits.single_scattering(deep, [1300.0], rays=500_000))
     for number, incidence in enumerate(INCIDENCES_DEG):
-        result = splits.spectrophotometer(snow, [1300.0], incidence, effort.stderr, 10 + number)
+        result = splits.spectrophotometer(
+            snow, [1300.0], incidence, effort.stderr, 10 + number, solver="monte_carlo"
+        )
         other = reflect_dilute(rule, incidence, effort.stderr)
         theory = solve_discrete_ordinates(optics, incidence)
         for law, expected in (("similarity", other), ("ordinates R", theory)):
@@ -108,7 +112,9 @@ def measure_transmittance(
     snow = make_snow(rule, density, depth_m=0.05)
     optics = correct_dense_packing(splits.single_scattering(snow, [700.0], rays=500_000))
     for number, incidence in enumerate((0.0, 75.0)):
-        result = splits.spectrophotometer(snow, [700.0], incidence, effort.stderr, 30 + number)
+        result = splits.spectrophotometer(
+            snow, [700.0], incidence, effort.stderr, 30 + number, solver="monte_carlo"
+        )
         theory = solve_discrete_ordinates(optics, incidence)
         difference = (result.transmittance - theory.transmittance).item()
         error = np.hypot(result.transmittance_stderr, theory.transmittance_stderr).item()
@@ -164,7 +170,7 @@ def measure_paths(rule: str, density: float, effort: PackingEffort) -> Iterator[
             }
             snow = make_snow(rule, density, depth_m=depth, refractive_index=indices)
             result = splits.spectrophotometer(
-                snow, [1000.0], light, 1e-6, 40, max_rays=effort.rays
+                snow, [1000.0], light, 1e-6, 40, max_rays=effort.rays, solver="monte_carlo"
             ).squeeze()
             ratios.append(result[["absorptance", "absorptance_stderr"]] / (alpha * length))
         mean = 2.0 * ratios[0].absorptance - ratios[1].absorptance

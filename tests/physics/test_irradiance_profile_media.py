@@ -128,7 +128,7 @@ def test_semi_infinite_snowpack_agrees_with_a_deep_one(error):
     semi_infinite, deep = (
         splits.irradiance_profile(
             splits.Snow.natural(**DEEP_SNOW, depth_m=depth), wavelengths, depths,
-            "diffuse", error, seed,
+            "diffuse", error, seed, solver="monte_carlo",
         )
         for seed, depth in ((1, math.inf), (2, 0.5))
     )  # fmt: skip
@@ -172,7 +172,15 @@ def test_semi_infinite_snowpack_agrees_with_a_deep_one(error):
 def test_errors_of_profiles_agree_with_scatter(medium, depths, seeds):
     runs = [
         splits.irradiance_profile(
-            medium, [700.0], depths, 40.0, 0.03, seed, target="absorptance", threads=1
+            medium,
+            [700.0],
+            depths,
+            40.0,
+            0.03,
+            seed,
+            target="absorptance",
+            threads=1,
+            solver="monte_carlo",
         )
         for seed in range(seeds)
     ]
@@ -213,7 +221,7 @@ def test_deep_fluxes_decay_by_asymptotic_theory():
     diffusion = step / (3.0 * (1.0 - optics.asymmetry_parameter.values[0] + loss))
     rate = math.sqrt(loss / step / diffusion)
     depths = np.array([1.0, 2.0]) / rate
-    ds = splits.irradiance_profile(snow, [900.0], depths, "diffuse", 0.008)
+    ds = splits.irradiance_profile(snow, [900.0], depths, "diffuse", 0.008, solver="monte_carlo")
     down, up = ds.downward_irradiance[0, 1:].values, ds.upward_irradiance[0, 1:].values
     relative = np.hypot(*(ds.downward_irradiance_stderr[0, 1:].values / down))
     # Diffusion theory is accurate to first order in κD, here to a few per cent.

@@ -59,7 +59,8 @@ def make_cases() -> list[CostCase]:
                  lambda **e: splits.irradiance_profile(
                      snow, [450, 600, 850, 1000, 1300], DEPTHS_M, **PATHS, **e)),
         CostCase("radiation_profile", "max_stderr", "snow under a winter sky, five depths",
-                 lambda **e: splits.radiation_profile(deep, SKY, DEPTHS_M, total_w_m2=500.0, **PATHS, **e)),
+                 lambda **e: splits.radiation_profile(
+                     deep, SKY, DEPTHS_M, total_w_m2=500.0, **PATHS, **e)),
         CostCase("beam_spread", "rays", "snow, one wavelength",
                  lambda **e: splits.beam_spread(snow, [800], **e)),
         CostCase("single_scattering", "rays", "grains of snow, one wavelength",

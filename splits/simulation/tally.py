@@ -267,16 +267,22 @@ class Tally(ABC):
             total[..., self.rows[rows]] += self.weights[rows] ** power * values[..., rows]
         return total
 
-    def combine_moments(self, total: np.ndarray, square: np.ndarray) -> tuple[np.ndarray, ...]:
+    def combine_moments(
+        self, total: np.ndarray, square: np.ndarray, largest: float = 1.0
+    ) -> tuple[np.ndarray, ...]:
         """Return means and their standard errors, shape (…, rows).
 
         Parameters
         ----------
         total, square : float, shape (…, node rows)
-            Sums over rays of weights of at most 1, and of their squares.
+            Sums over rays of weights, and of their squares.
+        largest : float
+            Largest possible weight of a ray; 0 without allowance for unseen rays.
         """
         n_rays = self.count_rays()
         mean = total / n_rays
         variance = np.maximum(square / n_rays - mean**2, 0.0) / n_rays
-        variance = allow_for_unseen_rays(variance, ((1.0 - np.abs(mean)) / n_rays) ** 2)
+        variance = allow_for_unseen_rays(
+            variance, (np.maximum(largest - np.abs(mean), 0.0) / n_rays) ** 2
+        )
         return self.combine_nodes(mean), np.sqrt(self.combine_nodes(variance, power=2))

@@ -188,14 +188,17 @@ def _solve_from_medium(model: MediumForwardModel, measurement: Measurement, seed
         noise,
     )
     solution = solution._replace(nonlinearity=nonlinearity)
-    if nonlinearity > MAX_DEVIATION and isinstance(model, OrdinatesForwardModel):
+    alternatives = converged.find_alternatives(ALTERNATIVE_CHI2)
+    is_linear = nonlinearity <= MAX_DEVIATION and not alternatives
+    if isinstance(model, OrdinatesForwardModel) and not is_linear:
         solution = refine_posterior(
             model.evaluate_state,
             linear_model,
             solution,
             lambda interpolated: _solve(interpolated, measurement, seed),
+            alternatives,
         )
-    return solution._replace(alternatives=converged.find_alternatives(ALTERNATIVE_CHI2))
+    return solution._replace(alternatives=alternatives)
 
 
 def _solve(

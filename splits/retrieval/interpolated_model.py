@@ -15,7 +15,7 @@ import numpy as np
 
 from splits.core.optional import import_optional
 from splits.retrieval.linearization import BOUND_MARGIN, LinearizedModel
-from splits.retrieval.result import Solution
+from splits.retrieval.solution import Solution
 
 MAX_DEVIATION = 0.5
 """Largest deviation of the model from its approximation, in units of noise."""

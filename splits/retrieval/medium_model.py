@@ -80,6 +80,7 @@ class MediumForwardModel(ABC):
         Of the survey, and of simulations.
     """
 
+    solver: str
     bound_margin = BOUND_MARGIN
     descent_stages: tuple[DescentStage, ...] = DESCENT_STAGES
 

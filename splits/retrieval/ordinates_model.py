@@ -16,6 +16,7 @@ from splits.discrete_ordinates.granular_stack import (
     compute_optics_error,
     solve_spectrum,
 )
+from splits.instruments.solver import DISCRETE_ORDINATES
 from splits.media.medium import Medium
 from splits.media.parameters import INCIDENCE_KEY
 from splits.retrieval.forward_model import ERROR_CORRELATION_NM
@@ -35,6 +36,7 @@ class OrdinatesForwardModel(MediumForwardModel):
     which need one solution per parameter and hold for dry and for wet snow.
     """
 
+    solver = DISCRETE_ORDINATES
     # Solutions take little time, so that more descents look for alternative solutions.
     descent_stages = tuple(stage._replace(n_starts=4) for stage in DESCENT_STAGES)
 

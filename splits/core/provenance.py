@@ -35,7 +35,8 @@ FIT_SOURCES = (
     "tables/interpolation.py",
     "retrieval/state_vector.py", "retrieval/optimal_estimation.py", "retrieval/least_squares.py",
     "retrieval/linearization.py", "retrieval/measurement.py", "retrieval/residual_covariance.py",
-    "retrieval/posterior.py", "retrieval/result.py", "retrieval/gauss_newton.py",
+    "retrieval/posterior.py", "retrieval/result.py", "retrieval/solution.py",
+    "retrieval/settings.py", "retrieval/gauss_newton.py",
 )  # fmt: skip
 """Additional files that determine a fit."""
 RETRIEVAL_SOURCES = (
@@ -48,7 +49,8 @@ RETRIEVAL_SOURCES = (
     "retrieval/optimal_estimation.py", "retrieval/forward_model.py", "retrieval/sobol.py",
     "retrieval/least_squares.py", "retrieval/linearization.py", "retrieval/measurement.py",
     "retrieval/residual_covariance.py", "retrieval/posterior.py", "retrieval/result.py",
-    "retrieval/retrieve.py", "retrieval/medium_model.py",
+    "retrieval/solution.py", "retrieval/settings.py", "retrieval/retrieve.py",
+    "retrieval/medium_model.py",
     "illumination/bands.py",
 )  # fmt: skip
 """Files that determine retrievals from a table."""

@@ -109,7 +109,7 @@ def invalid(key: str, value: object, allowed: str, hint: str = "") -> InvalidVal
 def unknown_key(key: str, known_names: Iterable[str]) -> UnknownKey:
     """Return the error for an unknown key, with the nearest known name as a hint."""
     names = list(known_names)
-    hint = suggest_name(key.rsplit(".", 1)[-1], names)
+    hint = suggest_name(key.rsplit(".", 1)[-1].removeprefix("parameter "), names)
     return UnknownKey(key, None, f"one of {join_names(names)}", hint)
 
 
@@ -232,6 +232,7 @@ KEYWORD_ALIASES = {
     "algae": "algae_cells_ml",
     "thickness": "depth_m",
     "temperature": "temperature_c",
+    "ground_albedo": "ground",
     "sza": "incidence_deg",
     "solar_zenith": "incidence_deg",
 }

@@ -29,6 +29,8 @@ REPLACED_FIELDS = {
     LIQUID_WATER_KEY: "saturation",
 }
 """Field replaced by each keyword."""
+GRAIN_SIZE_RANGE_UM = (1.0, 1e5)
+"""Limits of the sizes of grains (µm)."""
 MIN_SURFACE_AREA_M2_KG, MAX_SURFACE_AREA_M2_KG = 0.2, 2000.0
 """Limits of specific surface area (m²/kg): grains of a few cm and of a few µm."""
 

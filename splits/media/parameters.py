@@ -9,16 +9,21 @@ these in a layer of a stack (``layers.0.depth_m``).
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from numbers import Real
 from typing import Any, NamedTuple
 
 from splits.core.parameter_names import IMPURITY_KEYWORDS, describe_parameter
-from splits.core.validation import check_choice, check_range, invalid, unknown_key
+from splits.core.validation import check_choice, check_range, invalid, suggest_name, unknown_key
 from splits.materials.impurities import ALGAE_NAMES, list_impurities
 from splits.media.ground import Ground
-from splits.media.measured_inputs import LIQUID_WATER_KEY, OPTICAL_RADIUS_KEY, SURFACE_AREA_KEY
+from splits.media.measured_inputs import (
+    GRAIN_SIZE_RANGE_UM,
+    LIQUID_WATER_KEY,
+    OPTICAL_RADIUS_KEY,
+    SURFACE_AREA_KEY,
+)
 from splits.media.stack import Stack
 
 SHIFTABLE_DISTRIBUTIONS = {"facetness": 3, "sphericity": 3, "roundness": 1}
@@ -71,15 +76,17 @@ def list_parameters(medium: Any) -> list[str]:
     ]
 
 
-def get_parameter(medium: Any, name: str) -> float:
+def get_parameter(medium: Any, name: str, other_names: Sequence[str] = ()) -> float:
     """Return the value of a parameter, or the mean of a distribution.
+
+    `other_names` are names besides those of the medium that messages list, such as the incidence.
 
     Raises
     ------
     ValueError
         For a parameter that the medium does not have.
     """
-    location = _locate_parameter(medium, name)
+    location = _locate_parameter(medium, name, other_names)
     owner = medium if location.layer is None else medium.layers[location.layer]
     if location.key in FRACTION_PARAMETERS:
         return float(
@@ -155,14 +162,20 @@ def _replace_value(owner: Any, location: _ParameterLocation, value: float) -> An
             owner, **{key: (*(x + shift for x in old_values[:n_shifted]), *old_values[n_shifted:])}
         )
     if key in (SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY):
-        if not 0.0 < value < float("inf"):
-            raise invalid(key, value, "above 0")
-        ratio = value / getattr(owner, key)
-        factor = ratio if key == OPTICAL_RADIUS_KEY else 1.0 / ratio
+        factor = _compute_size_factor(owner, key, value)
         return replace(owner, grain_size_um=tuple(factor * x for x in owner.grain_size_um))
     if key == LIQUID_WATER_KEY:
         return replace(owner, saturation=value / owner.porosity)
     return replace(owner, **{key: value})
+
+
+def _compute_size_factor(owner: Any, key: str, value: float) -> float:
+    """Return the ratio of new to old grain sizes for a new surface area or optical radius."""
+    (low, high), (smallest, largest) = GRAIN_SIZE_RANGE_UM, owner.grain_size_um
+    old = getattr(owner, key)
+    if key == OPTICAL_RADIUS_KEY:
+        return check_range(key, value, old * low / smallest, old * high / largest, "µm") / old
+    return old / check_range(key, value, old * largest / high, old * smallest / low, "m2/kg")
 
 
 def _rescale_fractions(owner: Any, location: _ParameterLocation, value: float) -> tuple[float, ...]:
@@ -180,7 +193,9 @@ def _rescale_fractions(owner: Any, location: _ParameterLocation, value: float) -
     return tuple(value if i == index else factor * fraction for i, fraction in enumerate(fractions))
 
 
-def _locate_parameter(medium: Any, name: Any) -> _ParameterLocation:
+def _locate_parameter(
+    medium: Any, name: Any, other_names: Sequence[str] = ()
+) -> _ParameterLocation:
     """Return the location of a parameter; raise ValueError if the medium does not have it."""
     if not isinstance(name, str):
         raise invalid("parameter", name, "a name, such as depth_m")
@@ -188,18 +203,19 @@ def _locate_parameter(medium: Any, name: Any) -> _ParameterLocation:
     if not isinstance(medium, Stack):
         if match:
             raise invalid("parameter", name, "without layers: this medium is not a stack")
-        return _locate_own_parameter(medium, name, name, None)
+        return _locate_own_parameter(medium, name, name, None, other_names)
     if name == "ground" and _get_constant_albedo(medium) is not None:
         return _ParameterLocation(None, "ground", "")
     number = int(match[1]) if match else -1
     if not match or not 0 <= number < len(medium.layers):
         last = len(medium.layers) - 1
-        raise invalid("parameter", name, f"of one of layers.0 to layers.{last}")
+        hint = suggest_name(name, [*list_parameters(medium), *other_names])
+        raise invalid("parameter", name, f"of one of layers.0 to layers.{last}", hint)
     return _locate_own_parameter(medium.layers[number], match[2], name, number)
 
 
 def _locate_own_parameter(
-    owner: Any, own_name: str, name: str, layer: int | None
+    owner: Any, own_name: str, name: str, layer: int | None, other_names: Sequence[str] = ()
 ) -> _ParameterLocation:
     """Return the location of a parameter of a medium without layers."""
     key, _, component = own_name.partition(".")
@@ -219,7 +235,7 @@ def _locate_own_parameter(
         )
     known = list_parameters(owner)
     if own_name not in known:
-        raise unknown_key(f"parameter {name}", known)
+        raise unknown_key(f"parameter {name}", [*known, *other_names])
     return _ParameterLocation(layer, own_name, "")
 
 

@@ -26,7 +26,11 @@ from splits.media.inputs import (
     make_refractive_indices,
 )
 from splits.media.interpretations import Interpretation
-from splits.media.measured_inputs import accepts_measured_inputs, to_shortest_keywords
+from splits.media.measured_inputs import (
+    GRAIN_SIZE_RANGE_UM,
+    accepts_measured_inputs,
+    to_shortest_keywords,
+)
 from splits.media.medium import GranularMedium, Interface
 from splits.media.natural_snow import describe_grain_shape, is_natural, make_natural_snow
 from splits.media.pore_fluids import PoreFluids, check_other_fluids
@@ -165,12 +169,14 @@ class Snow(ContentEquality, GranularMedium):
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
-        sizes = check_named_numbers("grain_size_um", self.grain_size_um, ("min", "max"), (1.0, 1e5))
+        sizes = check_named_numbers(
+            "grain_size_um", self.grain_size_um, ("min", "max"), GRAIN_SIZE_RANGE_UM
+        )
         smallest, largest = sizes
-        if not 1.0 <= smallest <= largest <= 1e5:
-            raise invalid(
-                "grain_size_um", self.grain_size_um, "1 <= min <= max <= 100000 micrometres"
-            )
+        low, high = GRAIN_SIZE_RANGE_UM
+        if not low <= smallest <= largest <= high:
+            allowed = f"{low:g} <= min <= max <= {high:g} micrometres"
+            raise invalid("grain_size_um", self.grain_size_um, allowed)
         if largest > 1e3 * smallest:
             raise invalid("grain_size_um", self.grain_size_um, "max <= 1000 min")
         put("grain_size_um", (smallest, largest))

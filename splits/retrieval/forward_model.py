@@ -13,7 +13,7 @@ from splits.retrieval.cubic_interpolation import interpolate, interpolate_states
 from splits.retrieval.map_minimization import TableGrid
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.state_vector import SCALE, ParameterRange, StateVector
-from splits.tables.axes import ParameterGrid, check_axis_values
+from splits.tables.axes import INCIDENCE, ParameterGrid, check_axis_values
 from splits.tables.export import compute_response_weights
 from splits.tables.interpolation import compute_interpolation_weights, transform_axis
 from splits.tables.table import Table, load_selection
@@ -130,6 +130,16 @@ class TableForwardModel:
     def make_grid(self, node_values: np.ndarray) -> TableGrid:
         """Return the table over coordinates with other columns."""
         return TableGrid(np.ascontiguousarray(node_values), self._axis_nodes, self._n_nodes)
+
+    def list_fixed_values(self) -> dict[str, Any]:
+        """Return the incidence and the values of all axes that are not free."""
+        attributes = self.table.dataset.attrs
+        nodes = {name: self.table.dataset[name].values for name in self.table.axes[:-1]}
+        return {name: attributes[name] for name in (INCIDENCE,) if name in attributes} | {
+            name: self.fixed.get(name, row[0].item())
+            for name, row in nodes.items()
+            if name not in self.axes
+        }
 
     def _compute_scale(self, states: np.ndarray) -> np.ndarray:
         if self._scale_index is None:

@@ -218,7 +218,8 @@ def minimize_gauss_newton(
         step = lsq_linear(jacobian, -residuals, (low - 1e-9, high + 1e-9)).x
         step = np.clip(state + step, lower_bound, upper_bound) - state
         predicted_gain = cost - _sum_squares(residuals + jacobian @ step)
-        if predicted_gain < cost * min(MIN_RELATIVE_GAIN, MIN_GAIN_PER_VALUE / len(residuals)):
+        # Both sides are 0 where the fit is exact.
+        if predicted_gain <= cost * min(MIN_RELATIVE_GAIN, MIN_GAIN_PER_VALUE / len(residuals)):
             if is_fresh:
                 break
             is_stale = True

@@ -3,18 +3,19 @@
 The deviation of the model from its linearization is interpolated by radial functions (of the fifth
 power, with a quadratic polynomial; Wendland 2005, Scattered Data Approximation, chapter 8) between
 states from the posterior.  These are chosen in turns, each from the draws of the turn before and
-far from all states so far, until the interpolation agrees with the model at all new states.
+far from all states so far, until the interpolation agrees with the model at all new states.  The
+first turn includes alternative solutions, which draws around the best one may not reach.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from splits.core.optional import import_optional
 from splits.retrieval.linearization import BOUND_MARGIN, LinearizedModel
-from splits.retrieval.result import Solution
+from splits.retrieval.solution import Solution
 
 MAX_DEVIATION = 0.5
 """Largest deviation of the model from its approximation, in units of noise."""
@@ -71,6 +72,7 @@ def refine_posterior(
     linear_model: LinearizedModel,
     solution: Solution,
     solve: Callable[[InterpolatedModel], Solution],
+    alternatives: Sequence[np.ndarray] = (),
 ) -> Solution:
     """Return the solution of a model that is not linear within the posterior.
 
@@ -83,15 +85,18 @@ def refine_posterior(
         Of the linear model.
     solve : callable
         From a model to its solution.
+    alternatives : sequence of float, shape (parameters,)
+        Alternative solutions of the model.
     """
     start = linear_model.linearization
     n_parameters = len(start.state)
     n_new = max(MIN_NEW_STATES, (n_parameters + 1) * (n_parameters + 2) // 2)
     states, values = start.state[np.newaxis], start.modelled[np.newaxis]
     model = linear_model
-    for _ in range(MAX_TURNS):
+    for turn in range(MAX_TURNS):
         draws = np.clip(solution.draws.states, BOUND_MARGIN, 1.0 - BOUND_MARGIN)
-        new = _choose_far_states(draws, states, n_new)
+        others = list(alternatives) if turn == 0 else []
+        new = np.stack([*others, *_choose_far_states(draws, np.stack([*states, *others]), n_new)])
         exact = np.array([evaluate(state) for state in new])
         noise = np.linalg.cholesky(solution.estimates[0].error_covariance)
         deviation = np.linalg.solve(noise, (exact - model.evaluate(new)).T)

@@ -32,7 +32,7 @@ from splits.retrieval.residual_covariance import (
     FitCovariance,
     estimate_fit_covariance,
 )
-from splits.retrieval.result import Solution, compute_prior_tension
+from splits.retrieval.solution import Solution, compute_prior_tension
 from splits.retrieval.state_vector import StateVector
 
 
@@ -46,7 +46,7 @@ class PosteriorEstimate(NamedTuple):
     posterior : PosteriorSummary
     draws : PosteriorDraws
     prior_tension : float, shape (parameters,)
-        See `splits.retrieval.result.Solution`.
+        See `splits.retrieval.solution.Solution`.
     """
 
     state: np.ndarray

@@ -9,9 +9,10 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.core.arrays import align_to_labels, as_1d_array, check_increasing, find_labels
+from splits.core.arrays import align_to_labels, find_labels
 from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid
 from splits.illumination.bands import SpectralBand, as_bands
+from splits.simulation.arguments import check_wavelengths
 
 MAX_REFLECTANCE = 2.0
 """Reflectance factor above which values are assumed to be in per cent."""
@@ -136,9 +137,7 @@ def _read_spectrum(measured: Any) -> tuple[np.ndarray, np.ndarray]:
         pair = measured
     else:
         raise invalid("measured", type(measured).__name__, allowed)
-    wavelength = check_increasing(
-        "measured (wavelengths)", as_1d_array("measured (wavelengths)", pair[0])
-    )
+    wavelength = check_wavelengths(pair[0], "measured (wavelengths)")
     values = align_to_labels("measured", pair[1], wavelength, find_labels(pair[0]), allow_gaps=True)
     if values.shape != wavelength.shape:
         sizes = f"{wavelength.size} wavelengths, {values.size} values"

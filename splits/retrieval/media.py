@@ -9,7 +9,14 @@ import numpy as np
 
 from splits.core.arrays import check_named_numbers
 from splits.core.progress import ProgressCallback
-from splits.core.validation import check_choice, check_range, invalid, key_prefix, unknown_key
+from splits.core.validation import (
+    InvalidValue,
+    check_choice,
+    check_range,
+    invalid,
+    key_prefix,
+    unknown_key,
+)
 from splits.discrete_ordinates.applicability import find_obstacle, find_parameter_obstacle
 from splits.instruments.solver import MONTE_CARLO, SOLVERS, choose_solver
 from splits.media.checks import check_medium
@@ -48,7 +55,7 @@ def make_medium_state_vector(
     check_medium(medium, allow_semi_infinite=True)
     if not isinstance(ranges, Mapping):
         hint = 'such as {"optical_radius_um": (50, 1500)}; only a table has default ranges'
-        raise invalid("free", ranges, "(low, high) by name", hint)
+        raise invalid("free", ranges, "a mapping of names to (low, high)", hint)
     with key_prefix("free"):
         check_no_equivalents({str(name): pair for name, pair in ranges.items()})
     allowed_ranges: dict[str, ParameterRange] = {SCALE: ParameterRange(*SCALE_RANGE, "identity")}
@@ -56,7 +63,7 @@ def make_medium_state_vector(
         if name == SCALE:
             continue
         if name != INCIDENCE_KEY:
-            get_parameter(medium, name)
+            get_parameter(medium, name, [INCIDENCE_KEY, SCALE])
         elif incidence == "diffuse":
             raise unknown_key(f"free.{name}", ["scale"])
         limits = np.array(check_named_numbers(f"free.{name}", pair, ("low", "high")))
@@ -65,9 +72,11 @@ def make_medium_state_vector(
         for value in limits if name != INCIDENCE_KEY else ():
             try:
                 replace_parameter(medium, name, float(value))
-            except ValueError as error:
-                raise invalid(f"free.{name}", float(value), "a valid value of the medium",
-                             str(error)) from None  # fmt: skip
+            except InvalidValue as error:
+                is_own = error.key == name.rpartition(".")[2]
+                allowed = error.allowed if is_own else "a valid value of the medium"
+                hint = error.hint if is_own else str(error)
+                raise invalid(f"free.{name}", float(value), allowed, hint) from None
         for value in limits if name == INCIDENCE_KEY else ():
             check_incidence(float(value))
         middle = np.array([limits[0], 0.5 * limits.sum(), limits[1]])

@@ -80,7 +80,9 @@ class MediumForwardModel(ABC):
         Of the survey, and of simulations.
     """
 
+    solver: str
     bound_margin = BOUND_MARGIN
+    descent_stages: tuple[DescentStage, ...] = DESCENT_STAGES
 
     def __init__(
         self, medium: Medium, measurement: Measurement, state_vector: StateVector,
@@ -156,7 +158,7 @@ class MediumForwardModel(ABC):
             + (survey_states[:, has_prior] - 0.5) * state_vector.prior_sd[has_prior]
         )
         best, *other_minima = search_minima(
-            self, self.make_objective, np.clip(survey_states, 0.02, 0.98), DESCENT_STAGES
+            self, self.make_objective, np.clip(survey_states, 0.02, 0.98), self.descent_stages
         )[-1]
         minima = [best] + [
             minimum

@@ -16,10 +16,11 @@ from splits.discrete_ordinates.granular_stack import (
     compute_optics_error,
     solve_spectrum,
 )
+from splits.instruments.solver import DISCRETE_ORDINATES
 from splits.media.medium import Medium
 from splits.media.parameters import INCIDENCE_KEY
 from splits.retrieval.forward_model import ERROR_CORRELATION_NM
-from splits.retrieval.medium_model import LAST_STAGE, MediumForwardModel
+from splits.retrieval.medium_model import DESCENT_STAGES, LAST_STAGE, MediumForwardModel
 from splits.simulation.threads import limit_blas_threads
 
 MAX_ERROR = 1e-3
@@ -34,6 +35,10 @@ class OrdinatesForwardModel(MediumForwardModel):
     All stages but the last use a few of the wavelengths.  Derivatives are differences of solutions,
     which need one solution per parameter and hold for dry and for wet snow.
     """
+
+    solver = DISCRETE_ORDINATES
+    # Solutions take little time, so that more descents look for alternative solutions.
+    descent_stages = tuple(stage._replace(n_starts=4) for stage in DESCENT_STAGES)
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)

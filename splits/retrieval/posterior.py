@@ -20,7 +20,7 @@ N_DRAWS = 4000
 STUDENT_T_DOF = 5.0
 """Degrees of freedom of Student's t, with tails heavier than those of the posterior."""
 MIN_EFFECTIVE_DRAWS = 400.0
-"""Effective sample size at which the adaptation stops."""
+"""Effective sample size per optimum at which the adaptation stops."""
 MAX_ITERATIONS = 6
 DEFENSIVE_FRACTION = 0.1
 """Fraction of draws from the whole range, so that every part of it is sampled."""
@@ -107,7 +107,7 @@ def draw_posterior(
         n_effective = float(1.0 / (weights**2).sum())
         if n_effective > best[0]:
             best = (n_effective, states, weights, components)
-        if n_effective >= MIN_EFFECTIVE_DRAWS:
+        if n_effective >= MIN_EFFECTIVE_DRAWS * len(estimates):
             break
         # Adapt to the best iteration so far.
         _, best_states, best_weights, best_components = best

@@ -2,38 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from numbers import Number
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from splits.core.optional import import_optional
 from splits.core.parameter_names import describe_parameter
 from splits.core.uncertainty import make_variable
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.optimal_estimation import (
-    ALTERNATIVE_CHI2,
-    MAPEstimate,
-    PosteriorSummary,
     compute_fit_degrees_of_freedom,
 )
-from splits.retrieval.posterior import MIN_EFFECTIVE_DRAWS, N_DRAWS, PosteriorDraws
+from splits.retrieval.posterior import N_DRAWS
+from splits.retrieval.settings import FIXED_PREFIX
+from splits.retrieval.solution import Solution, list_warnings
 from splits.retrieval.state_vector import SCALE, StateVector
 from splits.simulation.run_options import make_wavelength_coordinate
 
 QUANTILES = (0.025, 0.16, 0.5, 0.84, 0.975)
 UNDETERMINED_FRACTION = 0.5
 """Ratio of posterior to prior standard deviation from which a parameter is unconstrained."""
-MIN_MISFIT_PROBABILITY = 0.01
-"""Probability of the misfit below which the model does not fit the measurement."""
-BOUND_DISTANCE = 0.01
-"""Distance of a coordinate from a bound below which a value lies at it."""
-MAX_NONLINEARITY = 1.0
-"""Deviation of linear or interpolated reflectances, in units of noise, which is reported."""
-MAX_PRIOR_TENSION = 3.0
-"""Standard deviations between prior and result above which they disagree."""
 
 
 NOISE_GIVEN = "as given"
@@ -82,7 +73,7 @@ class RetrievalResult:
         return [] if text == "none" else text.split("; ")
 
     def __repr__(self) -> str:
-        """Return a line per parameter with its error, the misfit, and the warnings."""
+        """Return a line per parameter with its error, the misfit, fixed values and warnings."""
         quantiles = self.dataset.quantiles
         lines = []
         for name in map(str, quantiles.parameter.values):
@@ -103,44 +94,27 @@ class RetrievalResult:
             f"{attributes['degrees_of_freedom']:.2f} degrees of freedom of signal, "
             f"{attributes['information_bits']:.1f} bits"
         )
+        fixed = [
+            f"{key.removeprefix(FIXED_PREFIX)} {value:.4g}"
+            if isinstance(value, Number)
+            else f"{key.removeprefix(FIXED_PREFIX)} {value}"
+            for key, value in attributes.items()
+            if key.startswith(FIXED_PREFIX)
+        ]
+        lines += [f"fixed: {', '.join(fixed)}"] if fixed else []
         return "\n".join([*lines, *(f"! {line}" for line in self.warnings)])
 
 
-class Solution(NamedTuple):
-    """Solution of a retrieval.
-
-    Attributes
-    ----------
-    estimates : sequence of MAPEstimate
-        Best first.
-    posterior : PosteriorSummary
-    draws : PosteriorDraws
-    variance_inflation : float
-        Factor of all variances that makes the misfit plausible.
-    prior_tension : float, shape (parameters,)
-        Distance of the priors from the result without them, in standard errors.
-    forward_model_error : float, shape (n,)
-        Standard errors of the table, or of simulations, at the best estimate.
-    alternatives : tuple of float, shape (parameters,)
-        Coordinates of alternative solutions.
-    nonlinearity : float
-        Deviation of linear or interpolated reflectances from the model, in units of noise.
-    """
-
-    estimates: Sequence[MAPEstimate]
-    posterior: PosteriorSummary
-    draws: PosteriorDraws
-    variance_inflation: float
-    prior_tension: np.ndarray
-    forward_model_error: np.ndarray
-    alternatives: tuple[np.ndarray, ...] = ()
-    nonlinearity: float = 0.0
-
-
 def make_result(
-    state_vector: StateVector, measurement: Measurement, solution: Solution
+    state_vector: StateVector,
+    measurement: Measurement,
+    solution: Solution,
+    settings: Mapping[str, Any],
 ) -> RetrievalResult:
-    """Return the result of a retrieval as a dataset."""
+    """Return the result of a retrieval as a dataset.
+
+    `settings` are attributes, see `splits.retrieval.settings`.
+    """
     (best, *_), summary, draws, variance_inflation, _, model_error, *_ = solution
     names = list(state_vector.names)
     value, physical = state_vector.to_physical(best.state), state_vector.to_physical(draws.states)
@@ -181,6 +155,7 @@ def make_result(
     }
     attributes: dict[str, Any] = {
         "title": "Retrieval",
+        **settings,
         "rmse": float(np.sqrt(np.mean((best.modelled - measurement.values) ** 2))),
         "noise": NOISE_GIVEN if measurement.noise_known else "found from the misfit",
         "chi2": variance_inflation * best.chi2,
@@ -189,7 +164,7 @@ def make_result(
         "degrees_of_freedom": summary.degrees_of_freedom,
         "information_bits": summary.information_bits,
         "effective_sample_size": draws.n_effective,
-        "warnings": "; ".join(_list_warnings(state_vector, solution, constrained)) or "none",
+        "warnings": "; ".join(list_warnings(state_vector, solution, constrained)) or "none",
         **make_provenance("retrieval"),
     }
     coordinates = _make_coordinates(names, measurement.wavelength_nm)
@@ -209,81 +184,3 @@ def _make_coordinates(names: list[str], wavelength_nm: np.ndarray) -> dict[str, 
         "draw": ("draw", np.arange(N_DRAWS), {"long_name": "draw"}),
         "wavelength": make_wavelength_coordinate(wavelength_nm),
     }
-
-
-def compute_prior_tension(
-    state_vector: StateVector, state: np.ndarray, variance: np.ndarray
-) -> np.ndarray:
-    """Return the distance of the priors from a result without them, in standard errors."""
-    tension: np.ndarray = np.abs(state - state_vector.prior_mean) / np.sqrt(
-        state_vector.prior_sd**2 + variance
-    )
-    return tension
-
-
-def compute_variance_inflation(estimate: MAPEstimate, state_vector: StateVector) -> float:
-    """Return the factor of all variances that makes the misfit plausible."""
-    chi2 = import_optional("scipy.stats", "retrieval", "retrievals need").chi2
-
-    n_dof = max(
-        len(estimate.modelled) - compute_fit_degrees_of_freedom(estimate, state_vector), 1.0
-    )
-    if chi2.sf(estimate.chi2, n_dof) > MIN_MISFIT_PROBABILITY:
-        return 1.0
-    return estimate.chi2 / n_dof
-
-
-def _list_warnings(
-    state_vector: StateVector, solution: Solution, constrained: np.ndarray
-) -> list[str]:
-    """Return the warnings about a result."""
-    estimates, summary, draws, variance_inflation, tension, *_ = solution
-    best, warnings = estimates[0], []
-    if variance_inflation > 1.0:
-        warnings.append(
-            f"the model does not fit the measurement within its noise: errors are multiplied by "
-            f"{np.sqrt(variance_inflation):.3g}, and may still be too small"
-        )
-    unconstrained = [
-        name
-        for name, is_constrained in zip(state_vector.names, constrained, strict=True)
-        if not is_constrained
-    ]
-    if unconstrained:
-        warnings.append(f"not constrained by the measurement: {', '.join(unconstrained)}")
-    for name, tension_sigma in zip(state_vector.names, tension, strict=True):
-        if tension_sigma > MAX_PRIOR_TENSION:
-            warnings.append(
-                f"{name}: prior and measurement are {tension_sigma:.1f} standard deviations apart"
-            )
-    for i, name in enumerate(state_vector.names):
-        low, high = (
-            float(state_vector.to_physical(np.full(len(state_vector.names), x))[i])
-            for x in (0.0, 1.0)
-        )
-        if not (constrained[i] or best.active_bounds[i]):
-            continue
-        if best.state[i] < BOUND_DISTANCE and low != 0.0:
-            warnings.append(f"{name} lies at the low end of its range, {low:g}")
-        if best.state[i] > 1.0 - BOUND_DISTANCE:
-            warnings.append(f"{name} lies at the high end of its range, {high:g}")
-    for alternative in [*(estimate.state for estimate in estimates[1:2]), *solution.alternatives]:
-        tension_sigma = alternative - best.state
-        if tension_sigma @ np.linalg.solve(summary.covariance, tension_sigma) < ALTERNATIVE_CHI2:
-            # Within the errors of the best estimate.
-            continue
-        values = [
-            f"{parameter} {value:.3g}"
-            for parameter, value in zip(
-                state_vector.names, state_vector.to_physical(alternative), strict=True
-            )
-        ]
-        warnings.append(f"an alternative solution fits nearly as well: {', '.join(values)}")
-    if solution.nonlinearity > MAX_NONLINEARITY:
-        warnings.append(
-            "errors are approximate: they use linear or interpolated reflectances, which deviate "
-            f"from those of the model by up to {solution.nonlinearity:.1f} times the noise"
-        )
-    if draws.n_effective < MIN_EFFECTIVE_DRAWS:
-        warnings.append(f"quantiles are imprecise: {draws.n_effective:.0f} effective draws")
-    return warnings

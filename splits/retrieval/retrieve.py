@@ -11,6 +11,7 @@ from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, check_integer, invalid
 from splits.instruments.solver import AUTO
+from splits.media.parameters import INCIDENCE_KEY
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.interpolated_model import MAX_DEVIATION, refine_posterior
 from splits.retrieval.least_squares import retrieve_without_noise
@@ -31,13 +32,13 @@ from splits.retrieval.optimal_estimation import (
 )
 from splits.retrieval.ordinates_model import OrdinatesForwardModel
 from splits.retrieval.posterior import draw_posterior
-from splits.retrieval.result import (
+from splits.retrieval.result import RetrievalResult, make_result
+from splits.retrieval.settings import TABLE_SOLVER, describe_model, describe_parameters
+from splits.retrieval.solution import (
     MAX_PRIOR_TENSION,
-    RetrievalResult,
     Solution,
     compute_prior_tension,
     compute_variance_inflation,
-    make_result,
 )
 from splits.retrieval.state_vector import StateVector
 from splits.tables.table import Table
@@ -85,12 +86,13 @@ def retrieve(
         covariance of errors is estimated from the misfit, including its correlation between
         neighbouring values.
     fixed : mapping
-        Values of the other axes, such as ``incidence_deg``, the only one for a medium.
+        Values of the other axes, such as ``incidence_deg``, the only one for a medium, by default
+        0.
     prior : mapping
         (mean, standard deviation) of prior knowledge, by name.  The prior is normal in the
         coordinate of the parameter, in which reflectance is closest to linear: the logarithm of a
-        size, the square root of an amount.  Without it, the prior is uniform in this coordinate
-        over the range.
+        size, the square root of an amount, the cosine of an angle.  Without it, the prior is
+        uniform in this coordinate over the range.
     bands : mapping or str
         Bands of the sensor, as for `splits.albedo`.
     quantity : str
@@ -114,7 +116,8 @@ def retrieve(
         and ``value_stderr``, ``mean``, ``constrained``, ``quantiles`` over ``quantile``; the
         ``averaging_kernel`` and the ``correlation``; ``draws``; ``measured`` and ``fitted`` over
         ``wavelength``, with errors.  Attributes: ``rmse``, ``chi2`` and what to expect of it,
-        ``degrees_of_freedom`` of signal, ``information_bits``, ``warnings``.
+        ``degrees_of_freedom`` of signal, ``information_bits``, ``warnings``; and the settings:
+        ``solver``, ``medium``, ``seed``, and ``free_…``, ``fixed_…`` and ``prior_…`` by parameter.
 
     Raises
     ------
@@ -155,7 +158,11 @@ def retrieve(
             solution, measurement = retrieve_without_noise(forward_model, measurement, seed)
         else:
             solution = _solve(forward_model, measurement, seed)
-        return make_result(state_vector, measurement, solution)
+        settings = describe_model(model, TABLE_SOLVER) | {"quantity": quantity}
+        settings |= describe_parameters(
+            state_vector, forward_model.list_fixed_values(), prior, seed
+        )
+        return make_result(state_vector, measurement, solution, settings)
     if isinstance(model, str | Mapping) or not hasattr(model, "kind"):
         type_name = type(model).__name__
         hint = "splits.Table(splits.build_table(…)), open_table, or a snow, sand, layer or stack"
@@ -171,7 +178,10 @@ def retrieve(
         solution, measurement = retrieve_without_noise(medium_model, measurement, seed)
     else:
         solution = _solve_from_medium(medium_model, measurement, seed)
-    return make_result(state_vector, measurement, solution)
+    fixed_values = {} if INCIDENCE_KEY in state_vector.names else {INCIDENCE_KEY: incidence}
+    settings = describe_model(model, medium_model.solver)
+    settings |= describe_parameters(state_vector, fixed_values, prior, seed)
+    return make_result(state_vector, measurement, solution, settings)
 
 
 def _solve_from_medium(model: MediumForwardModel, measurement: Measurement, seed: int) -> Solution:
@@ -188,14 +198,17 @@ def _solve_from_medium(model: MediumForwardModel, measurement: Measurement, seed
         noise,
     )
     solution = solution._replace(nonlinearity=nonlinearity)
-    if nonlinearity > MAX_DEVIATION and isinstance(model, OrdinatesForwardModel):
+    alternatives = converged.find_alternatives(ALTERNATIVE_CHI2)
+    is_linear = nonlinearity <= MAX_DEVIATION and not alternatives
+    if isinstance(model, OrdinatesForwardModel) and not is_linear:
         solution = refine_posterior(
             model.evaluate_state,
             linear_model,
             solution,
             lambda interpolated: _solve(interpolated, measurement, seed),
+            alternatives,
         )
-    return solution._replace(alternatives=converged.find_alternatives(ALTERNATIVE_CHI2))
+    return solution._replace(alternatives=alternatives)
 
 
 def _solve(

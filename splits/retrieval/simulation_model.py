@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from splits.core.progress import ProgressCallback
+from splits.instruments.solver import MONTE_CARLO
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.media.medium import Medium
 from splits.retrieval.linearization import is_jacobian_noisy
@@ -40,6 +41,8 @@ class SimulationForwardModel(MediumForwardModel):
         Final standard error; by default `NOISE_FRACTION` of the smallest noise.
     progress : callable, optional
     """
+
+    solver = MONTE_CARLO
 
     def __init__(
         self, medium: Medium, measurement: Measurement, state_vector: StateVector,

@@ -19,9 +19,9 @@ MAX_DATASET_VALUES = 10_000_000
 times their memory."""
 
 
-def check_wavelengths(wavelength_nm: Any) -> np.ndarray:
+def check_wavelengths(wavelength_nm: Any, key: str = "wavelength_nm") -> np.ndarray:
     """Return wavelengths (nm) as a strictly increasing array, after checking their range."""
-    values = as_1d_array("wavelength_nm", wavelength_nm, "numbers in nanometres")
+    values = as_1d_array(key, wavelength_nm, "numbers in nanometres")
     low, high = WAVELENGTH_RANGE_NM
     values = snap_to_limits(values, low, high)
     outside = values[(values < low) | (values > high)]
@@ -29,8 +29,8 @@ def check_wavelengths(wavelength_nm: Any) -> np.ndarray:
         first = float(outside[0])
         in_micrometres = low <= 1e3 * first <= high and first < low
         hint = f"in micrometres? write {1e3 * first:g}" if in_micrometres else ""
-        check_range("wavelength_nm", first, low, high, "nm", hint=hint)
-    return check_increasing("wavelength_nm", values)
+        check_range(key, first, low, high, "nm", hint=hint)
+    return check_increasing(key, values)
 
 
 def check_incidence(incidence_deg: Any) -> float | str:

@@ -101,7 +101,7 @@ def check_jacobian(medium: Medium, incidence: float | str, jacobian: Any) -> tup
         if names.count(name) > 1:
             raise invalid("jacobian", name, "named once")
         if name != INCIDENCE_KEY:
-            value = get_parameter(medium, name)
+            value = get_parameter(medium, name, [INCIDENCE_KEY])
             if not math.isfinite(value):
                 raise invalid("jacobian", name, "of a finite value", f"here it is {value:g}")
         elif isinstance(incidence, str):

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 from chi2 import judge_z
+from scipy.interpolate import RegularGridInterpolator
 
 import splits
 from splits.core.validation import InvalidValue
@@ -79,6 +82,50 @@ def test_true_values_are_retrieved(name):
         value = float(result.dataset.value.sel(parameter=key))
         allowed = 2.5 if arguments["noise"] is None else 0.6 if name == "prior" else 0.1
         assert abs(value - truth) < allowed * result.stderr[key], key
+
+
+@pytest.mark.parametrize("noise", [0.01, None])
+@pytest.mark.parametrize("size", [300.0, 800.0])
+def test_exact_spectra_are_retrieved(size, noise):
+    """A residual of 0 ends the descent."""
+    w = np.arange(400.0, 1400.0, 50.0)
+    measured = w, solve(make_snow(size), 0.0, w)
+    result = splits.retrieve(measured, make_snow(100.0), {SIZE: (50, 1500)}, noise)
+    assert result.values[SIZE] == pytest.approx(size, rel=2e-3)
+    assert result.dataset.attrs["rmse"] < 1e-6
+
+
+@pytest.mark.long
+def test_draws_cover_two_optima():
+    """The probability of high angles, where angle and size compensate, from the exact model.
+
+    A low angle and the highest one explain these spectra almost equally.  The exact model is
+    interpolated from a grid, with a small error of the probability.
+    """
+    w, random = np.arange(400.0, 1401.0, 100.0), np.random.default_rng(11)
+    snow, ranges = make_snow(100.0), {SIZE: (50, 1500), SOOT: (0, 500), "incidence_deg": (0, 80)}
+    truth = solve(make_snow(300.0, 100.0), 40.0, w)
+    model = make_model(snow, ranges, 0.0, measured=truth, w=w)
+    axes = [np.linspace(*ends) for ends in ((0.3, 0.999, 13), (0.2, 0.75, 9), (0.001, 0.999, 13))]
+    exact = [model.evaluate(np.array(state), LAST_STAGE) for state in product(*axes)]
+    interpolate = RegularGridInterpolator(
+        axes, np.reshape(exact, (*map(len, axes), w.size)), method="cubic"
+    )
+    states = np.stack(np.meshgrid(*(np.linspace(a[0], a[-1], 70) for a in axes)), -1).reshape(-1, 3)
+    modelled = interpolate(states)
+    is_high = model.state_vector.to_physical(states)[:, 2] > 60.0
+    z = []
+    for seed in range(1, 7):
+        measured = truth + 0.01 * random.standard_normal(w.size)
+        result = splits.retrieve((w, measured), snow, ranges, 0.01, seed=seed)
+        misfit = 1e4 * ((modelled - measured) ** 2).sum(axis=1)
+        weights = np.exp(-0.5 * (misfit - misfit.min()))
+        expected = weights[is_high].sum() / weights.sum()
+        found = (result.dataset.draws.sel(parameter="incidence_deg").values > 60.0).mean()
+        n_draws = result.dataset.attrs["effective_sample_size"]
+        z.append((found - expected) / np.hypot(np.sqrt(expected * (1 - expected) / n_draws), 0.01))
+        assert not any("do not cover" in line for line in result.warnings)
+    judge_z(z, bound_added=True)
 
 
 @pytest.mark.parametrize("name", ["dry", "wet"])

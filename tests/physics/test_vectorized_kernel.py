@@ -70,7 +70,7 @@ def trace_spectrum(medium, incidence, wavelengths, kernel, seed, rays=RAYS):
     seconds = time.perf_counter() - start
     assert tally.kernel == kernel
     assert (tally.count_rays() == -(-rays // RAYS_PER_CHUNK) * RAYS_PER_CHUNK).all()
-    error = np.sqrt(tally.compute_variances()[:2] / tally.count_rays())
+    error = np.sqrt(tally.compute_variances()[:2])
     return tally.compute_means()[:2], error, seconds
 
 

@@ -92,7 +92,10 @@ def test_season_is_resumed_and_only_changed_blocks_are_simulated(project):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (SEASON.replace("season.csv", "none.csv"), r"medium\.file = '.*none\.csv': .*exists"),
+        (SEASON.replace("season.csv", "none.csv"),
+         r"medium\.file = '.*none\.csv': .*exists \(looked in"),
+        (SEASON.replace("0.3", "camborthid"),
+         r"line 3: instrument\.wavelength_nm = 1200.*\[400, 1000\] nm, the range of ground camb"),
         (SEASON.replace("season.csv", "season.txt"), r"medium\.file = '.*season\.txt': .*\.csv"),
         (SEASON.replace("file:", "path:"), r"medium\.path"),
         (SEASON.replace("0.3", "1.5"), r"medium\.ground = 1\.5"),

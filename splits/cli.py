@@ -6,7 +6,7 @@ import argparse
 import os
 import shlex
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -148,9 +148,9 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
     )
     sections = (experiment.figure, experiment.retrieve, experiment.fit)
     names = [section.measured for section in sections if section and section.measured]
-    tables = [expand_path(table) for table in experiment.list_table_paths()]
-    inputs = [arguments.file, *tables, *(measured / name for name in names)]
-    _check_targets(experiment, inputs, arguments.output)
+    inputs = [arguments.file, *(measured / name for name in names)]
+    targets = [arguments.output / Path(path).name for path in experiment.list_product_paths()]
+    experiment.check_targets(targets, inputs, "set name or --output")
     target = arguments.output / f"{experiment.name}.nc"
     check_writable(target)
     max_stderr, relative_stderr = ACCURACY_PRESETS[arguments.accuracy]
@@ -176,17 +176,6 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
         figure = draw(load(target), experiment.resolve_figure(), *measured_spectra)
         save_figure(figure, target.with_suffix(""))
         _print_line(target.with_suffix(".png"))
-
-
-def _check_targets(experiment: ExperimentConfig, inputs: Iterable[Path], folder: Path) -> None:
-    """Reject results in a folder that would replace an input of their experiment."""
-    from splits.core.validation import invalid
-
-    targets = [folder / Path(product).name for product in experiment.list_product_paths()]
-    for one in filter(Path.exists, inputs):
-        if any(target.exists() and target.samefile(one) for target in targets):
-            allowed = f"another name: the result would replace the input {one}"
-            raise invalid("name", experiment.name, allowed, "set name or --output")
 
 
 def _write_fitted_parameters(path: Path) -> None:

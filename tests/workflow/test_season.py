@@ -89,6 +89,17 @@ def test_season_is_resumed_and_only_changed_blocks_are_simulated(project):
     assert "Nothing to be done" in project.snakemake("season", "--cores", 1).text
 
 
+@pytest.mark.slow
+@pytest.mark.long
+def test_a_result_that_would_replace_its_input_is_rejected(project):
+    path = project.folder / "results/tiny/data/season.nc"
+    path.parent.mkdir(parents=True)
+    splits.save(splits.SnowPacks(make_rows()).dataset, path)
+    project.put("season", SEASON.replace("season.csv", "results/tiny/data/season.nc"))
+    run = project.snakemake("season", "-n")
+    assert run.code and "'season': must be another name: the result would replace" in run.text
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

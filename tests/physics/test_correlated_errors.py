@@ -81,7 +81,9 @@ def test_errors_of_combined_wavelengths_agree_with_scatter():
         wavelengths = NARROW if isinstance(medium, splits.Sand) else WIDE
         runs = [
             combine_wavelengths(
-                splits.spectrophotometer(medium, wavelengths, max_stderr=0.01, seed=seed)
+                splits.spectrophotometer(
+                    medium, wavelengths, max_stderr=0.01, seed=seed, solver="monte_carlo"
+                )
             )
             for seed in SEEDS
         ]

@@ -146,6 +146,11 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
     measured_spectra = (
         [read_spectra(measured / figure_measured, "figure.measured")] if figure_measured else []
     )
+    sections = (experiment.figure, experiment.retrieve, experiment.fit)
+    names = [section.measured for section in sections if section and section.measured]
+    inputs = [arguments.file, *(measured / name for name in names)]
+    targets = [arguments.output / Path(path).name for path in experiment.list_product_paths()]
+    experiment.check_targets(targets, inputs, "set name or --output")
     target = arguments.output / f"{experiment.name}.nc"
     check_writable(target)
     max_stderr, relative_stderr = ACCURACY_PRESETS[arguments.accuracy]

@@ -24,6 +24,7 @@ from _numbers.formatting import (
     select_point,
     select_row_count,
 )
+from _numbers.ordinates_values import ORDINATES_NUMBERS
 from _numbers.retrieval_values import RETRIEVAL_NUMBERS
 from _numbers.time_values import TIMING_NUMBERS
 from splits.analysis.directions import select_principal_plane
@@ -351,6 +352,7 @@ QUOTED_NUMBERS = {
     **COLOUR_NUMBERS,
     **TIMING_NUMBERS,
     **RETRIEVAL_NUMBERS,
+    **ORDINATES_NUMBERS,
     "draws": QuotedNumber(CODE_SOURCE, lambda _: (MAX_REJECTIONS, None, ""), "power"),
 }
 """All numbers of documents, by key."""

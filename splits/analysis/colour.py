@@ -112,9 +112,10 @@ def make_colour_table(dataset: xr.Dataset) -> pd.DataFrame:
     """Return the colour of every point of a grid.
 
     Errors of L*, a*, b* are propagated linearly from the spectrum, with the correlations of
-    `splits.core.uncertainty`.  The bound on the error of interpolation between refractive indices
-    is not random and is stated separately: a* and b* are differences along the spectrum, for which
-    it may exceed the scatter.
+    `splits.core.uncertainty.compute_error_parts`.  A bound on the error that is not random is
+    stated separately: a* and b* are differences along the spectrum, for which it may exceed the
+    scatter.  For paths, this is the error of interpolation between refractive indices.  For
+    discrete ordinates, and without ``reflectance_batches``, it is the whole error.
 
     Parameters
     ----------
@@ -125,8 +126,8 @@ def make_colour_table(dataset: xr.Dataset) -> pd.DataFrame:
     -------
     pandas.DataFrame
         A row per point: the grid's labels, X, Y, Z; L, a, b with ``_stderr``, the scatter between
-        runs with other seeds, and ``_interpolation_bound``, a bound on what interpolation adds;
-        red, green, blue and ``srgb`` as hexadecimal code.
+        runs with other seeds, and ``_error_bound``, a bound on the rest of the error; red, green,
+        blue and ``srgb`` as hexadecimal code.
     """
     dims = [str(dim) for dim in dataset.reflectance.dims if dim != "wavelength"]
     rows = []
@@ -139,15 +140,15 @@ def make_colour_table(dataset: xr.Dataset) -> pd.DataFrame:
             {"wavelength": x},
             ("coordinate", "wavelength"),
         )
-        scatter, interpolation_bound = compute_error_parts(point, "reflectance", weights)
+        scatter, bound = compute_error_parts(point, "reflectance", weights)
         code = to_srgb(xyz)
         row = dict(zip(dims, labels, strict=True))
         row |= dict(zip("XYZ", xyz, strict=True))
         for i, (name, value) in enumerate(zip("Lab", to_cielab(xyz), strict=True)):
             row[name] = value
-            row[f"{name}_stderr"], row[f"{name}_interpolation_bound"] = (
+            row[f"{name}_stderr"], row[f"{name}_error_bound"] = (
                 float(scatter[i]),
-                float(interpolation_bound[i]),
+                float(bound[i]),
             )
         row |= dict(zip(("red", "green", "blue"), code, strict=True))
         row["srgb"] = "#" + "".join(f"{round(255 * c):02x}" for c in code)

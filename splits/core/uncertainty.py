@@ -98,21 +98,22 @@ def compute_weighted_error(
     xarray.DataArray
         Both parts added in quadrature, over all other dimensions.
     """
-    statistical, interpolation = compute_error_parts(dataset, quantity, weights)
-    return (statistical**2 + interpolation**2) ** 0.5
+    statistical, bound = compute_error_parts(dataset, quantity, weights)
+    return (statistical**2 + bound**2) ** 0.5
 
 
 def compute_error_parts(
     dataset: xr.Dataset, quantity: str, weights: xr.DataArray
 ) -> tuple[xr.DataArray, xr.DataArray]:
-    """Return the statistical error of a weighted sum of a spectrum and its interpolation bound.
+    """Return the statistical error of a weighted sum of a spectrum and a bound on the rest.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        With ``…_stderr`` of the quantity over ``wavelength`` and any other dimensions, and with
-        ``…_batches``, also over ``batch``.  If the latter is missing, the statistical error is an
-        upper bound, the sum of errors times absolute weights.
+        With ``…_stderr`` of the quantity over ``wavelength`` and any other dimensions, and
+        possibly with ``…_batches``, also over ``batch``.  A spectrum without batches, or with
+        batches that are 0 as by discrete ordinates, has no known scatter: its statistical error is
+        0, and its bound is the sum of errors times absolute weights, for any correlation.
     quantity : str
         Name of the quantity, such as ``reflectance``.
     weights : xarray.DataArray
@@ -120,16 +121,16 @@ def compute_error_parts(
 
     Returns
     -------
-    statistical, interpolation : xarray.DataArray
-        Standard deviation between runs with different seeds, and bound on the interpolation error
-        between refractive indices, over all other dimensions.  NaN where an error of non-zero
-        weight is unknown.
+    statistical, bound : xarray.DataArray
+        Standard deviation between runs with different seeds, and bound on the rest of the error,
+        such as that of interpolation between refractive indices, over all other dimensions.  NaN
+        where an error of non-zero weight is unknown.
     """
     stderr = dataset[f"{quantity}_stderr"]
     weights = _align_weights(weights, dataset)
+    upper_bound = _sum_weighted(abs(weights), stderr)
     if f"{quantity}_batches" not in dataset:
-        upper_bound = _sum_weighted(abs(weights), stderr)
-        return upper_bound, xr.zeros_like(upper_bound)
+        return xr.zeros_like(upper_bound), upper_bound
     deviations = dataset[f"{quantity}_batches"].astype(float)
     excess_variance = stderr**2 - (deviations**2).sum("batch", skipna=False)
     bound = excess_variance.where(~(excess_variance <= _VARIANCE_ROUNDING * stderr**2), 0.0) ** 0.5
@@ -140,7 +141,8 @@ def compute_error_parts(
         *xr.broadcast(weights, weighted_bound),
         input_core_dims=[["wavelength"]] * 2,
     )
-    return statistical, interpolation
+    has_scatter = (deviations != 0.0).any(["batch", "wavelength"])
+    return statistical, interpolation.where(has_scatter, upper_bound)
 
 
 def compute_difference(

@@ -167,8 +167,9 @@ def _log_result(prefix: str, datasets: Sequence[xr.Dataset], log: LogCallback) -
         for key in STDERR_ATTRIBUTES
         if key in attributes
     ]
-    rays, seconds = attributes["rays"], attributes["wall_time_s"]
-    log(f"{prefix}: done, {rays} rays{''.join(reached)}, {seconds:.1f} s")
+    is_solved = attributes.get("solver") == DISCRETE_ORDINATES
+    effort = "discrete ordinates" if is_solved else f"{attributes['rays']} rays"
+    log(f"{prefix}: done, {effort}{''.join(reached)}, {attributes['wall_time_s']:.1f} s")
     reasons = {
         "solver_error": "the error of discrete ordinates is larger than the requested one",
         "max_rays": f"stopped by max_rays = {attributes.get('max_rays')} before the error was "

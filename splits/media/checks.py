@@ -9,6 +9,7 @@ from typing import Any
 from splits.core.validation import invalid, suggest_name
 from splits.media.medium import GranularMedium, Medium
 from splits.media.particle_layer import ParticleLayer
+from splits.media.snow_packs import SnowPacks
 
 MEDIUM_NAMES: dict[type, tuple[str, ...]] = {
     Medium: ("Snow", "Sand", "Stack", "ParticleLayer"),
@@ -16,6 +17,11 @@ MEDIUM_NAMES: dict[type, tuple[str, ...]] = {
     ParticleLayer: ("ParticleLayer",),
 }
 """Names of the media of each class, for messages."""
+INFINITE_DEPTH_HINT = (
+    "give depth_m; infinite depth is for estimator spectral, albedos and profiles, and with solver "
+    "discrete_ordinates (natural snow, point grains) for BRDFs and HDRFs"
+)
+"""Where a semi-infinite medium is allowed."""
 
 
 def check_medium(
@@ -36,10 +42,12 @@ def check_medium(
         check_thickness(medium)
         is_traceable = not (medium.is_semi_infinite and medium.lowest_layer.has_grains)
         if not (is_traceable or allow_semi_infinite):
-            hint = "give depth_m; estimator spectral, albedos and profiles allow infinite depth"
-            raise invalid("depth_m", math.inf, "finite", hint)
+            raise invalid("depth_m", math.inf, "finite", INFINITE_DEPTH_HINT)
         return
     names = MEDIUM_NAMES[kind]
+    if isinstance(medium, SnowPacks) and kind is Medium:
+        hint = "packs.make_stack(label) returns one of the snowpacks"
+        raise invalid("medium", medium, "one medium", hint)
     kind_name = medium if is_class else getattr(medium, "kind", medium)
     suggestion = suggest_name(medium.__name__ if is_class else str(kind_name).capitalize(), names)
     hint = re.sub(r"mean (\w+)", r"mean splits.\1()", suggestion)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 
 from splits.core.arrays import check_array_range, check_increasing, read_columns
 from splits.core.equality import ContentEquality
@@ -22,6 +23,8 @@ OPEN = "open"
 BLACK = "black"
 TABLE_NAME = "table"
 """Name of a ground given as numeric columns."""
+WAVELENGTH_DIM = "wavelength"
+"""Name of the wavelengths (nm) of arrays with labels."""
 BLACK_OPTICAL_DEPTH = 1e4
 """Optical depth of a reflection from a black ground; exp(−1e4) underflows to 0."""
 _SOILS_FILE = Path(__file__).with_name("soils.csv")
@@ -55,10 +58,11 @@ class Ground(ContentEquality):
 
         Parameters
         ----------
-        value : None, str, number, mapping, path or Ground
+        value : None, str, number, mapping, array, path or Ground
             ``"open"`` or None; ``"black"``; an albedo; a mapping of ``wavelength_nm`` and
-            ``albedo``, lists; the name of a soil, see `load_soils`; or the path of a CSV file with
-            columns ``wavelength_nm, albedo``.
+            ``albedo``, lists; an array of albedos with labels, an `xarray.DataArray` over
+            ``wavelength`` (nm) or a `pandas.Series` whose index has this name; the name of a soil,
+            see `load_soils`; or the path of a CSV file with columns ``wavelength_nm, albedo``.
 
         Raises
         ------
@@ -68,6 +72,9 @@ class Ground(ContentEquality):
         if value is None or isinstance(value, Ground):
             return value
         value = to_columns(value)
+        if is_ground_spectrum(value):
+            labels = value.index if isinstance(value, pd.Series) else value[WAVELENGTH_DIM]
+            value = {"wavelength_nm": labels.to_numpy(), "albedo": value.to_numpy()}
         if isinstance(value, Path) or (isinstance(value, str) and value.endswith(".csv")):
             return _load_ground(Path(value))
         if isinstance(value, str):
@@ -79,6 +86,9 @@ class Ground(ContentEquality):
             return _make_tabulated_ground(
                 TABLE_NAME, "given by the user", value["wavelength_nm"], value["albedo"]
             )
+        if np.ndim(value):
+            hint = 'a spectrum is {"wavelength_nm": [...], "albedo": [...]}'
+            raise invalid("ground", value, _ALLOWED_INPUT, hint)
         albedo = check_range("ground", check_number("ground", value, _ALLOWED_INPUT), 0.0, 1.0)
         return Ground(f"albedo {albedo!r}", "given by the user", np.array([albedo]))
 
@@ -115,6 +125,14 @@ class Ground(ContentEquality):
         albedo = self.albedo(wavelength_nm)
         is_black = albedo <= np.exp(-BLACK_OPTICAL_DEPTH)
         return np.where(is_black, BLACK_OPTICAL_DEPTH, -np.log(np.where(is_black, 1.0, albedo)))
+
+
+def is_ground_spectrum(value: Any) -> bool:
+    """Return whether a user's input is an array of albedos over labelled wavelengths."""
+    if isinstance(value, pd.Series):
+        return value.index.name == WAVELENGTH_DIM
+    is_array = isinstance(value, xr.DataArray)
+    return is_array and value.dims == (WAVELENGTH_DIM,) and WAVELENGTH_DIM in value.coords
 
 
 def describe_ground(ground: Ground | None) -> dict[str, Any]:

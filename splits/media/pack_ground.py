@@ -23,10 +23,9 @@ from splits.core.arrays import (
 )
 from splits.core.validation import invalid
 from splits.materials.refractive_index import check_wavelength_range
-from splits.media.ground import OPEN, TABLE_NAME, Ground
+from splits.media.ground import OPEN, TABLE_NAME, WAVELENGTH_DIM, Ground, is_ground_spectrum
 
 GROUND_KEY = "ground_albedo"
-WAVELENGTH_DIM = "wavelength"
 GROUND_ATTRIBUTE = "ground"
 _TABLE_ATTRIBUTES = ("ground_wavelength_nm", "ground_values")
 
@@ -60,6 +59,8 @@ class PackGround(NamedTuple):
         labels : pandas.Index
             Labels of the snowpacks.
         """
+        if is_ground_spectrum(value):
+            return cls(Ground.from_input(value))
         if isinstance(value, xr.DataArray) and value.ndim:
             return cls._from_array(value, label, labels)
         is_row = isinstance(value, np.ndarray | pd.Series | Sequence) and not isinstance(value, str)
@@ -73,9 +74,9 @@ class PackGround(NamedTuple):
 
     @classmethod
     def _from_array(cls, value: xr.DataArray, label: str, labels: pd.Index) -> PackGround:
-        """Return the ground of an array over the label, over wavelength, or over both."""
-        if not set(value.dims) <= {label, WAVELENGTH_DIM}:
-            allowed = f"among {label}, {WAVELENGTH_DIM}"
+        """Return the ground of an array over the label, or over the label and wavelength."""
+        if not {label} <= set(value.dims) <= {label, WAVELENGTH_DIM}:
+            allowed = f"{label}, or {label} and {WAVELENGTH_DIM}, with coordinates"
             raise invalid(f"{GROUND_KEY} dimensions", value.dims, allowed)
         wavelength_nm = None
         if WAVELENGTH_DIM in value.dims:
@@ -84,10 +85,7 @@ class PackGround(NamedTuple):
                 raise invalid(f"{GROUND_KEY}.{WAVELENGTH_DIM}", "left out or short", allowed)
             wavelength_nm = as_1d_array(WAVELENGTH_DIM, value[WAVELENGTH_DIM], "numbers (nm)")
             check_increasing(f"{GROUND_KEY}.{WAVELENGTH_DIM}", wavelength_nm)
-        value = value.transpose(label, ..., missing_dims="ignore")
-        if label not in value.dims:
-            numbers = as_float_array(GROUND_KEY, value, allow_gaps=True)
-            return cls(None, np.tile(numbers, (labels.size, 1)), wavelength_nm)
+        value = value.transpose(label, ...)
         value = value[match_labels(GROUND_KEY, find_labels(value), [labels.tolist()])]
         if value.sizes[label] != labels.size:
             raise invalid(GROUND_KEY, f"{value.sizes[label]} albedos", f"{labels.size} of them")

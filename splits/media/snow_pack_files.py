@@ -50,7 +50,7 @@ def read_snow_packs(
         raise invalid("file", file, f"a file with one of {', '.join(PACK_SUFFIXES)}")
     for one in files:
         if not one.is_file():
-            raise invalid("file", str(one), "a file that exists")
+            raise invalid("file", str(one), "a file that exists", f"looked in {Path.cwd()}")
     if are_caaml:
         packs = read_caaml(files)
     else:

@@ -66,7 +66,7 @@ class SnowPacks:
         column ``time``.
     ground : number, str, mapping, path or array_like, optional
         Ground below all snowpacks, as for `splits.Stack`; or an albedo for each: a sequence, or an
-        array over the label, ``wavelength`` or both.  It replaces that of the data.
+        array over the label, or over the label and ``wavelength``.  It replaces that of the data.
 
     Attributes
     ----------

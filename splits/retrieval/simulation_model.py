@@ -8,6 +8,7 @@ import numpy as np
 
 from splits.core.progress import ProgressCallback
 from splits.instruments.solver import MONTE_CARLO
+from splits.instruments.solver import MONTE_CARLO
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.media.medium import Medium
 from splits.retrieval.linearization import is_jacobian_noisy
@@ -69,8 +70,8 @@ class SimulationForwardModel(MediumForwardModel):
         """Return a simulation at a state with derivatives by some parameters, and the scale."""
         medium, incidence, scale = self.make_inputs(state)
         spectrum = spectrophotometer(
-            medium, self.wavelengths, incidence, max_stderr, seed, jacobian=names,
-            progress=self._progress.track_run(max_stderr, count_runs(len(names))),
+            medium, self.wavelengths, incidence, max_stderr, seed, solver=MONTE_CARLO,
+            jacobian=names, progress=self._progress.track_run(max_stderr, count_runs(len(names))),
         )  # fmt: skip
         return spectrum, scale
 

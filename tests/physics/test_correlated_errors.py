@@ -63,9 +63,7 @@ def combine_wavelengths(run):
         quantities[name] = (values[name], *map(float, parts))
     table = make_colour_table(run.sel(wavelength=slice(400.0, 780.0))).iloc[0]
     for axis in "Lab":
-        quantities[f"{axis}*"] = tuple(
-            table[axis + end] for end in ("", "_stderr", "_interpolation_bound")
-        )
+        quantities[f"{axis}*"] = tuple(table[axis + end] for end in ("", "_stderr", "_error_bound"))
     return quantities
 
 

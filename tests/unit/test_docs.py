@@ -23,6 +23,8 @@ from splits.experiments.config.retrieve import NoiseSection, PriorFromSample, Re
 from splits.experiments.config.sections import FitSection
 from splits.experiments.config.settings import ArchiveAuthor, Settings
 from splits.experiments.studies import STUDY_KINDS
+from splits.instruments.pack_run import RESULT_FLAGS
+from splits.simulation.stopping_rule import STOP_REASONS
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -76,6 +78,15 @@ def test_every_key_of_a_study_is_described(study):
     assert study.__doc__ and study.MESSAGE
     shown = [one for one in study.PRODUCTS.values() if one.folder != "data"]
     assert all(one.title and one.caption for one in shown)
+
+
+def test_reasons_of_stopping_and_flags_of_snowpacks_are_listed_in_their_order():
+    page = (DOCS / "reference/datasets.md").read_text(encoding="utf-8")
+    rows = page.partition("| `stop_reason` | meaning |")[2].partition("\n\n")[0]
+    assert tuple(re.findall(r"^\| `(\w+)`", rows, re.MULTILINE)) == STOP_REASONS
+    page = (DOCS / "how-to/season-of-snow.md").read_text(encoding="utf-8")
+    flags = re.findall(r"^\| (\d) \| `(\w+)`", page, re.MULTILINE)
+    assert {name: int(number) for number, name in flags} == RESULT_FLAGS
 
 
 def test_documented_limits_and_defaults_match_the_models():

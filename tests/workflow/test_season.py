@@ -89,10 +89,24 @@ def test_season_is_resumed_and_only_changed_blocks_are_simulated(project):
     assert "Nothing to be done" in project.snakemake("season", "--cores", 1).text
 
 
+@pytest.mark.slow
+@pytest.mark.long
+def test_a_result_that_would_replace_its_input_is_rejected(project):
+    path = project.folder / "results/tiny/data/season.nc"
+    path.parent.mkdir(parents=True)
+    splits.save(splits.SnowPacks(make_rows()).dataset, path)
+    project.put("season", SEASON.replace("season.csv", "results/tiny/data/season.nc"))
+    run = project.snakemake("season", "-n")
+    assert run.code and "'season': must be another name: the result would replace" in run.text
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (SEASON.replace("season.csv", "none.csv"), r"medium\.file = '.*none\.csv': .*exists"),
+        (SEASON.replace("season.csv", "none.csv"),
+         r"medium\.file = '.*none\.csv': .*exists \(looked in"),
+        (SEASON.replace("0.3", "camborthid"),
+         r"line 3: instrument\.wavelength_nm = 1200.*\[400, 1000\] nm, the range of ground camb"),
         (SEASON.replace("season.csv", "season.txt"), r"medium\.file = '.*season\.txt': .*\.csv"),
         (SEASON.replace("file:", "path:"), r"medium\.path"),
         (SEASON.replace("0.3", "1.5"), r"medium\.ground = 1\.5"),

@@ -69,6 +69,14 @@ def list_products(names):
     ]
 
 
+# Snakemake would take the input of such an experiment for its result.
+for NAME, EXPERIMENT in EXPERIMENTS.items() if workflow.is_main_process else ():
+    try:
+        EXPERIMENT.check_targets(list_products([NAME]), [])
+    except ValueError as error:
+        raise WorkflowError(str(error)) from None
+
+
 def list_study_products(experiments, groups):
     """Return the products of the studies of these groups, over these experiments only."""
     chosen = {name: EXPERIMENTS[name] for name in experiments}

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
+from splits.core.paths import expand_path
 from splits.core.validation import invalid
 from splits.experiments.config.figure import FigureSection, check_figure, resolve_figure
 from splits.experiments.config.reproduces import ReproducesSection
@@ -81,6 +84,28 @@ class ExperimentConfig(SimulationConfig):
             *([f"tables/{self.name}_parameters.csv"] if self.fit else []),
             *([f"tables/{self.name}_retrieved.csv"] if self.retrieve else []),
         ]
+
+    def check_targets(
+        self, targets: Iterable[str | Path], inputs: Iterable[str | Path], hint: str = "set name"
+    ) -> None:
+        """Reject files of results that are a table of the medium, or another input.
+
+        Parameters
+        ----------
+        targets, inputs : iterable of path
+            They need not exist.
+        hint : str
+
+        Raises
+        ------
+        ValueError
+            For a result that would replace an input.
+        """
+        written = [path for path in map(Path, targets) if path.exists()]
+        for one in map(expand_path, (*self.list_table_paths(), *inputs)):
+            if one.exists() and any(path.samefile(one) for path in written):
+                allowed = f"another name: the result would replace the input {one}"
+                raise invalid("name", self.name, allowed, hint)
 
     def resolve_figure(self) -> dict[str, Any]:
         """Return the section `figure` for `splits.plotting.draw`, with its kind resolved.

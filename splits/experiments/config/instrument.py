@@ -13,6 +13,7 @@ from splits.core.validation import check_choice, invalid
 from splits.experiments.config.grid import make_even_spacing
 from splits.experiments.config.sections import FiniteSection
 from splits.instruments.pack_run import SUN
+from splits.media.checks import INFINITE_DEPTH_HINT
 from splits.media.medium import Medium
 from splits.simulation.arguments import check_incidence, check_wavelengths
 
@@ -105,8 +106,7 @@ class Instrument(FiniteSection):
         is_semi_infinite = medium.is_semi_infinite and medium.lowest_layer.has_grains
         is_analog = getattr(self, "estimator", None) == "analog"
         if is_semi_infinite and (is_analog or not self.ALLOWS_SEMI_INFINITE):
-            hint = "semi-infinite media require the spectrophotometer and its estimator spectral"
-            raise invalid("medium.depth_m", math.inf, "finite", hint)
+            raise invalid("medium.depth_m", math.inf, "finite", INFINITE_DEPTH_HINT)
 
     def check_figure(self, kind: str, quantities: Iterable[str]) -> None:
         """Reject a kind of figure, or given quantities, that the instrument does not have."""

@@ -76,5 +76,7 @@ def check_pack_experiment(packs: SnowPacks, instrument: Instrument) -> None:
     if needs_sun and ZENITH_KEY not in packs.dataset:
         raise invalid("medium.file", f"without {ZENITH_KEY}", "with the zenith angles of the sun")
     is_wet = np.any(packs.to_arrays().liquid_water_content > 0.0, axis=1)
+    wavelengths = instrument.get_wavelengths()
     with key_prefix("instrument"):
-        check_pack_wavelengths(instrument.get_wavelengths(), is_wet)
+        check_pack_wavelengths(wavelengths, is_wet)
+        packs.compute_ground_albedo(wavelengths)

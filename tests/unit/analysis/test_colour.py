@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 
+import splits
 from splits.analysis.colour import compute_tristimulus, make_colour_table, to_cielab, to_srgb
 from splits.plotting import draw_swatches
 
@@ -44,10 +46,22 @@ def test_colour_table_lists_every_point_with_errors():
     assert table.medium.tolist() == ["a", "b"]
     assert table.a[1] > 20.0 > abs(table.a[0])
     assert table.red[1] > table.green[1] > 0.0
-    assert (table[["L_stderr", "a_stderr", "b_stderr"]].to_numpy() >= 0.0).all()
+    assert (table[["L_stderr", "a_stderr", "b_stderr"]].to_numpy() == 0.0).all()
     slope = 116.0 / 3.0 * 0.3 ** (-2.0 / 3.0) * 0.01
-    assert table.L_stderr[0] == pytest.approx(slope, rel=0.01)
+    assert table.L_error_bound[0] == pytest.approx(slope, rel=0.01)
     assert table.srgb.str.fullmatch("#[0-9a-f]{6}").all()
+
+
+def test_errors_of_one_snowpack_and_of_many_have_the_same_parts():
+    rows = {"time": [0], "layer": [0], "thickness_m": 1.0, "density_kg_m3": 300.0,
+            "specific_surface_area_m2_kg": 20.0}  # fmt: skip
+    packs = splits.SnowPacks(pd.DataFrame(rows))
+    many = splits.spectrophotometer(packs, WAVELENGTHS, 30)
+    one = splits.spectrophotometer(packs.make_stack(0), WAVELENGTHS, 30)
+    names = [f"{axis}_{part}" for axis in "Lab" for part in ("stderr", "error_bound")]
+    parts = [make_colour_table(dataset)[names].to_numpy() for dataset in (one, many)]
+    np.testing.assert_allclose(*parts, rtol=1e-4)
+    assert (parts[0][0, ::2] == 0.0).all() and (parts[0][0, 1::2] > 0.0).all()
 
 
 def test_incomplete_visible_spectra_are_rejected():

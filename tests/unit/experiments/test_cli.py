@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pandas as pd
 import pytest
 import yaml
 from chi2 import NEEDS_JIT
@@ -66,6 +67,22 @@ def test_invalid_runs_are_reported_in_one_line(tmp_path, capsys, text, options, 
     line = capsys.readouterr().err
     assert line.startswith("splits: ") and message in line and line.count("\n") == 1
     assert not (tmp_path / "made").exists()
+
+
+def test_a_result_does_not_replace_an_input(tmp_path, capsys):
+    rows = {"time": ["2024-02-01"], "layer": [0], "thickness_m": [0.5], "density_kg_m3": [300.0],
+            "specific_surface_area_m2_kg": [20.0]}  # fmt: skip
+    season, file = tmp_path / "season.nc", tmp_path / "season.yaml"
+    splits.save(splits.SnowPacks(pd.DataFrame(rows)).dataset, season)
+    before = season.read_bytes()
+    file.write_text(
+        f"medium: {{kind: snow_packs, file: {season}}}\ninstrument: {{wavelength_nm: [500]}}\n"
+        "figure: {kind: none}\n"
+    )
+    assert cli.main(["run", str(file), "--output", str(tmp_path)]) == 1
+    message = f"'season': must be another name: the result would replace the input {season} (set"
+    assert message in capsys.readouterr().err and season.read_bytes() == before
+    assert cli.main(["run", str(file), "--output", str(tmp_path / "made")]) == 0
 
 
 def test_a_missing_file_is_reported_in_one_line(tmp_path, capsys):

@@ -77,7 +77,10 @@ def test_refusals_name_the_line_and_the_key(tmp_path, text, reason):
 def test_transmitted_directions_of_dry_and_wet_snow_run(tmp_path):
     text = SNOW + DIRECTIONS.replace("polar", "target: btdf, polar") + WATER
     experiment = load_text(tmp_path, text + "figure: {select: {saturation: 0}, quantity: btdf}\n")
-    dataset = run(experiment, Accuracy(max_stderr=0.01, relative_stderr=0.05, max_rays=None))
+    lines: list[str] = []
+    accuracy = Accuracy(max_stderr=0.01, relative_stderr=0.05, max_rays=None)
+    dataset = run(experiment, accuracy, log=lines.append)
+    assert all(": done, discrete ordinates, error 0.0" in line for line in lines)
     assert dataset.attrs["rays"] == 0
     assert (dataset.btdf > 0.0).all() and dataset.btdf.sizes["saturation"] == 2
 
@@ -93,7 +96,7 @@ def test_directions_of_one_grid_have_the_solver_of_each_point(tmp_path):
 
 
 def test_semi_infinite_snow_has_no_brdf_by_paths(tmp_path):
-    with pytest.raises(ConfigError, match=r"medium\.depth_m"):
+    with pytest.raises(ConfigError, match=r"medium\.depth_m.*solver discrete_ordinates"):
         load_text(tmp_path, DEEP + DIRECTIONS, "monte_carlo")
 
 

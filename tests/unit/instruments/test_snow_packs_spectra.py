@@ -195,3 +195,9 @@ def test_invalid_arguments(arguments, message):
     packs = splits.SnowPacks(make_dataset())
     with pytest.raises(ValueError, match=message):
         splits.spectrophotometer(packs, **{"wavelength_nm": WAVELENGTHS, **arguments})
+
+
+@pytest.mark.parametrize("measure", [splits.goniophotometer, splits.beam_spread])
+def test_other_instruments_name_how_to_take_one_snowpack(measure):
+    with pytest.raises(ValueError, match=r"one medium \(packs.make_stack\(label\)"):
+        measure(splits.SnowPacks(make_dataset()), WAVELENGTHS)

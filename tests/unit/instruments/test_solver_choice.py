@@ -36,3 +36,8 @@ def test_discrete_ordinates_by_name_state_the_error_that_they_reach():
     )
     assert spectrum.attrs["max_stderr_reached"] > 1e-6
     assert spectrum.attrs["stop_reason"] == "solver_error"
+
+
+def test_directions_by_paths_suggest_a_finite_depth_or_discrete_ordinates():
+    with pytest.raises(ValueError, match=r"depth_m = inf.*solver discrete_ordinates"):
+        splits.goniophotometer(NATURAL, [500], solver=MONTE_CARLO)

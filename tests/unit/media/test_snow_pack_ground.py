@@ -79,8 +79,13 @@ def test_albedo_over_time_and_wavelength_is_kept_in_files(tmp_path):
 
 def test_albedo_over_wavelength_only():
     albedo = xr.DataArray([0.2, 0.4], {"wavelength": [400.0, 900.0]}, ("wavelength",))
-    computed = make_packs(albedo).compute_ground_albedo(WAVELENGTHS)
-    np.testing.assert_allclose(computed, [[0.24, 0.36]] * 3)
+    for ground in (albedo, albedo.to_series()):
+        computed = make_packs(ground).compute_ground_albedo(WAVELENGTHS)
+        np.testing.assert_allclose(computed, [[0.24, 0.36]] * 3)
+        stack = splits.Stack([splits.Snow(), splits.Snow()], ground=ground)
+        assert stack.ground.albedo(WAVELENGTHS).tolist() == computed[0].tolist()
+    with pytest.raises(ValueError, match=r'a spectrum is \{"wavelength_nm"'):
+        splits.Snow(ground=pd.Series([0.2, 0.4], [400.0, 900.0]))
 
 
 def test_invalid_albedos_become_flags():
@@ -111,10 +116,12 @@ def test_table_of_layers_with_a_column():
         ([0.1, 0.2], r"ground_albedo = .*shape \(2,\)': must be one ground, or 3 albedos"),
         (xr.DataArray([0.1, 0.2], dims="time"), "ground_albedo = '2 albedos': must be 3"),
         (xr.DataArray([0.1, 0.2], dims="site"), "ground_albedo dimensions"),
-        (xr.DataArray([0.1, 0.2], dims="wavelength"), "ground_albedo.wavelength"),
+        (xr.DataArray([0.1, 0.2], dims="wavelength"), "ground_albedo dimensions.*coordinates"),
+        (xr.DataArray([[0.1, 0.2]] * 3, {"time": TIMES}, ("time", "wavelength")),
+         "ground_albedo.wavelength"),
         (1.5, r"ground = 1.5: must be in \[0, 1\]"),
     ],
-)
+)  # fmt: skip
 def test_invalid_structure(ground, message):
     with pytest.raises(ValueError, match=message):
         make_packs(ground)

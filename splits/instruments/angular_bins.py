@@ -107,12 +107,13 @@ class AngularBinTally(AngularTally, ExitTally):
 
     def _compute_bin_means(self, component: int) -> tuple[np.ndarray, np.ndarray]:
         """Return a distribution function and its standard errors, shape (2, rows, directions)."""
-        moments = np.moveaxis(self.bin_sums[component], 2, -1)
+        total, square = np.moveaxis(self.bin_sums[component], 2, -1)
         # Q, U and V of unseen rays are as small as those of seen ones.
         largest = 1.0 if component == 0 else 0.0
         # Shape (2, rows, polar, azimuth), starting at the zenith.
         mean, stderr = (
-            np.moveaxis(one, -1, 1)[:, :, ::-1] for one in self.combine_moments(*moments, largest)
+            np.moveaxis(one, -1, 1)[:, :, ::-1]
+            for one in self.combine_moments(total, square, largest)
         )
         polar, azimuth = self.n_bins
         edges = np.arange(polar + 1) / polar

@@ -8,7 +8,6 @@ import numpy as np
 
 from splits.core.progress import ProgressCallback
 from splits.instruments.solver import MONTE_CARLO
-from splits.instruments.solver import MONTE_CARLO
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.media.medium import Medium
 from splits.retrieval.linearization import is_jacobian_noisy

@@ -15,6 +15,7 @@ import xarray as xr
 
 from splits.analysis.directions import select_principal_plane
 from splits.instruments import goniophotometer, spectrophotometer
+from splits.instruments.solver import MONTE_CARLO
 from splits.materials.library import load_dataset
 from splits.materials.refractive_index import TabulatedIndex
 from splits.media import Interpretation, Snow
@@ -83,7 +84,13 @@ class InterpretationRun:
         wavelengths, table = interleave_waters(np.asarray(wavelength_nm, dtype=float))
         snow = self.make_snow(refractive_index={"water": table}, **settings)
         spectra = spectrophotometer(
-            snow, wavelengths, incidence, error, self.seed + run_number, threads=1
+            snow,
+            wavelengths,
+            incidence,
+            error,
+            self.seed + run_number,
+            solver=MONTE_CARLO,
+            threads=1,
         )
         return [
             spectra.isel(wavelength=slice(water, None, len(WATER_TABLES)))
@@ -105,6 +112,7 @@ class InterpretationRun:
             incidence,
             seed=self.seed + run_number,
             relative_stderr=error,
+            solver=MONTE_CARLO,
             azimuth_deg=[0.0, 180.0],
             polar_deg=np.arange(0.0, 76.0, ANGLE_STEP_DEG),
             threads=1,

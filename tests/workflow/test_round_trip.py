@@ -172,9 +172,11 @@ def finished(make_project, tmp_path_factory):
 def test_cases_cover_all_kinds(finished):
     project, _ = finished
     experiments = [read_experiment(project, name) for name in CASES]
-    assert {experiment.instrument.kind for experiment in experiments} == set(INSTRUMENT_KINDS)
+    # Albedos of snowpacks of a file are in test_season.
+    kinds = {kind: model for kind, model in INSTRUMENT_KINDS.items() if kind != "albedo"}
+    assert {experiment.instrument.kind for experiment in experiments} == set(kinds)
     assert {experiment.resolve_figure()["kind"] for experiment in experiments} >= {
-        model.FIGURES[0] for model in INSTRUMENT_KINDS.values()
+        model.FIGURES[0] for model in kinds.values()
     }
 
 

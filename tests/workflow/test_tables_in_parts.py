@@ -16,7 +16,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.long]
 TABLE = """\
 title: Table
 medium: {kind: natural_snow}
-instrument: {kind: table, wavelength_nm: [500, 1030], parts: 2, quantities: [reflectance]}
+instrument: {kind: table, wavelength_nm: [500, 1030], parts: 2, solver: monte_carlo}
 grid:
   optical_radius_um: {geomspace: [50, 800, 5]}
   incidence_deg: [0, 40, 60]

@@ -160,7 +160,7 @@ def test_nonlinearity_is_measured_in_units_of_noise():
 
 
 INVALID = {
-    "names alone": ({"free": [SIZE]}, r"free = .*\(low, high\) by name"),
+    "names alone": ({"free": [SIZE]}, r"free = .*a mapping of names to \(low, high\)"),
     "no such parameter": ({"free": {"depth": (1, 2)}}, "depth"),
     "no such medium": ({"free": {SIZE: (-5, 100)}}, rf"free\.{SIZE} = -5"),
     "contradictory": ({"free": {SIZE: (100, 50)}}, "low < high"),

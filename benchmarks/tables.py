@@ -86,7 +86,12 @@ def compare_nodes(table: xr.Dataset, grid: dict[str, Any], count: int) -> None:
         node = table.sel(point)
         incidence = point.pop("incidence_deg")
         run = splits.spectrophotometer(
-            make_snow(**point), WAVELENGTHS_NM, incidence, NODE_STDERR, 1000 + int(number)
+            make_snow(**point),
+            WAVELENGTHS_NM,
+            incidence,
+            NODE_STDERR,
+            1000 + int(number),
+            solver="monte_carlo",
         )
         is_compared = node.reflectance.values >= MIN_VALUE * NODE_STDERR
         differences.append((node.reflectance - run.reflectance).values[is_compared])
@@ -215,7 +220,7 @@ def main() -> None:
         # The first runs compile.
         splits.spectrophotometer(
             make_snow(0.0, optical_radius_um=100.0, liquid_water_content=water),
-            [500.0, 1500.0], 10.0, 0.05,
+            [500.0, 1500.0], 10.0, 0.05, solver="monte_carlo",
         )  # fmt: skip
     table, wall_s, cpu_s = time_call(
         lambda: splits.build_table(

@@ -113,6 +113,17 @@ def _make_parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _check_targets(
+    experiment: ExperimentConfig, arguments: argparse.Namespace, measured: Path
+) -> None:
+    """Reject results that would replace an input of their experiment."""
+    sections = (experiment.figure, experiment.retrieve, experiment.fit)
+    names = [section.measured for section in sections if section and section.measured]
+    inputs = [arguments.file, *(measured / name for name in names)]
+    targets = [arguments.output / Path(path).name for path in experiment.list_product_paths()]
+    experiment.check_targets(targets, inputs, "set name or --output")
+
+
 def _run_experiment(arguments: argparse.Namespace) -> None:
     """Run an experiment and write its dataset, figure and tables atomically."""
     import_optional("pydantic", "experiments", "experiment files need")
@@ -146,11 +157,7 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
     measured_spectra = (
         [read_spectra(measured / figure_measured, "figure.measured")] if figure_measured else []
     )
-    sections = (experiment.figure, experiment.retrieve, experiment.fit)
-    names = [section.measured for section in sections if section and section.measured]
-    inputs = [arguments.file, *(measured / name for name in names)]
-    targets = [arguments.output / Path(path).name for path in experiment.list_product_paths()]
-    experiment.check_targets(targets, inputs, "set name or --output")
+    _check_targets(experiment, arguments, measured)
     target = arguments.output / f"{experiment.name}.nc"
     check_writable(target)
     max_stderr, relative_stderr = ACCURACY_PRESETS[arguments.accuracy]

@@ -1,4 +1,4 @@
-"""Reading of snowpacks from a file of any supported format."""
+"""Snowpacks from a file of any supported format."""
 
 from __future__ import annotations
 

@@ -116,7 +116,6 @@ def make_result(
     `settings` are attributes, see `splits.retrieval.settings`.
     """
     (best, *_), summary, draws, variance_inflation, _, model_error, *_ = solution
-    names = list(state_vector.names)
     value, physical = state_vector.to_physical(best.state), state_vector.to_physical(draws.states)
     spread = draws.states.std(axis=0)
     prior_sd = np.sqrt(state_vector.prior_variance)
@@ -167,7 +166,7 @@ def make_result(
         "warnings": "; ".join(list_warnings(state_vector, solution, constrained)) or "none",
         **make_provenance("retrieval"),
     }
-    coordinates = _make_coordinates(names, measurement.wavelength_nm)
+    coordinates = _make_coordinates(list(state_vector.names), measurement.wavelength_nm)
     return RetrievalResult(xr.Dataset(variables, coordinates, to_netcdf_attributes(attributes)))
 
 

@@ -95,7 +95,7 @@ def compare_media(number: int, error: float) -> Iterator[Comparison]:
             )
         )  # fmt: skip
         (layer,) = make_granular_stack(medium, WAVELENGTHS_NM, 2.0 * error).layers
-        bound = layer.compute_packing_bound()
+        bound = layer.compute_extent_bound()
         is_thick = medium.depth_m > THICK_RATIO * medium.largest_grain_m
         depth = "thick" if is_thick else "thin"
         names = ("reflectance", "transmittance")

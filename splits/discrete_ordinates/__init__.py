@@ -4,7 +4,9 @@ Modules, each importing only those above it:
 
 - `streams`: directions of the streams, Legendre functions
 - `integrals`: exponential modes, and their integrals along directions
-- `slab`: reflection and transmission of homogeneous layers
+- `layer_optics`: optics of homogeneous layers
+- `modes`: solutions of the equation of transfer in them
+- `slab`: their reflection and transmission
 - `adding`: layers on top of each other, over a ground
 - `pores`: refraction at the boundaries and interfaces of wet layers
 - `geometry`: directions in air and within layers

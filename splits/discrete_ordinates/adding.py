@@ -5,7 +5,7 @@ in the direction of the beam under isotropic light, and the fraction that a laye
 absorbs is the radiance in that direction from isothermal emission by this layer or by the ground.
 
 Radiances are vectors over the streams of all states, followed by the further directions of all
-states; they are scaled as in `splits.discrete_ordinates.slab`.
+states; they are scaled as in `splits.discrete_ordinates.modes`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.discrete_ordinates.slab import LayerOptics, Slab, join_blocks
+from splits.discrete_ordinates.layer_optics import LayerOptics
+from splits.discrete_ordinates.modes import join_blocks
+from splits.discrete_ordinates.slab import Slab
 from splits.discrete_ordinates.streams import Streams
 
 

@@ -27,7 +27,7 @@ MAX_WATER_DIFFERENCE = 0.005
 MAX_SATURATION = 0.5
 """Largest fraction of wet pores, that of the table of wet grains."""
 DEFAULT_ERROR = 0.002
-PACKING_ERROR_PER_FRACTION = 0.02
+EXTENT_ERROR_PER_FRACTION = 0.02
 """Bound on the error of fluxes due to the extent of grains, over the volume fraction of grains."""
 RECIPROCAL_RULES = {
     "entry_point": "projected",
@@ -87,12 +87,12 @@ def make_granular_stack(
             grains = load_grains(layer, wavelength_nm, choose_rays(max_error), threads)
             if is_wet and layer.wet_fraction == 0.0:
                 grains = grains.add_wet_pores()
-        error = compute_packing_error(layer)
+        error = compute_extent_error(layer)
         grain_layers.append(GranularLayer.from_medium(layer, wavelength_nm, grains, error))
     return GranularStack(grain_layers, albedo)
 
 
-def compute_packing_error(layer: GranularMedium) -> float:
+def compute_extent_error(layer: GranularMedium) -> float:
     """Return the bound on the error of fluxes of a thick layer due to the extent of its grains.
 
     Fluxes follow from single scattering and from the mean distance between grains
@@ -102,7 +102,7 @@ def compute_packing_error(layer: GranularMedium) -> float:
     """
     if layer.interpretation.grain_extent == "point":
         return 0.0
-    return PACKING_ERROR_PER_FRACTION * (1.0 - layer.porosity)
+    return EXTENT_ERROR_PER_FRACTION * (1.0 - layer.porosity)
 
 
 def is_tabulated(medium: Medium) -> bool:

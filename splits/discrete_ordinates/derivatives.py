@@ -36,15 +36,10 @@ from splits.discrete_ordinates.divided_differences import (
     divide_impedances,
 )
 from splits.discrete_ordinates.integrals import compute_impedances
-from splits.discrete_ordinates.levels import (
-    INCIDENT,
-    MEASUREMENT,
-    RISING,
-    LayerMatrices,
-    solve_layers,
-    trace_light,
-)
-from splits.discrete_ordinates.slab import MIN_THICKNESS, LayerOptics, Modes, solve_modes
+from splits.discrete_ordinates.layer_optics import LayerOptics
+from splits.discrete_ordinates.levels import INCIDENT, MEASUREMENT, RISING, trace_light
+from splits.discrete_ordinates.modes import Modes, solve_modes
+from splits.discrete_ordinates.slab import MIN_THICKNESS, LayerMatrices, solve_layers
 from splits.discrete_ordinates.streams import Streams, compute_legendre
 
 BEAM_WEIGHT = 1e-13

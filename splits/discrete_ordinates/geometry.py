@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.discrete_ordinates.adding import Faces
+from splits.discrete_ordinates.layer_optics import LayerOptics
 from splits.discrete_ordinates.pores import make_wet_faces, refract_directions
-from splits.discrete_ordinates.slab import LayerOptics
 from splits.discrete_ordinates.streams import Streams
 
 REFLECTED, TRANSMITTED = range(2)
@@ -69,7 +69,7 @@ class PlaneLayers(NamedTuple):
         Top first, along the first dimension.
     ground : float, shape (...)
         Albedo of the ground; 0 for an open lower boundary.
-    saturations : sequence of float
+    wet_fractions : sequence of float
         Of each layer, above 0; none for layers of one state.
     water_index : float, shape (...), or None
         Refractive index of water, where there are two states.
@@ -77,7 +77,7 @@ class PlaneLayers(NamedTuple):
 
     optics: LayerOptics
     ground: np.ndarray
-    saturations: Sequence[float] = ()
+    wet_fractions: Sequence[float] = ()
     water_index: np.ndarray | None = None
 
     def make_faces(self, streams: Streams, cosines: np.ndarray) -> Faces:
@@ -85,7 +85,7 @@ class PlaneLayers(NamedTuple):
         if self.water_index is None:
             n_layers = self.optics.thickness.shape[0]
             return Faces.make_transparent(n_layers, streams.cosines.size, cosines.size)
-        return make_wet_faces(self.saturations, self.water_index, streams, cosines)
+        return make_wet_faces(self.wet_fractions, self.water_index, streams, cosines)
 
     def refract(self, cosines: np.ndarray) -> np.ndarray:
         """Return the cosines within the layers, shape (..., states, directions)."""

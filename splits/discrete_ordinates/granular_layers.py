@@ -8,13 +8,13 @@ import numpy as np
 
 from splits.discrete_ordinates.grain_table import GrainTable
 from splits.discrete_ordinates.integrals import TINY
+from splits.discrete_ordinates.layer_optics import LayerOptics
 from splits.discrete_ordinates.pores import DRY, WET
-from splits.discrete_ordinates.slab import LayerOptics
 from splits.discrete_ordinates.traced_grains import TracedGrains
 from splits.kernels.base.scene import DRY_PORE, WET_PORE
 from splits.simulation.scene import compute_material_constants
 
-MIN_SATURATION = 1e-9
+MIN_WET_FRACTION = 1e-9
 """Saturation of a dry layer of a wet snowpack, so that its wet pores have a radiance."""
 
 
@@ -27,7 +27,7 @@ class GranularLayer(NamedTuple):
         Thickness (m), 0 for an absent layer.
     collisions_per_m : float, shape (...)
         Collisions with grains per metre of path.
-    saturation : float, shape (...)
+    wet_fraction : float, shape (...)
         Fraction of wet pores.
     contrast : float, shape (wavelengths,)
         Refractive index of the last material of the grains minus 1.
@@ -39,25 +39,25 @@ class GranularLayer(NamedTuple):
         Absorption coefficient (1/m) of dry and of wet pores, per metre of path between grains.
     grains : GrainTable or TracedGrains
         Single scattering; with two states if any layer of the snowpack is wet.
-    packing_error : float
+    extent_error : float
         Bound on the error of fluxes due to the extent of the grains if the layer is thick; 0 for
         point grains.
     """
 
     depth_m: np.ndarray
     collisions_per_m: np.ndarray
-    saturation: np.ndarray
+    wet_fraction: np.ndarray
     contrast: np.ndarray
     water_index: np.ndarray
     grain_absorption: np.ndarray
     pore_absorption: np.ndarray
     grains: GrainTable | TracedGrains
-    packing_error: float = 0.0
+    extent_error: float = 0.0
 
     @classmethod
     def from_medium(
         cls, medium: Any, wavelength_nm: np.ndarray, grains: GrainTable | TracedGrains,
-        packing_error: float = 0.0,
+        extent_error: float = 0.0,
     ) -> GranularLayer:  # fmt: skip
         """Return a layer of grains, with their single scattering, at wavelengths (nm)."""
         index, absorption = compute_material_constants(medium, wavelength_nm)
@@ -70,7 +70,7 @@ class GranularLayer(NamedTuple):
             absorption[:, -1] / medium.attenuation_per_m,
             absorption[:, [DRY_PORE, WET_PORE]],
             grains,
-            packing_error,
+            extent_error,
         )
 
     def select(self, snowpacks: Any, wavelengths: Any) -> GranularLayer:
@@ -78,13 +78,13 @@ class GranularLayer(NamedTuple):
         return GranularLayer(
             self.depth_m[snowpacks],
             self.collisions_per_m[snowpacks],
-            self.saturation[snowpacks],
+            self.wet_fraction[snowpacks],
             self.contrast[wavelengths],
             self.water_index[wavelengths],
             self.grain_absorption[snowpacks][..., wavelengths],
             self.pore_absorption[snowpacks][..., wavelengths, :],
             self.grains.select(wavelengths),
-            self.packing_error,
+            self.extent_error,
         )
 
     def compute_optics(self, orders: int, in_air: bool = False) -> LayerOptics:
@@ -110,9 +110,9 @@ class GranularLayer(NamedTuple):
         depth = depth * self._compute_packing_ratio()
         if n_states == 1:
             return LayerOptics(depth, extinction, rate * moments, np.ones((*shape, 1)))
-        saturation = np.maximum(self.saturation, MIN_SATURATION)[..., np.newaxis]
-        ratio = saturation * self.water_index**2 / (1.0 - saturation) if in_air else None
-        scattering, equilibrium = _balance_states(moments, saturation, ratio)
+        wet_fraction = np.maximum(self.wet_fraction, MIN_WET_FRACTION)[..., np.newaxis]
+        ratio = wet_fraction * self.water_index**2 / (1.0 - wet_fraction) if in_air else None
+        scattering, equilibrium = _balance_states(moments, wet_fraction, ratio)
         return LayerOptics(depth, extinction, rate * scattering, equilibrium)
 
     def compute_air_equilibrium(self) -> np.ndarray:
@@ -126,9 +126,9 @@ class GranularLayer(NamedTuple):
         shape = self.grain_absorption.shape
         if self.grains.n_states == 1:
             return np.ones((*shape, 1))
-        saturation = np.maximum(self.saturation, MIN_SATURATION)[..., np.newaxis]
-        wet = np.broadcast_to(saturation * self.water_index**2, shape)
-        return np.stack([np.broadcast_to(1.0 - saturation, shape), wet], axis=-1)
+        wet_fraction = np.maximum(self.wet_fraction, MIN_WET_FRACTION)[..., np.newaxis]
+        wet = np.broadcast_to(wet_fraction * self.water_index**2, shape)
+        return np.stack([np.broadcast_to(1.0 - wet_fraction, shape), wet], axis=-1)
 
     def use_replicate(self, digest: str, number: int) -> GranularLayer:
         """Return the layer with a replicate of its grains, if they are those of a digest."""
@@ -141,19 +141,19 @@ class GranularLayer(NamedTuple):
         """Return the error of a reflectance, see `splits.discrete_ordinates.granular_stack`."""
         if isinstance(self.grains, GrainTable):
             return self.grains.interpolate_stderr(self.contrast, self.grain_absorption)
-        return np.hypot(self.grains.interpolation_bound, self.compute_packing_bound())
+        return np.hypot(self.grains.interpolation_bound, self.compute_extent_bound())
 
-    def compute_packing_bound(self) -> np.ndarray:
+    def compute_extent_bound(self) -> np.ndarray:
         """Return the bound on the error of fluxes due to the extent of traced grains."""
         if isinstance(self.grains, GrainTable):
             return np.zeros(self.contrast.shape)
-        return self.packing_error + self.grains.compute_thinness_error(self.depth_m)
+        return self.extent_error + self.grains.compute_thinness_error(self.depth_m)
 
     def _compute_packing_ratio(self) -> np.ndarray:
         """Return the optical thickness relative to that of point grains."""
         if isinstance(self.grains, GrainTable):
             return np.ones(1)
-        shares = np.stack([1.0 - self.saturation, self.saturation])
+        shares = np.stack([1.0 - self.wet_fraction, self.wet_fraction])
         return self.grains.compute_packing_ratio(
             self.collisions_per_m + self.pore_absorption @ shares
         )
@@ -165,12 +165,12 @@ class GranularLayer(NamedTuple):
             return table.get_moments(orders)
         n_states = table.moments.shape[2]
         if n_states == 1 or not np.ndim(self.depth_m):
-            saturation = 0.0 if n_states == 1 else float(self.saturation)
-            return table.compute_moments(self.contrast, self.grain_absorption, saturation, orders)
+            wet_fraction = 0.0 if n_states == 1 else float(self.wet_fraction)
+            return table.compute_moments(self.contrast, self.grain_absorption, wet_fraction, orders)
         moments = np.empty((*self.grain_absorption.shape, n_states, n_states, orders))
         for position in np.ndindex(self.depth_m.shape):
             moments[position] = table.compute_moments(
-                self.contrast, self.grain_absorption[position], float(self.saturation[position]),
+                self.contrast, self.grain_absorption[position], float(self.wet_fraction[position]),
                 orders,
             )  # fmt: skip
         return moments
@@ -181,7 +181,7 @@ LAYER_ARRAYS = GranularLayer._fields[:7]
 
 
 def _balance_states(
-    moments: np.ndarray, saturation: np.ndarray, ratio: np.ndarray | None
+    moments: np.ndarray, wet_fraction: np.ndarray, ratio: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the symmetric scattering between dry and wet pores, and their equilibrium.
 
@@ -194,7 +194,7 @@ def _balance_states(
     ----------
     moments : float, shape (..., wavelengths, 2, 2, orders)
         See `GrainTable`.
-    saturation : float, shape (..., 1)
+    wet_fraction : float, shape (..., 1)
     ratio : float, shape (..., wavelengths), optional
         Radiance of wet pores over that of dry ones; by default that of the traced grains.
 
@@ -204,7 +204,7 @@ def _balance_states(
         Divided by the square roots of the radiances of both states in equilibrium; these radiances,
         of which that of dry pores is their fraction.
     """
-    fraction = saturation[..., np.newaxis]
+    fraction = wet_fraction[..., np.newaxis]
     into_wet = fraction * moments[..., DRY, 1, :]
     into_dry = moments[..., WET, 0, :] - fraction * moments[..., WET, 1, :]
     if ratio is None:
@@ -220,5 +220,5 @@ def _balance_states(
     scattering[..., DRY, DRY, :] = moments[..., DRY, 0, :] - into_wet
     scattering[..., WET, WET, :] = moments[..., WET, 0, :] - into_dry
     scattering[..., DRY, WET, :] = scattering[..., WET, DRY, :] = exchange
-    dry = np.broadcast_to(1.0 - saturation, ratio.shape)
+    dry = np.broadcast_to(1.0 - wet_fraction, ratio.shape)
     return scattering, np.stack([dry, dry * ratio], axis=-1)

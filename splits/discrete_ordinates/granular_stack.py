@@ -19,10 +19,11 @@ from splits.discrete_ordinates.adding import (
     make_isotropic,
 )
 from splits.discrete_ordinates.grain_table import GrainTable
-from splits.discrete_ordinates.granular_layers import MIN_SATURATION, GranularLayer
+from splits.discrete_ordinates.granular_layers import MIN_WET_FRACTION, GranularLayer
+from splits.discrete_ordinates.layer_optics import LayerOptics
 from splits.discrete_ordinates.pores import make_wet_faces, refract_directions
 from splits.discrete_ordinates.replicates import compute_replicate_error, list_traced
-from splits.discrete_ordinates.slab import LayerOptics, solve_slab
+from splits.discrete_ordinates.slab import solve_slab
 from splits.discrete_ordinates.streams import Streams
 
 STREAM_NUMBERS = (8, 12, 16, 24, 32, 48, 64)
@@ -175,8 +176,8 @@ class GranularStack(NamedTuple):
         if not self.is_wet:
             n_layers, n_streams = len(self.layers), streams.cosines.size
             return Faces.make_transparent(n_layers, n_streams, cosines.shape[-1])
-        saturations = [max(float(one.saturation), MIN_SATURATION) for one in self.layers]
-        return make_wet_faces(saturations, self.layers[0].water_index, streams, cosines)
+        wet_fractions = [max(float(one.wet_fraction), MIN_WET_FRACTION) for one in self.layers]
+        return make_wet_faces(wet_fractions, self.layers[0].water_index, streams, cosines)
 
 
 class Truncation(NamedTuple):

@@ -3,7 +3,7 @@
 It follows from invariance (Ambartsumian; Chandrasekhar 1950, Radiative Transfer): a thin layer on
 top of a homogeneous slab has the same effect as a thin layer below it.  Let r be the extinction
 along a direction, e^(−rτ) its direct transmission δ, and w and c the scattering within a hemisphere
-and between both, in the scaled form of `splits.discrete_ordinates.slab`.  With the diffuse
+and between both, in the scaled form of `splits.discrete_ordinates.modes`.  With the diffuse
 reflection R and transmission T between directions o and e and the streams,
 
     (r_o + r_e) R_oe = c_oe (1 − δ_o δ_e) + [w R + R w + R c R − (δ + T) c (δ + T)]_oe,
@@ -23,7 +23,9 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.discrete_ordinates.adding import Element, make_isotropic
-from splits.discrete_ordinates.slab import LayerOptics, Slab, compute_scattering, solve_slab
+from splits.discrete_ordinates.layer_optics import LayerOptics
+from splits.discrete_ordinates.modes import compute_scattering
+from splits.discrete_ordinates.slab import Slab, solve_slab
 from splits.discrete_ordinates.streams import Streams
 
 RATE_SHIFT = 1e-3

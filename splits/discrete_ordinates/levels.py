@@ -2,51 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from splits.discrete_ordinates.adding import Element, add_above
-from splits.discrete_ordinates.integrals import compute_impedances
-from splits.discrete_ordinates.slab import Modes
+from splits.discrete_ordinates.slab import LayerMatrices
 from splits.discrete_ordinates.streams import Streams
 
 MEASUREMENT, INCIDENT, RISING = range(3)
 """Light that enters at the top for the measurement, incident light, and light from the ground."""
-
-
-class LayerMatrices(NamedTuple):
-    """Matrices of layers, each of shape (layers, ..., streams, streams).
-
-    Attributes
-    ----------
-    reflection, transmission : float
-    even_inverse, odd_inverse : float
-        (1 + Z)⁻¹ of even and of odd light.
-    """
-
-    reflection: np.ndarray
-    transmission: np.ndarray
-    even_inverse: np.ndarray
-    odd_inverse: np.ndarray
-
-    def get_element(self, layer: int) -> Element:
-        """Return one layer."""
-        reflection, transmission = self.reflection[layer], self.transmission[layer]
-        return Element(reflection, reflection, transmission, transmission, None)
-
-
-def solve_layers(modes: Modes, thickness: np.ndarray) -> LayerMatrices:
-    """Return the matrices of layers, as in `splits.discrete_ordinates.slab.solve_slab`."""
-    even, odd, difference = compute_impedances(modes.rates, thickness)
-    y, y_t = modes.differences, np.swapaxes(modes.differences, -1, -2)
-    unit = np.eye(y.shape[-1])
-    even_inverse, odd_inverse = np.linalg.inv(
-        unit + (y * np.stack([even, odd])[..., np.newaxis, :]) @ y_t
-    )
-    transmission = odd_inverse @ (y * difference[..., np.newaxis, :]) @ (y_t @ even_inverse)
-    matrices = even_inverse + odd_inverse - unit, transmission, even_inverse, odd_inverse
-    return LayerMatrices(*(0.5 * (one + np.swapaxes(one, -1, -2)) for one in matrices))
 
 
 def trace_light(
@@ -54,10 +17,14 @@ def trace_light(
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Return the light that falls and that rises at every level, shape (..., streams, 3).
 
-    The last dimension is `MEASUREMENT`, `INCIDENT` and `RISING`.
+    The matrices have a leading dimension of layers.  The last dimension of the light is
+    `MEASUREMENT`, `INCIDENT` and `RISING`.
     """
-    n_layers, flux = len(layers.reflection), streams.flux_vector
-    elements = [layers.get_element(layer) for layer in range(n_layers)]
+    flux = streams.flux_vector
+    elements = [
+        Element(reflection, reflection, transmission, transmission, None)
+        for reflection, transmission in zip(layers.reflection, layers.transmission, strict=True)
+    ]
     lambertian = ground[..., np.newaxis, np.newaxis] * (2.0 * np.outer(flux, flux))
     below, above = [lambertian], [np.zeros_like(lambertian)]
     rising_passages: list[np.ndarray] = []

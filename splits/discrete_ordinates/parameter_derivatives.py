@@ -19,7 +19,7 @@ from splits.discrete_ordinates.applicability import make_granular_stack
 from splits.discrete_ordinates.derivatives import compute_gradient
 from splits.discrete_ordinates.granular_layers import LAYER_ARRAYS, GranularLayer
 from splits.discrete_ordinates.granular_stack import GranularStack, load_natural_grains
-from splits.discrete_ordinates.slab import LayerOptics
+from splits.discrete_ordinates.layer_optics import LayerOptics
 from splits.discrete_ordinates.streams import Streams
 from splits.media.medium import Medium
 from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter

@@ -1,7 +1,8 @@
 """Boundaries and interfaces of wet layers: reflection and refraction of light in wet pores.
 
 Light in a wet pore is refracted at the boundary of the sample, and at the boundary of a layer with
-another saturation, where a part of the pores is wet on one side only (`splits.media.stack.Stack`).
+another wet fraction, where a part of the pores is wet on one side only
+(`splits.media.stack.Stack`).
 A stream stands for a cell of solid angle: cells are equal to the weights of the streams in the
 projected solid angle y = sin²θ, which refraction multiplies by n².  Reflectances are averages over
 cells, so that fluxes are conserved and total reflection does not depend on the number of streams.
@@ -16,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.discrete_ordinates.adding import Boundary, Element, Faces
-from splits.discrete_ordinates.slab import join_blocks
+from splits.discrete_ordinates.modes import join_blocks
 from splits.discrete_ordinates.streams import Streams
 
 N_SAMPLES = 24
@@ -84,13 +85,13 @@ def refract_directions(cosines: np.ndarray, index: np.ndarray) -> np.ndarray:
 
 
 def make_wet_faces(
-    saturations: Sequence[float], index: np.ndarray, streams: Streams, cosines: np.ndarray
+    wet_fractions: Sequence[float], index: np.ndarray, streams: Streams, cosines: np.ndarray
 ) -> Faces:
-    """Return the interfaces and boundaries of layers of saturations, top first.
+    """Return the interfaces and boundaries of layers of wet fractions, top first.
 
     Parameters
     ----------
-    saturations : sequence of float
+    wet_fractions : sequence of float
         Above 0.
     index : float, shape (...)
         Refractive index of water.
@@ -101,23 +102,23 @@ def make_wet_faces(
     cells = RefractingCells.from_index(index, streams)
     interfaces = [
         None if pair[0] == pair[1] else make_wet_interface(pair, index, cells, cosines)
-        for pair in pairwise(saturations)
+        for pair in pairwise(wet_fractions)
     ]
     top, bottom = (
-        make_wet_boundary(saturation, index, cells, cosines)
-        for saturation in (saturations[0], saturations[-1])
+        make_wet_boundary(wet_fraction, index, cells, cosines)
+        for wet_fraction in (wet_fractions[0], wet_fractions[-1])
     )
     return Faces(interfaces, (top, bottom))
 
 
 def make_wet_boundary(
-    saturation: float, index: np.ndarray, cells: RefractingCells, cosines: np.ndarray
+    wet_fraction: float, index: np.ndarray, cells: RefractingCells, cosines: np.ndarray
 ) -> Boundary:
-    """Return the boundary of a layer of a saturation with the air.
+    """Return the boundary of a layer of a wet fraction with the air.
 
     Parameters
     ----------
-    saturation : float
+    wet_fraction : float
     index : float, shape (...)
         Refractive index of water.
     cells : RefractingCells
@@ -129,17 +130,17 @@ def make_wet_boundary(
     dry_streams = np.ones_like(inner)
     dry = np.ones_like(face)
     transmission = np.concatenate([dry_streams, inner, dry, 1.0 - face], axis=-1)
-    shares = np.concatenate([(1.0 - saturation) * dry, saturation * (1.0 - face)], axis=-1)
+    shares = np.concatenate([(1.0 - wet_fraction) * dry, wet_fraction * (1.0 - face)], axis=-1)
     diffuse = 1.0 - (cells.weights * cells.compute_outer_transmittance()).sum(axis=-1)
-    outer = saturation * np.concatenate([face, diffuse[..., np.newaxis]], axis=-1)
+    outer = wet_fraction * np.concatenate([face, diffuse[..., np.newaxis]], axis=-1)
     return Boundary(1.0 - transmission, transmission, shares, outer)
 
 
 def make_wet_interface(
-    saturations: tuple[float, float], index: np.ndarray, cells: RefractingCells,
+    wet_fractions: tuple[float, float], index: np.ndarray, cells: RefractingCells,
     cosines: np.ndarray,
 ) -> Element:  # fmt: skip
-    """Return the interface of two layers, for the saturations above and below.
+    """Return the interface of two layers, for the wet fractions above and below.
 
     Pores that are wet in the layer of less water are wet in the other, too.  The rest of the wet
     pores of the other layer begins or ends there.  Scaled radiances make both directions symmetric.
@@ -158,7 +159,7 @@ def make_wet_interface(
     )
     n2 = (index**2)[..., np.newaxis, np.newaxis]
     by_streams, by_beams = (
-        _connect_states(saturations, crossing, refraction)
+        _connect_states(wet_fractions, crossing, refraction)
         for crossing, refraction in ((streams, 1.0), (beams, n2))
     )
     above, below, down, up = (
@@ -176,19 +177,19 @@ class _Crossing(NamedTuple):
 
 
 def _connect_states(
-    saturations: tuple[float, float], crossing: _Crossing, refraction: Any
+    wet_fractions: tuple[float, float], crossing: _Crossing, refraction: Any
 ) -> tuple[np.ndarray, ...]:
     """Return the four matrices of an interface, for the streams or for the directions.
 
     Parameters
     ----------
-    saturations : (float, float)
+    wet_fractions : (float, float)
         Above and below.
     crossing : _Crossing
     refraction : float
         Factor of light that enters water, relative to light that leaves it: 1 for fluxes.
     """
-    upper, lower = saturations
+    upper, lower = wet_fractions
     dry, wet, changing = 1.0 - max(upper, lower), min(upper, lower), abs(upper - lower)
     fractions = ((1.0 - upper, upper), (1.0 - lower, lower))
     size = crossing.outer_reflection.shape[-1]

@@ -18,7 +18,7 @@ import numpy as np
 
 from splits.discrete_ordinates.direct_light import DirectLight, scatter_once, trace_direct_light
 from splits.discrete_ordinates.geometry import Geometry, PlaneLayers
-from splits.discrete_ordinates.granular_layers import MIN_SATURATION
+from splits.discrete_ordinates.granular_layers import MIN_WET_FRACTION
 from splits.discrete_ordinates.granular_stack import (
     AIR,
     STREAM_NUMBERS,
@@ -28,9 +28,9 @@ from splits.discrete_ordinates.granular_stack import (
     spread_truncation,
 )
 from splits.discrete_ordinates.integrals import TINY
+from splits.discrete_ordinates.layer_optics import LayerOptics
 from splits.discrete_ordinates.pores import WET
 from splits.discrete_ordinates.radiance import compute_bidirectional, sum_legendre
-from splits.discrete_ordinates.slab import LayerOptics
 from splits.discrete_ordinates.streams import Streams
 from splits.discrete_ordinates.transmittance_error import solve_with_exponent_error
 
@@ -264,5 +264,5 @@ def _stack_layers(snowpack: GranularStack, orders: int) -> PlaneLayers:
         return PlaneLayers(optics, snowpack.ground)
     if orders > 1:
         optics = optics._replace(scattering=extend_forward_peak(optics.scattering))
-    saturations = [max(float(layer.saturation), MIN_SATURATION) for layer in snowpack.layers]
-    return PlaneLayers(optics, snowpack.ground, saturations, snowpack.layers[0].water_index)
+    wet_fractions = [max(float(layer.wet_fraction), MIN_WET_FRACTION) for layer in snowpack.layers]
+    return PlaneLayers(optics, snowpack.ground, wet_fractions, snowpack.layers[0].water_index)

@@ -17,8 +17,8 @@ import numpy as np
 
 from splits.discrete_ordinates.adding import apply_rows, iterate_levels
 from splits.discrete_ordinates.granular_stack import GranularStack, StackElements
+from splits.discrete_ordinates.layer_optics import LayerOptics
 from splits.discrete_ordinates.pores import DRY, WET
-from splits.discrete_ordinates.slab import LayerOptics
 
 
 class StackProfile(NamedTuple):

@@ -33,7 +33,7 @@ class Streams(NamedTuple):
 
     @property
     def flux_vector(self) -> np.ndarray:
-        """Isotropic radiance of 1 in the scaled form of `splits.discrete_ordinates.slab`.
+        """Isotropic radiance of 1 in the scaled form of `splits.discrete_ordinates.modes`.
 
         Twice the product with a scaled radiance is a flux, in units of that of radiance 1.
         """

@@ -79,7 +79,7 @@ def _compute_exponent_error(
     is_wet = snowpack.is_wet
     contrasts = [one.contrast for one in snowpack.layers if isinstance(one.grains, GrainTable)]
     optics = OPTICS_SHARE * find_similarity_error(contrasts[0], is_wet) if contrasts else 0.0
-    extent = np.max([layer.compute_packing_bound() for layer in snowpack.layers], axis=0)
+    extent = np.max([layer.compute_extent_bound() for layer in snowpack.layers], axis=0)
     balance = BALANCE_ERROR if is_wet else 0.0
     error: np.ndarray = np.sqrt(spread**2 + optics**2 + extent**2 + balance**2)
     return error

@@ -99,8 +99,19 @@ def run_table(
     """
     if experiment.has_packs:
         return run_packs(experiment, accuracy, folder, threads, log)
-    start_time = time.perf_counter()
     plan, request = prepare_table(experiment, accuracy, seed, threads)
+    return _make_table(experiment, plan, request, folder, log)
+
+
+def _make_table(
+    experiment: SimulationConfig,
+    plan: TablePlan,
+    request: TableRequest,
+    folder: Path | None,
+    log: LogCallback,
+) -> xr.Dataset:
+    """Return a table, see `run_table`."""
+    start_time = time.perf_counter()
     log(f"{experiment.name}: {plan}")
     arrays, block_attributes = allocate_arrays(plan, request), []
     for block in _simulate_blocks(experiment, request, plan.path_groups, folder, log):
@@ -126,7 +137,7 @@ def write_table(
         return
     plan, request = prepare_table(experiment, accuracy, seed, threads)
     if compute_table_bytes(plan, request) <= MAX_BYTES_IN_MEMORY:
-        save(run_table(experiment, accuracy, seed, folder, threads, log), path)
+        save(_make_table(experiment, plan, request, folder, log), path)
         return
     log(f"{experiment.name}: {plan}")
     simulate = partial(_simulate_blocks, experiment, request, plan.path_groups, folder, log)

@@ -55,8 +55,8 @@ def find_profile_obstacle(medium: Medium, wavelength_nm: np.ndarray) -> str | No
 def solve_flux(
     medium: Medium, wavelengths: np.ndarray, depths: np.ndarray, incidence: float | str,
     max_stderr: float, limit_irradiance: bool, threads: int,
-) -> tuple[dict[str, Variable], dict[str, Any], dict[str, Any]]:  # fmt: skip
-    """Return variables, coordinates and attributes of `splits.irradiance_profile`.
+) -> xr.Dataset:  # fmt: skip
+    """Return the dataset of `splits.irradiance_profile`, with the attributes of the solution.
 
     Parameters
     ----------
@@ -82,7 +82,8 @@ def solve_flux(
     variables = _make_variables(solution, edges)
     materials = list(medium.material_columns)
     coordinates = make_flux_coordinates(wavelengths, edges, materials)
-    return variables, coordinates, describe_solution(solution, max_stderr, limit_irradiance)
+    attributes = describe_solution(solution, max_stderr, limit_irradiance)
+    return xr.Dataset(variables, coordinates, attributes)
 
 
 def divide_medium(
@@ -146,11 +147,3 @@ def _make_variables(solution: ProfileSolution, edges: np.ndarray) -> dict[str, V
         "absorptance_of_material", (*intervals, "material"), parts, parts_error, MATERIAL_LABEL
     )
     return variables
-
-
-def make_solved_dataset(
-    solved: tuple[dict[str, Variable], dict[str, Any], dict[str, Any]], attributes: dict[str, Any]
-) -> xr.Dataset:
-    """Return the dataset of a result of `solve_flux`."""
-    variables, coordinates, own = solved
-    return xr.Dataset(variables, coordinates, {**attributes, **own})

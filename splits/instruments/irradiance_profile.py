@@ -20,11 +20,7 @@ from splits.core.validation import (
 from splits.discrete_ordinates.applicability import find_obstacle
 from splits.instruments.flux_dataset import make_flux_dataset
 from splits.instruments.flux_media import TracedMedium, prepare_medium
-from splits.instruments.flux_solver import (
-    find_profile_obstacle,
-    make_solved_dataset,
-    solve_flux,
-)
+from splits.instruments.flux_solver import find_profile_obstacle, solve_flux
 from splits.instruments.flux_tally import FluxTally
 from splits.instruments.flux_target import FluxTarget
 from splits.instruments.solver import (
@@ -199,11 +195,11 @@ def simulate_flux(
     medium, wavelengths, depths, incidence, max_stderr, max_rays = request
     chosen = choose_flux_solver(solver, medium, wavelengths, max_stderr)
     if chosen == DISCRETE_ORDINATES:
-        solved = solve_flux(
+        dataset = solve_flux(
             medium, wavelengths, depths, incidence, max_stderr, target.limit_irradiance,
             run.threads,
         )  # fmt: skip
-        dataset = make_solved_dataset(solved, _describe_request(request, target, run, chosen))
+        dataset.attrs = _describe_request(request, target, run, chosen) | dataset.attrs
         reached = dataset.attrs["max_stderr_reached"]
         if solver != AUTO or reached <= max(max_stderr, LEAST_PATH_ERROR):
             return dataset

@@ -14,7 +14,8 @@ from splits.discrete_ordinates.divided_differences import (
     divide_impedances,
 )
 from splits.discrete_ordinates.integrals import compute_impedances
-from splits.discrete_ordinates.slab import LayerOptics, solve_slab
+from splits.discrete_ordinates.layer_optics import LayerOptics
+from splits.discrete_ordinates.slab import solve_slab
 from splits.discrete_ordinates.streams import Streams
 
 N = 8

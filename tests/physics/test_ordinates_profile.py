@@ -7,7 +7,8 @@ import pytest
 from level_fluxes import compute_profile, join_cosines
 
 from splits.discrete_ordinates.adding import Boundary, Element, compute_budget, make_isotropic
-from splits.discrete_ordinates.slab import LayerOptics, solve_slab
+from splits.discrete_ordinates.layer_optics import LayerOptics
+from splits.discrete_ordinates.slab import solve_slab
 from splits.discrete_ordinates.streams import Streams
 
 BEAMS = np.array([0.5, 0.9])

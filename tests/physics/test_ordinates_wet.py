@@ -13,13 +13,14 @@ from splits.discrete_ordinates.adding import (
     make_isotropic,
     reflect_at_bottom,
 )
+from splits.discrete_ordinates.layer_optics import LayerOptics
 from splits.discrete_ordinates.pores import (
     RefractingCells,
     make_wet_boundary,
     make_wet_interface,
     refract_directions,
 )
-from splits.discrete_ordinates.slab import LayerOptics, solve_slab
+from splits.discrete_ordinates.slab import solve_slab
 from splits.discrete_ordinates.streams import Streams
 
 N = 16

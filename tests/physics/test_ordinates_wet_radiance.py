@@ -8,9 +8,9 @@ from test_ordinates_wet import WATER, N, Stack, make_optics
 
 from splits.discrete_ordinates.direct_light import trace_direct_light
 from splits.discrete_ordinates.geometry import Geometry, PlaneLayers
+from splits.discrete_ordinates.layer_optics import LayerOptics
 from splits.discrete_ordinates.pores import compute_reflectance
 from splits.discrete_ordinates.radiance import compute_bidirectional
-from splits.discrete_ordinates.slab import LayerOptics
 from splits.discrete_ordinates.stack_brdf import (
     N_PEAK_ORDERS,
     estimate_phase_error,

@@ -14,7 +14,8 @@ from splits.analysis.theory.error_propagation import propagate_errors
 from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import invalid
 from splits.discrete_ordinates.adding import Boundary, Element, compute_budget, make_isotropic
-from splits.discrete_ordinates.slab import LayerOptics, solve_slab
+from splits.discrete_ordinates.layer_optics import LayerOptics
+from splits.discrete_ordinates.slab import solve_slab
 from splits.discrete_ordinates.streams import Streams
 from splits.media.ground import Ground, describe_ground
 

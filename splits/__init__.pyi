@@ -16,6 +16,7 @@ from .instruments import radiation_profile as radiation_profile
 from .instruments import single_scattering as single_scattering
 from .instruments import spectrophotometer as spectrophotometer
 from .instruments import surface_map as surface_map
+from .instruments import time_of_flight as time_of_flight
 from .io.bird_brdf import save_brdf as save_brdf
 from .io.netcdf import load as load
 from .io.netcdf import save as save

@@ -12,15 +12,19 @@ import xarray as xr
 from splits.core.progress import LogCallback, Progress
 from splits.experiments.checkpoints import PointCache
 from splits.experiments.config.accuracy import Accuracy
+from splits.experiments.config.beam_instruments import BeamSpread, TimeOfFlight
 from splits.experiments.config.instrument import Instrument, OpticalInstrument
-from splits.experiments.config.instrument_kinds import (
-    BeamSpread,
-    Goniophotometer,
-    Lens,
-    Spectrophotometer,
-)
+from splits.experiments.config.instrument_kinds import Goniophotometer, Spectrophotometer
 from splits.experiments.config.simulation import SimulationConfig
-from splits.instruments import beam_spread, goniophotometer, lens, spectrophotometer, surface_map
+from splits.experiments.config.surface_instruments import Lens
+from splits.instruments import (
+    beam_spread,
+    goniophotometer,
+    lens,
+    spectrophotometer,
+    surface_map,
+    time_of_flight,
+)
 from splits.instruments.solver import DISCRETE_ORDINATES
 from splits.instruments.spectral_run import SpectralRequest, simulate_spectra
 from splits.io.netcdf import to_netcdf_attributes
@@ -30,7 +34,7 @@ from splits.simulation.run_options import RunOptions
 
 STDERR_ATTRIBUTES = ("max_stderr_reached", "relative_stderr_reached")
 N_BEAM_RAYS = 200_000
-"""Number of rays of a beam spread at a relative standard error of 0.02."""
+"""Number of rays of a beam at a relative standard error of 0.02."""
 MAX_RAYS = 20_000_000
 
 GridPoint = tuple[dict[str, str], Medium, float | str]
@@ -193,10 +197,11 @@ def simulate_point(
         return measure(medium, **arguments)
     arguments |= {"threads": run.threads, "progress": run.progress}
     scene: tuple[Any, ...] = (medium, instrument.get_wavelengths(), incidence)
-    if isinstance(instrument, BeamSpread):
+    if isinstance(instrument, BeamSpread | TimeOfFlight):
         effort = (0.02 / (instrument.stderr_scale * accuracy.relative_stderr)) ** 2
         arguments.setdefault("rays", int(np.ceil(N_BEAM_RAYS * effort)))
-        return beam_spread(*scene, **arguments)
+        measure = beam_spread if isinstance(instrument, BeamSpread) else time_of_flight
+        return measure(*scene, **arguments)
     if accuracy.max_rays is not None:
         arguments["max_rays"] = accuracy.max_rays
     if isinstance(instrument, Goniophotometer):

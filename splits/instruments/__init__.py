@@ -10,6 +10,7 @@ from splits.instruments.radiation_profile import radiation_profile
 from splits.instruments.single_scattering import single_scattering
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.instruments.surface_map import surface_map
+from splits.instruments.time_of_flight import time_of_flight
 
 __all__ = [
     "albedo",
@@ -22,4 +23,5 @@ __all__ = [
     "single_scattering",
     "spectrophotometer",
     "surface_map",
+    "time_of_flight",
 ]

@@ -24,6 +24,7 @@ from splits.plotting.sand_fit import draw_fits
 from splits.plotting.season import draw_season
 from splits.plotting.spectra import draw_refractive_indices, draw_spectra
 from splits.plotting.style import use_style
+from splits.plotting.time_of_flight import draw_returns
 
 SINGLE_POINT_FUNCTIONS = {
     "lobes": draw_lobes,
@@ -73,6 +74,8 @@ def _draw_kind(
         return draw_summary(dataset, section["quantity"], section["select"], section["legend"])
     if section["kind"] == "fit":
         return draw_fits(dataset, section["select"], section["legend"])
+    if section["kind"] == "return":
+        return draw_returns(dataset, section["select"], section["legend"])
     if section["kind"] == "season":
         return draw_season(dataset, section["quantity"])
     if section["kind"] == "swatches":

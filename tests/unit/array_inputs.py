@@ -194,6 +194,14 @@ CASES = {
         lambda a: splits.beam_spread(GREY_LAYER, a, rays=100, half_width_m=1.0, threads=1), NM,
         one=True,
         runs=True),
+    "time_of_flight": ArrayCase(
+        lambda a: splits.time_of_flight(SNOW, a, rays=2, threads=1), NM, one=True, runs=True),
+    "time_of_flight delay_s": ArrayCase(
+        lambda a: splits.time_of_flight(SNOW, 800.0, rays=2, threads=1, delay_s=a),
+        [2.0**-40, 2.0**-36], runs=True),
+    "time_of_flight depths_m": ArrayCase(
+        lambda a: splits.time_of_flight(SNOW, 800.0, rays=2, threads=1, depths_m=a),
+        [0.0009765625, 0.001953125], one=True, runs=True),
     "irradiance_profile": ArrayCase(
         lambda a: splits.irradiance_profile(SNOW, [800.0], a, **FEW_WAVELENGTHS),
         [0.0009765625, 0.001953125], one=True,

@@ -105,6 +105,7 @@ INVALID_CALLS = {
     "sobol_indices": lambda: splits.sobol_indices(3, {}),
     "spectrophotometer": lambda: splits.spectrophotometer(SNOW, [500], progress=3),
     "surface_map": lambda: splits.surface_map(LAYER, -1),
+    "time_of_flight": lambda: splits.time_of_flight(SNOW, "x"),
     "build_table": lambda: splits.build_table(splits.Snow.natural, {"depth_m": [1, 2]}, "x"),
     "with_diffraction": lambda: splits.with_diffraction(EMPTY, -1),
 }

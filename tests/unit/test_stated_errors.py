@@ -48,6 +48,13 @@ CASES = {
         splits.Snow(), ([900.0], 0.0, 1), {},
         {"profile", "profile_map", "mean_radius", "quantile_radius", "fraction"},
     ),
+    "time_of_flight": (
+        splits.Snow(), ([900.0], 0.0, 1), {"depths_m": [0.01]},
+        {"return_rate", "path_length"} | {
+            f"{name}{suffix}" for suffix in ("", "_by_depth")
+            for name in ("fraction", "mean_delay", "delay_spread", "delay_skewness")
+        },
+    ),
     "irradiance_profile": (
         splits.Snow(depth_m=0.01), ([600.0], [0.005]), {"max_stderr": 0.1},
         {"downward_irradiance", "upward_irradiance", "absorptance", "actinic_flux",

@@ -45,7 +45,7 @@ KINDS_OF_SETTING = {
     "measured": ("spectra",),
     "ylim": ("spectra", "principal_plane"),
     "legend": ("spectra", "points", "summary", "fit", "principal_plane", "hemisphere",
-               "polarization"),
+               "polarization", "return"),
 }  # fmt: skip
 """Settings that only some kinds of figures have, with these kinds."""
 FIGURE_LIMITS = {
@@ -55,6 +55,7 @@ FIGURE_LIMITS = {
     "spread": (MAX_LINES // 2, "maps", MAX_LINES),
     "principal_plane": (MAX_LINES, "lines", MAX_LINES),
     "polarization": (MAX_LINES, "lines", MAX_LINES),
+    "return": (MAX_LINES, "lines", MAX_LINES),
     "fit": (None, "lines", MAX_LINES),
 }
 """Largest number of wavelengths of kinds of figures, name of what they show, and its limit."""
@@ -65,7 +66,7 @@ QuantityName = Literal[
 FigureKind = Literal[
     "spectra", "points", "refractive_index", "swatches", "fit",
     "principal_plane", "hemisphere", "lobes", "bins", "spread", "surface", "lens",
-    "polarization", "summary", "season", "none",
+    "polarization", "return", "summary", "season", "none",
 ]  # fmt: skip
 Formula = AfterValidator(check_mathematics)
 

@@ -11,27 +11,20 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from splits.core.validation import check_choice, invalid, key_prefix
 from splits.experiments.config.albedo_instrument import Albedo
+from splits.experiments.config.beam_instruments import BeamSpread, TimeOfFlight
 from splits.experiments.config.instrument import (
     Instrument,
     OpticalInstrument,
     Rays,
-    Seed,
     SpectralInstrument,
 )
 from splits.experiments.config.sections import check_different
+from splits.experiments.config.surface_instruments import Lens, SurfaceMap
 from splits.instruments.angular_bins import DEFAULT_N_BINS
 from splits.instruments.angular_solver import find_angular_obstacle
-from splits.instruments.beam_spread_tally import N_MAP_PIXELS, SIDES
 from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
-from splits.instruments.lens import (
-    DEFAULT_RAYS,
-    check_ring_radius,
-    check_ring_size,
-    check_screen_depths,
-)
 from splits.instruments.next_event import get_detected_layers
 from splits.instruments.solver import MONTE_CARLO, choose_solver
-from splits.instruments.surface_map import DEFAULT_POINTS, MAX_REALIZATIONS
 from splits.media.medium import Medium
 from splits.plotting.panels import (
     MAX_AZIMUTH_GAP_DEG,
@@ -39,20 +32,16 @@ from splits.plotting.panels import (
     MIN_POLAR_ANGLES,
     can_map_hemisphere,
 )
-from splits.simulation.arguments import check_direction_angles, check_half_width, check_n_bins
+from splits.simulation.arguments import check_direction_angles, check_n_bins
 from splits.tables.plan import choose_table_solver
 
 Angles = tuple[float, ...]
-MapHalfWidth = Annotated[float, AfterValidator(lambda x: check_half_width("surface_map", x))]
-BeamHalfWidth = Annotated[float, AfterValidator(lambda x: check_half_width("beam_spread", x))]
-LensHalfWidth = Annotated[float, AfterValidator(lambda x: check_half_width("lens", x))]
 PolarAngles = Annotated[
     Angles, AfterValidator(lambda x: tuple(check_direction_angles("", x, 90.0).tolist()))
 ]
 Azimuths = Annotated[
     Angles, AfterValidator(lambda x: tuple(check_direction_angles("", x, 360.0).tolist()))
 ]
-Depths = Annotated[Angles, AfterValidator(lambda x: tuple(check_screen_depths("", x).tolist()))]
 Solver = Annotated[
     Literal["monte_carlo", "discrete_ordinates", "auto"],
     Field(
@@ -188,19 +177,6 @@ class Goniophotometer(OpticalInstrument):
             )  # fmt: skip
 
 
-class BeamSpread(OpticalInstrument):
-    """Map of the light around a narrow beam."""
-
-    FIGURES: ClassVar = ("spread",)
-    N_POSITIONS: ClassVar = len(SIDES) * N_MAP_PIXELS**2
-    MEASURES_BEAM: ClassVar = True
-
-    kind: Literal["beam_spread"]
-    rays: Rays = None
-    half_width_m: BeamHalfWidth | None = None
-    """half the side length of the map (m), by default from the spread; required with a grid"""
-
-
 class TableInstrument(OpticalInstrument):
     """Table of spectra over a grid, for interpolation and retrieval."""
 
@@ -239,59 +215,6 @@ class TableInstrument(OpticalInstrument):
             check_choice("figure.quantity", quantity, self.quantities)
 
 
-class SurfaceMap(Instrument):
-    """Heights of a rough surface."""
-
-    FIGURES: ClassVar = ("surface",)
-    N_POSITIONS: ClassVar = DEFAULT_POINTS**2
-    MEASURES_SURFACE: ClassVar = True
-
-    kind: Literal["surface_map"]
-    seed: Seed = None
-    half_width_m: MapHalfWidth
-    """half the side length of the map (m)"""
-    realizations: int = Field(100, ge=2, le=MAX_REALIZATIONS)
-    """number of realizations of the surface"""
-
-
-class Lens(Instrument):
-    """Images of a ring of rays through a rough surface."""
-
-    FIGURES: ClassVar = ("lens",)
-    MEASURES_SURFACE: ClassVar = True
-
-    kind: Literal["lens"]
-    seed: Seed = None
-    radius_m: Annotated[float, AfterValidator(check_ring_radius)]
-    """radius of the ring of rays (m)"""
-    screen_depth_m: Depths
-    """depths of the screens (m), increasing"""
-    centre_on: Literal["crest", "trough", "origin"] = "crest"
-    """point of the surface above which the ring is centred"""
-    half_width_m: LensHalfWidth | None = None
-    """half the side length of the square in which the crest is searched (m); required, except over
-    the origin"""
-    rays: int = Field(DEFAULT_RAYS, ge=1)
-    """number of rays in the ring"""
-    realizations: int = Field(1, ge=1)
-    """number of realizations of the surface"""
-
-    @model_validator(mode="after")
-    def _check_extent(self) -> Lens:
-        if self.half_width_m is None and self.centre_on != "origin":
-            hint = "range of the search for the crest; or centre_on: origin"
-            raise invalid("half_width_m", None, "given for lens", hint)
-        if self.half_width_m is not None and self.centre_on == "origin":
-            hint = "there is no search for a crest"
-            raise invalid("half_width_m", self.half_width_m, "left out over the origin", hint)
-        check_ring_size(self.rays, self.realizations, len(self.screen_depth_m))
-        return self
-
-    def count_values(self) -> int:
-        """Return the number of values of a quantity at one point of a grid."""
-        return len(self.screen_depth_m) * self.rays
-
-
 def get_instrument_kind(content: Any) -> Any:
     """Return the kind of an instrument, by default a spectrophotometer."""
     if isinstance(content, dict):
@@ -304,6 +227,7 @@ AnyInstrument = Annotated[
     | Annotated[Albedo, Tag("albedo")]
     | Annotated[Goniophotometer, Tag("goniophotometer")]
     | Annotated[BeamSpread, Tag("beam_spread")]
+    | Annotated[TimeOfFlight, Tag("time_of_flight")]
     | Annotated[Refractometer, Tag("refractive_index")]
     | Annotated[SurfaceMap, Tag("surface_map")]
     | Annotated[Lens, Tag("lens")]

@@ -91,8 +91,8 @@ WRONG_TYPES = {
     "instrument: {kind: beam_spread, rays: 0}": "instrument.rays = 0: must be at least 1",
     "instrument: {kind: goniophotometre}":
         "instrument.kind = 'goniophotometre': must be one of spectrophotometer, albedo, "
-        "goniophotometer, beam_spread, refractive_index, surface_map, lens, table (did you mean "
-        "goniophotometer?)",
+        "goniophotometer, beam_spread, time_of_flight, refractive_index, surface_map, lens, "
+        "table (did you mean goniophotometer?)",
     "instrument: {kind: goniophotometer, n_bins: [5]}":
         "instrument.n_bins = [5]: must be a list of 2 whole numbers",
     "instrument: {kind: table, radius_m: 3}":

@@ -63,8 +63,8 @@ MISTAKES = [
     ("Mine", "mine", "line 1: name = 'Mine': must be lower-case letters, digits and underscores, a "
      "letter first, no device such as con or nul", IN_SCHEMA),
     ("metre", "meter", "line 10: instrument.kind = 'goniophotometre': must be one of "
-     "spectrophotometer, albedo, goniophotometer, beam_spread, refractive_index, surface_map, "
-     "lens, table (did you mean goniophotometer?)", IN_SCHEMA),
+     "spectrophotometer, albedo, goniophotometer, beam_spread, time_of_flight, "
+     "refractive_index, surface_map, lens, table (did you mean goniophotometer?)", IN_SCHEMA),
     ("  radius_m: 3\n", "", "line 13: instrument.radius_m = 3: must be left out for "
      "goniophotometer (it belongs to lens)", IN_SCHEMA),
     ("550", "[550]", "line 11: instrument.wavelength_nm = 550: must be a mapping with start, stop, "

@@ -40,7 +40,7 @@ def test_first_streams_leave_room_for_all_strata():
         importlib.import_module(module.name)
     offsets = sorted([ANALOG_STREAM, *(one.first_stream for one in list_tally_classes())])
     max_streams = MAX_SEPARATE_NODES * max(len(STRATUM_BOUNDS), len(ORDER_CLASSES))
-    assert len(set(offsets)) == len(offsets) == 8
+    assert len(set(offsets)) == len(offsets) == 9
     assert min(np.diff(offsets)) > max_streams
 
 

@@ -1,0 +1,183 @@
+"""Dataset of the delays of light."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from splits.core.uncertainty import (
+    Variable,
+    compute_batch_stderr,
+    compute_jackknife_stderr,
+    compute_leave_one_out_means,
+    make_variable,
+)
+from splits.instruments.delay_record import SPEED_OF_LIGHT
+from splits.instruments.delay_tally import DelayTally
+from splits.instruments.slowness import Slowness
+from splits.media.medium import Medium
+from splits.simulation.interpolation_bounds import bound_fraction_error
+from splits.simulation.rare_light import allow_for_unseen_rays
+from splits.simulation.run_options import make_wavelength_coordinate
+
+SIDES = ("reflected", "transmitted")
+MOMENT_LABELS = {
+    "mean_delay": ("mean delay", "s"),
+    "delay_spread": ("standard deviation of the delay", "s"),
+    "delay_skewness": ("skewness of the delay", "1"),
+}
+
+
+class RayErrors(NamedTuple):
+    """Errors that do not follow from the scatter of batches.
+
+    Attributes
+    ----------
+    interpolation_bound : float, shape (wavelengths,)
+        Bound on interpolation between refractive indices, see `IndexNodes`.
+    single_ray : float
+        Fraction of the light that a single ray may carry.
+    """
+
+    interpolation_bound: np.ndarray
+    single_ray: float
+
+
+class DelayEstimate(NamedTuple):
+    """Fraction of the light that arrives within the record, and moments of its delay.
+
+    Attributes
+    ----------
+    fraction, mean_delay, delay_spread, delay_skewness : float, shape (...)
+        Delays in s; 0 without light.
+    """
+
+    fraction: np.ndarray
+    mean_delay: np.ndarray
+    delay_spread: np.ndarray
+    delay_skewness: np.ndarray
+
+    @classmethod
+    def from_moments(cls, moments: np.ndarray) -> DelayEstimate:
+        """Return the estimate from moments about 0, shape (..., 4)."""
+        fraction = moments[..., 0]
+        first, second, third = (
+            _divide_or_zero(moments[..., order], fraction) for order in range(1, 4)
+        )
+        variance = np.maximum(second - first**2, 0.0)
+        spread = np.sqrt(variance)
+        centred = third - 3.0 * first * second + 2.0 * first**3
+        return cls(fraction, first, spread, _divide_or_zero(centred, variance * spread))
+
+
+def make_delay_dataset(
+    tally: DelayTally, medium: Medium, wavelengths: np.ndarray, slowness: Slowness,
+    depths_m: np.ndarray, attributes: dict[str, Any],
+) -> xr.Dataset:  # fmt: skip
+    """Return the dataset of `splits.time_of_flight`.
+
+    Parameters
+    ----------
+    tally : DelayTally
+        At the end of its run.
+    medium : Medium
+    wavelengths : float, shape (wavelengths,)
+        nm.
+    slowness : Slowness
+    depths_m : float, shape (depths,)
+        Depths between the intervals of the largest depth (m).
+    attributes : dict
+    """
+    rays = RayErrors(tally.nodes.interpolation_bound, 1.0 / tally.stratum_rays.min())
+    edges = tally.record.edges
+    moments, lengths = tally.compute_batch_moments(), tally.compute_batch_lengths()
+    total, dims, width = moments.sum(axis=-2), ("side", "wavelength"), np.diff(edges)
+    rate, rate_error = _compute_fractions(tally.compute_batch_histograms(), rays)
+    variables = make_variable(
+        "return_rate", (*dims, "delay"), rate / width, rate_error / width,
+        "fraction of the incident light per time", "s-1",
+    )  # fmt: skip
+    recorded = lengths.mean(axis=0)
+    # Errors of group indices are taken as fully correlated between materials.
+    index_error = _divide_or_zero(
+        (slowness.stderr * recorded).sum(axis=-1), (slowness.value * recorded).sum(axis=-1)
+    )
+    variables |= _make_moment_variables(total, dims, "", index_error, rays)
+    materials = medium.list_materials()
+    variables |= _make_length_variables(
+        total[..., :1], (lengths * slowness.path_fractions)[..., : len(materials)]
+    )
+    if depths_m.size:
+        by_depth, depth_dims = moments[:, 0].swapaxes(1, 2), ("depth_interval", "wavelength")
+        variables |= _make_moment_variables(by_depth, depth_dims, "_by_depth", index_error[0], rays)
+    coordinates = _make_coordinates(wavelengths, edges, depths_m, materials)
+    return xr.Dataset(variables, coordinates, attributes)
+
+
+def _compute_fractions(batches: np.ndarray, rays: RayErrors) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean fractions and their errors, from means by batch."""
+    mean = batches.mean(axis=0)
+    variance = allow_for_unseen_rays(
+        compute_batch_stderr(batches) ** 2, (rays.single_ray * (1.0 - mean)) ** 2
+    )
+    return mean, np.sqrt(variance)
+
+
+def _make_moment_variables(
+    moments: np.ndarray, dims: tuple[str, ...], suffix: str, index_error: np.ndarray,
+    rays: RayErrors,
+) -> dict[str, Variable]:  # fmt: skip
+    """Return fractions and moments with errors, from moments by batch, shape (batches, ..., 4)."""
+    estimate = DelayEstimate.from_moments(moments.mean(axis=0))
+    jackknife = DelayEstimate.from_moments(compute_leave_one_out_means(moments))
+    mean, error = _compute_fractions(moments[..., 0], rays)
+    error = np.hypot(error, bound_fraction_error(rays.interpolation_bound, mean))
+    label = "fraction of the incident light that returns within the record"
+    variables = make_variable(f"fraction{suffix}", dims, mean, error, label)
+    for name, (label, units) in MOMENT_LABELS.items():
+        values, error = getattr(estimate, name), compute_jackknife_stderr(getattr(jackknife, name))
+        if units == "s":
+            error = np.hypot(error, index_error * values)
+        variables |= make_variable(f"{name}{suffix}", dims, values, error, label, units)
+    return variables
+
+
+def _make_length_variables(fractions: np.ndarray, lengths: np.ndarray) -> dict[str, Variable]:
+    """Return mean path lengths with errors, from their sums by batch, divided by fractions."""
+    mean = _divide_or_zero(lengths.mean(axis=0), fractions.mean(axis=0))
+    jackknife = _divide_or_zero(*map(compute_leave_one_out_means, (lengths, fractions)))
+    return make_variable(
+        "path_length", ("side", "wavelength", "material"), mean,
+        compute_jackknife_stderr(jackknife), "mean length of the path in a material", "m",
+    )  # fmt: skip
+
+
+def _make_coordinates(
+    wavelengths: np.ndarray, edges: np.ndarray, depths_m: np.ndarray, materials: Sequence[str]
+) -> dict[str, Any]:
+    """Return the coordinates of the dataset."""
+    centres = 0.5 * (edges[1:] + edges[:-1])
+    delay_attributes = {"long_name": "delay", "units": "s", "bounds": "delay_bounds"}
+    coordinates = {
+        "side": ("side", list(SIDES), {"long_name": "side of the sample where light leaves"}),
+        "wavelength": make_wavelength_coordinate(wavelengths),
+        "delay": ("delay", centres, delay_attributes),
+        "delay_bounds": (("delay", "bounds"), np.column_stack([edges[:-1], edges[1:]])),
+        "range": (
+            "delay", 0.5 * SPEED_OF_LIGHT * centres,
+            {"long_name": "apparent depth below the surface", "units": "m"},
+        ),
+        "material": ("material", list(materials), {"long_name": "material"}),
+    }  # fmt: skip
+    if depths_m.size:
+        attributes = {"long_name": "upper end of the interval of the largest depth", "units": "m"}
+        coordinates["depth_interval"] = ("depth_interval", [0.0, *depths_m], attributes)
+    return coordinates
+
+
+def _divide_or_zero(numerator: np.ndarray, denominator: np.ndarray) -> np.ndarray:
+    shape = np.broadcast_shapes(numerator.shape, denominator.shape)
+    return np.divide(numerator, denominator, out=np.zeros(shape), where=denominator > 0.0)

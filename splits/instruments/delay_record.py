@@ -1,0 +1,175 @@
+"""What an instrument records of delays: receiver, bins, pulse, depths; and where paths may end."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from splits.core.arrays import as_1d_array, check_array_range, check_increasing
+from splits.core.validation import check_range, invalid
+from splits.kernels.base.scene import Layers
+from splits.kernels.base.work import NO_MAX_ORDER
+from splits.kernels.tallies.delays import Receiver
+from splits.media.medium import Medium
+
+SPEED_OF_LIGHT = 299_792_458.0
+"""Speed of light in vacuum (m/s), exact."""
+DEFAULT_EDGES_S = np.concatenate([[0.0], np.geomspace(1e-12, 1e-7, 51)])
+"""Default delays between bins: ten per decade, to a path of 30 m in air."""
+PULSE_POINTS = 1025
+"""Points of a table of a pulse."""
+GAUSSIAN_HALF_LENGTH = 4.0
+"""Half of the length of a Gaussian pulse, in standard deviations."""
+FWHM_PER_SIGMA = math.sqrt(8.0 * math.log(2.0))
+MIN_PATHS_SIGMA = 6.0
+"""Standard deviations of the length of a path of many collisions beyond which none is expected."""
+TRANSPORT_COLLISIONS = 10.0
+"""Collisions until light is diffuse, an upper limit for the horizontal distance of its exit."""
+
+
+class Pulse(NamedTuple):
+    """Pulse of light, by the part that has been emitted.
+
+    Attributes
+    ----------
+    delay_s : float, shape (points,)
+        Uniform, from its centroid at 0; a single 0 for an instantaneous pulse.
+    emitted : float, shape (points,)
+        From 0 to 1.
+    """
+
+    delay_s: np.ndarray
+    emitted: np.ndarray
+
+    @classmethod
+    def from_argument(cls, pulse: Any) -> Pulse:
+        """Return a pulse: None, the width (s) of a Gaussian one, or ``delay_s`` and ``power``.
+
+        Raises
+        ------
+        ValueError
+            For a width that is not above 0, powers below 0, or columns of different lengths.
+        """
+        if pulse is None:
+            return cls(np.zeros(1), np.ones(1))
+        if not isinstance(pulse, Mapping):
+            sigma = check_range("pulse", pulse, 0.0, 1.0, "s", open_low=True) / FWHM_PER_SIGMA
+            x = np.linspace(-GAUSSIAN_HALF_LENGTH, GAUSSIAN_HALF_LENGTH, PULSE_POINTS)
+            return cls._from_power(sigma * x, np.exp(-0.5 * x**2))
+        if set(pulse) != {"delay_s", "power"}:
+            raise invalid("pulse", sorted(map(str, pulse)), "the columns delay_s and power")
+        delay = check_increasing("pulse: delay_s", as_1d_array("pulse: delay_s", pulse["delay_s"]))
+        power = as_1d_array("pulse: power", pulse["power"])
+        if delay.size < 2 or power.shape != delay.shape:
+            raise invalid("pulse: power", power.size, "as many numbers as delay_s, at least 2")
+        if (power < 0.0).any() or not power.any():
+            raise invalid("pulse: power", float(power.min()), "numbers from 0, not all 0")
+        uniform = np.linspace(delay[0], delay[-1], PULSE_POINTS)
+        return cls._from_power(uniform, np.interp(uniform, delay, power))
+
+    @classmethod
+    def _from_power(cls, delay: np.ndarray, power: np.ndarray) -> Pulse:
+        """Return a pulse of a power at uniform delays, with its centroid at 0."""
+        steps = 0.5 * (power[1:] + power[:-1])
+        emitted = np.concatenate([[0.0], np.cumsum(steps)]) / steps.sum()
+        centre = (np.diff(emitted) * 0.5 * (delay[1:] + delay[:-1])).sum()
+        return cls(delay - centre, emitted)
+
+
+def check_edges(delay_s: Any, pulse: Pulse) -> tuple[np.ndarray, float]:
+    """Return the delays between bins, and the end of the record (s), after checking them.
+
+    Raises
+    ------
+    ValueError
+        For fewer than two, a wrong order, delays before the pulse, or a record that is shorter than
+        the pulse.
+    """
+    if delay_s is None:
+        return DEFAULT_EDGES_S, float(DEFAULT_EDGES_S[-1])
+    unlimited = np.ndim(delay_s) == 1 and len(delay_s) > 1 and delay_s[-1] == math.inf
+    edges = as_1d_array("delay_s", delay_s[:-1] if unlimited else delay_s, "numbers in seconds")
+    if edges.size < 2:
+        raise invalid("delay_s", edges.tolist(), "at least two finite delays, the edges of bins")
+    check_increasing("delay_s", edges)
+    earliest, length = float(pulse.delay_s[0]), float(np.ptp(pulse.delay_s))
+    if edges[0] < earliest:
+        hint = "light cannot return before it was sent; delays count from the centre of the pulse"
+        raise invalid("delay_s", edges[0], f"at least {earliest:.4g} s", hint)
+    if edges[-1] - edges[0] < length:
+        raise invalid(
+            "pulse", f"{length:.4g} s long", f"at most {edges[-1] - edges[0]:.4g} s, the record",
+            "give a shorter pulse, or a longer delay_s",
+        )  # fmt: skip
+    return edges, math.inf if unlimited else float(edges[-1])
+
+
+def check_granular_layers(medium: Medium) -> None:
+    """Check that all layers consist of grains."""
+    for number, layer in enumerate(medium.scene_layers):
+        if not layer.has_grains:
+            hint = "delays need materials with a group index"
+            raise invalid(f"layers[{number}]", layer.kind, "a layer of grains", hint)
+
+
+def check_depths(depths_m: Any, medium: Medium) -> np.ndarray:
+    """Return depths that divide light by the largest depth reached (m), after checking them."""
+    if depths_m is None:
+        return np.zeros(0)
+    depths = as_1d_array("depths_m", depths_m, "numbers in metres")
+    limits = 0.0, float(medium.depth_m)
+    check_array_range("depths_m", depths, *limits, "m", open_low=True, open_high=True)
+    return check_increasing("depths_m", depths)
+
+
+def make_receiver(
+    incidence_deg: float | str, acceptance_deg: float | None, radius_m: float | None
+) -> Receiver:
+    """Return the receiver of reflected light.
+
+    Parameters
+    ----------
+    incidence_deg : float or "diffuse"
+    acceptance_deg : float or None
+        Largest angle between the light and the direction towards the source; None accepts all.
+    radius_m : float or None
+        Radius of the field of view on the surface; None for no limit.
+    """
+    radius = math.inf
+    if radius_m is not None:
+        radius = check_range("footprint_radius_m", radius_m, 0.0, math.inf, "m", open_low=True)
+    if isinstance(incidence_deg, str) and not (acceptance_deg is None and radius_m is None):
+        key = "acceptance_deg" if acceptance_deg is not None else "footprint_radius_m"
+        raise invalid(key, acceptance_deg or radius_m, "None for diffuse light", "give a beam")
+    if acceptance_deg is None:
+        return Receiver(np.array([0.0, 0.0, 1.0]), -2.0, radius, 0.0)
+    acceptance = check_range("acceptance_deg", acceptance_deg, 0.0, 90.0, "deg", open_low=True)
+    angle = math.radians(float(incidence_deg))
+    direction = np.array([-math.sin(angle), 0.0, math.cos(angle)])
+    return Receiver(direction, math.cos(math.radians(acceptance)), radius, 1.0 / SPEED_OF_LIGHT)
+
+
+def compute_max_order(medium: Medium, layers: Layers, receiver: Receiver, end_s: float) -> int:
+    """Return an order of scattering that no light reaches before a delay (s).
+
+    Collisions are at least as far apart as the pore space between them, in which light has at most
+    the speed of light in vacuum.  Between two hits of the ground, light is scattered, or crosses
+    the medium twice.
+    """
+    if math.isinf(end_s):
+        return NO_MAX_ORDER
+    pore_fraction = min(layer.pore_fraction for layer in medium.scene_layers)
+    per_second = layers.collision_coefficient.max() * SPEED_OF_LIGHT / pore_fraction
+    n_collisions = per_second * end_s
+    tilt = SPEED_OF_LIGHT * receiver.inverse_speed * math.hypot(*receiver.direction[:2])
+    # Light may leave closer to the receiver than the beam enters.
+    distance = 2.0 * math.sqrt(TRANSPORT_COLLISIONS * max(n_collisions, 1.0))
+    reach = per_second / SPEED_OF_LIGHT * receiver.footprint_radius
+    n_collisions += tilt * min(MIN_PATHS_SIGMA * distance, reach)
+    n_collisions += MIN_PATHS_SIGMA * math.sqrt(n_collisions) + MIN_PATHS_SIGMA**2
+    if medium.reflecting_ground is not None:
+        n_collisions = 2.0 * n_collisions + SPEED_OF_LIGHT * end_s / medium.depth_m
+    return min(int(n_collisions) + 1, NO_MAX_ORDER)

@@ -1,0 +1,39 @@
+"""Inverse of the group velocity of light along the paths that kernels record."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from splits.instruments.delay_record import SPEED_OF_LIGHT
+from splits.materials.group_index import compute_group_index
+from splits.media.medium import Medium
+from splits.simulation.scene import compute_path_fractions
+
+
+class Slowness(NamedTuple):
+    """Inverse of the group velocity, per recorded path length in each material.
+
+    Attributes
+    ----------
+    value, stderr : float, shape (wavelengths, columns)
+        s/m; 0 for the ground.
+    path_fractions : float, shape (columns,)
+        Fraction of the recorded path length that lies in the material; 0 for the ground.
+    """
+
+    value: np.ndarray
+    stderr: np.ndarray
+    path_fractions: np.ndarray
+
+
+def compute_slowness(medium: Medium, wavelengths: np.ndarray) -> Slowness:
+    """Return the inverse of the group velocity in the materials of a medium (nm) and its ground."""
+    group = compute_group_index(medium.compute_refractive_indices, wavelengths)
+    fractions = compute_path_fractions(medium)
+    values = [one * fractions / SPEED_OF_LIGHT for one in group]
+    if medium.reflecting_ground is not None:
+        values = [np.pad(one, ((0, 0), (0, 1))) for one in values]
+        fractions = np.append(fractions, 0.0)
+    return Slowness(values[0], values[1], fractions)

@@ -1,0 +1,160 @@
+"""Return of a light pulse over time."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.core.keywords import reject_unknown_arguments
+from splits.core.progress import ProgressCallback
+from splits.core.validation import check_integer, invalid
+from splits.instruments.delay_dataset import make_delay_dataset
+from splits.instruments.delay_record import (
+    SPEED_OF_LIGHT,
+    Pulse,
+    check_depths,
+    check_edges,
+    check_granular_layers,
+    compute_max_order,
+    make_receiver,
+)
+from splits.instruments.delay_tally import DelayRecord, DelayTally
+from splits.instruments.slowness import compute_slowness
+from splits.media.checks import check_medium
+from splits.media.medium import Medium
+from splits.simulation.arguments import check_incidence, check_wavelengths
+from splits.simulation.engine import simulate
+from splits.simulation.run_options import RunOptions
+from splits.simulation.scene import (
+    add_recording_planes,
+    build_scene,
+    compute_optical_constants,
+)
+from splits.simulation.spectral_nodes import choose_nodes
+from splits.simulation.stopping_rule import StoppingRule
+
+_INTERPOLATION_TOLERANCE = 0.001
+"""Bound on the error of a reflectance from interpolation between refractive indices."""
+
+
+@reject_unknown_arguments
+def time_of_flight(
+    medium: Medium,
+    wavelength_nm: Any,
+    incidence_deg: float | str = 0.0,
+    rays: int = 200_000,
+    seed: int = 1,
+    *,
+    delay_s: Any = None,
+    pulse: Any = None,
+    acceptance_deg: float | None = None,
+    footprint_radius_m: float | None = None,
+    depths_m: Any = None,
+    threads: int | None = None,
+    kernel: str = "auto",
+    progress: ProgressCallback = None,
+) -> xr.Dataset:
+    """Simulate the delays with which the light of a pulse leaves a medium.
+
+    Light travels with the group velocity of the material in which it is.
+
+    Parameters
+    ----------
+    medium : Medium
+        Layers of grains, for example `splits.Snow`.
+    wavelength_nm : array_like
+        Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
+    incidence_deg : float or "diffuse"
+        Incidence angle of the beam, 0 to 89.9999 degrees, or isotropic light.
+    rays : int
+        Number of rays, rounded up.
+    seed : int
+        Non-negative; results with the same seed are identical on any number of threads.
+    delay_s : array_like, optional
+        Increasing delays (s), the edges of the bins of `return_rate`, from 0, or from the beginning
+        of the pulse.  The last one, the end of the record, may be infinite; rays are not traced
+        beyond it.  By default, ten per decade from 1 ps to 100 ns.
+    pulse : float or mapping, optional
+        Full width at half maximum (s) of a Gaussian pulse, or the columns ``delay_s`` and ``power``
+        of any pulse.  Delays count from its centroid.  By default, the pulse is instantaneous.
+    acceptance_deg : float, optional
+        Largest angle (degrees) between received light and the direction towards the source, which
+        is far away; the delay then includes the way from where light leaves to the plane through
+        the point of entry perpendicular to the beam.  By default, all reflected light is received,
+        at the surface.
+    footprint_radius_m : float, optional
+        Radius (m) around the point of entry of a beam within which reflected light is received.
+    depths_m : array_like, optional
+        Increasing depths (m) below the surface that divide reflected light by the largest depth
+        that it has reached.
+    threads : int, optional
+        Default: every CPU that this process may use.
+    kernel : {"auto", "vectorized", "scalar"}
+        See `splits.spectrophotometer`.
+    progress : callable or bool, optional
+        True shows a progress bar; a function is called periodically with a `Progress`.
+
+    Returns
+    -------
+    xarray.Dataset
+        Over ``side`` ("reflected", "transmitted") and ``wavelength``: ``return_rate`` (s⁻¹) over
+        ``delay``, the fraction of the incident light per time, convolved with the pulse; for an
+        instantaneous pulse and delays before the end of the record, ``fraction`` of the incident
+        light, ``mean_delay`` (s), ``delay_spread`` (s), the standard deviation, and
+        ``delay_skewness``, and ``path_length`` (m), the mean length of the path in each
+        ``material``.  With `depths_m`, the first four also as ``…_by_depth`` over
+        ``depth_interval`` for reflected light.  All with their standard errors ``…_stderr``, which
+        include the errors of group indices and of interpolation between refractive indices.  The
+        coordinate ``range`` (m) is half of the delay times the speed of light.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range, a medium with particle layers, or a wavelength at which a
+        group index is not known.
+
+    References
+    ----------
+    Blanco and Fournier (2003), Europhysics Letters 61, 168, for the mean path length.
+    """
+    check_medium(medium, allow_semi_infinite=True)
+    check_granular_layers(medium)
+    wavelengths = check_wavelengths(wavelength_nm)
+    incidence = check_incidence(incidence_deg)
+    check_integer("rays", rays, 1)
+    run = RunOptions.from_arguments(seed, threads, kernel, progress)
+    record_pulse = Pulse.from_argument(pulse)
+    edges, end_s = check_edges(delay_s, record_pulse)
+    receiver = make_receiver(incidence, acceptance_deg, footprint_radius_m)
+    depths = check_depths(depths_m, medium)
+    slowness = compute_slowness(medium, wavelengths)
+    last_s = end_s - float(record_pulse.delay_s[0])
+    traced = _limit_depth(medium, last_s)
+    index, absorption = compute_optical_constants(traced, wavelengths)
+    nodes = choose_nodes(index, traced.list_interfaces(), _INTERPOLATION_TOLERANCE)
+    scene = build_scene(traced, incidence, False)
+    max_order = compute_max_order(traced, scene.layers, receiver, last_s)
+    if depths.size:
+        scene = add_recording_planes(scene, depths.tolist())
+    interval = np.searchsorted(depths, -scene.layers.boundaries, side="right")
+    record = DelayRecord(receiver, edges, end_s, np.stack(record_pulse), interval)
+    tally = DelayTally(nodes, absorption, slowness.value, record, max_order)
+    evaluation = simulate(scene, tally, StoppingRule(0.0, rays, fixed=True), run)
+    attributes = {
+        **run.make_attributes("Time of flight", "time_of_flight", medium),
+        "incidence_deg": incidence,
+        **tally.describe_run(evaluation.stop_reason),
+    }
+    return make_delay_dataset(tally, medium, wavelengths, slowness, depths, attributes)
+
+
+def _limit_depth(medium: Medium, end_s: float) -> Medium:
+    """Return a semi-infinite medium without the depths from which no light returns in time."""
+    if not medium.is_semi_infinite:
+        return medium
+    if math.isinf(end_s):
+        raise invalid("delay_s", math.inf, "finite for an infinite depth", "set the end in seconds")
+    return medium.truncate(0.5 * SPEED_OF_LIGHT * end_s, None)

@@ -1,0 +1,71 @@
+"""Figure of the return of a pulse over time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from splits.io.netcdf import select_points
+from splits.plotting.annotations import annotate_figure, describe_conditions
+from splits.plotting.lines import PlotLines
+from splits.plotting.style import BAND_SIGMA, TWO_COLUMNS_INCHES, make_subplots, use_style
+
+SPEED_OF_LIGHT_MM_PER_NS = 299.792458
+MAX_RELATIVE_ERROR = 0.25
+"""Relative error above which a value is not drawn."""
+
+
+def draw_returns(
+    dataset: xr.Dataset,
+    select: Mapping[str, float | str] | None = None,
+    legend: str | None = None,
+) -> Figure:
+    """Draw the rate at which light returns, and the light that has returned, over the delay.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Output of `splits.time_of_flight`, or of an experiment with it.
+    select : mapping, optional
+        Grid labels to select.
+    legend : str, optional
+        Title of the legend; by default the parameters of the grid.
+    """
+    dataset = select_points(dataset, select or {}).sel(side="reflected")
+    dims = [str(d) for d in dataset.return_rate.dims if d != "delay"]
+    lines = PlotLines(dataset, [d for d in dims if d != "wavelength" or dataset.sizes[d] > 1])
+    begin, end = (dataset.delay_bounds.values[:, column] for column in (0, 1))
+    with use_style():
+        figure, (left, right) = make_subplots(1, 2, width=TWO_COLUMNS_INCHES, height=2.8)
+        for grid_line in lines.lines:
+            line = dataset.sel(grid_line.labels)
+            line = line.isel(wavelength=0) if "wavelength" in line.dims else line
+            rate, error = line.return_rate.values, BAND_SIGMA * line.return_rate_stderr.values
+            is_drawn = (begin > 0.0) & (rate > 0.0)
+            is_drawn &= error < BAND_SIGMA * MAX_RELATIVE_ERROR * rate
+            delay = 1e9 * np.sqrt(np.maximum(begin, 0.0) * end)[is_drawn]
+            rate, error = 1e-9 * rate[is_drawn], 1e-9 * error[is_drawn]
+            style = grid_line.to_plot_style()
+            left.plot(delay, rate, **style)
+            low = np.maximum(rate - error, 0.1 * rate)
+            left.fill_between(delay, low, rate + error, color=grid_line.colour, alpha=0.3, lw=0)
+            returned = np.cumsum(line.return_rate.values * (end - begin))
+            right.plot(1e9 * end, returned, **style)
+        left.set(yscale="log", ylabel="returned light per time (ns⁻¹)")
+        right.set(ylabel="light returned before", ylim=(0.0, 1.0))
+        for axes in (left, right):
+            axes.set(xscale="log", xlabel="delay (ns)")
+            axes.spines["right"].set_visible(False)
+            depth = axes.secondary_xaxis(
+                "top",
+                functions=(
+                    lambda x: 0.5 * SPEED_OF_LIGHT_MM_PER_NS * x,
+                    lambda x: x / (0.5 * SPEED_OF_LIGHT_MM_PER_NS),
+                ),
+            )
+            depth.set_xlabel("apparent depth (mm)")
+        lines.add_legend(figure, [left, right], legend)
+        return annotate_figure(figure, [left, right], describe_conditions(dataset, select))

@@ -1,0 +1,262 @@
+"""Delays of light: laws of mean path lengths, derivatives of reflectance, and diffusion."""
+
+import math
+
+import numpy as np
+import pytest
+
+import splits
+from splits.core.uncertainty import compute_batch_stderr
+from splits.instruments.slowness import compute_slowness
+from tests.statistics.chi2 import judge_z
+
+SPEED_OF_LIGHT = 299_792_458.0
+CLEAR = {"ice": 1.31, "water": 1.33}
+SPHERES = {"facetness": (0.0, 0.0, 0.0, 0.1), "sphericity": (1.0, 1.0, 1.0, 0.1)}
+UNLIMITED = [0.0, 1e-10, math.inf]
+
+
+def make_snow(**keywords):
+    return splits.Snow.natural(**{"specific_surface_area_m2_kg": 20.0, **keywords})
+
+
+def sum_sides(dataset, name):
+    """Return the mean over all incident light of a quantity of a clear slab, and its error."""
+    value = (dataset.fraction * dataset[name]).sum("side")
+    # Of each side; errors of fractions, which add up to 1, are included.
+    difference = dataset[name].isel(side=0) - dataset[name].isel(side=1)
+    variance = ((dataset.fraction * dataset[f"{name}_stderr"]) ** 2).sum("side")
+    variance += (difference * dataset.fraction_stderr.isel(side=0)) ** 2
+    return value.squeeze().values, np.sqrt(variance).squeeze().values
+
+
+def compute_sphere_enhancement(n):
+    """Return the mean path of diffuse light in a clear sphere over its mean chord."""
+    return (n**3 - (n**2 - 1.0) ** 1.5) / n
+
+
+def test_clear_slabs_have_the_mean_path_lengths_of_thermodynamics():
+    """Diffuse light stays in a clear slab for 2 H times the part of each material (times B in ice).
+
+    B is n² for light that reaches all modes of the grains (Blanco and Fournier 2003); light in a
+    sphere does not reach those of total reflection.
+    """
+    z = []
+    for density in (100.0, 350.0, 600.0):
+        snow = make_snow(density_kg_m3=density, depth_m=0.01, refractive_index=CLEAR, **SPHERES)
+        result = splits.time_of_flight(
+            snow, 532.0, "diffuse", rays=100_000, delay_s=UNLIMITED, seed=int(density)
+        )
+        length, stderr = sum_sides(result, "path_length")
+        ice = 1.0 - snow.porosity
+        exact = 0.02 * np.array([snow.porosity, ice * compute_sphere_enhancement(1.31)])
+        z.append((length[[0, 2]] - exact) / stderr[[0, 2]])
+        assert (stderr[[0, 2]] < 0.005 * exact).all()
+        np.testing.assert_allclose(result.fraction.sum("side"), 1.0, atol=1e-12)
+    judge_z(z, independent=3)
+
+
+@pytest.mark.parametrize("density", [100.0, 350.0, 600.0])
+def test_natural_snow_has_the_mean_path_of_its_grains(density):
+    snow = make_snow(density_kg_m3=density, depth_m=0.01, refractive_index=CLEAR)
+    result = splits.time_of_flight(snow, 532.0, "diffuse", rays=100_000, delay_s=UNLIMITED)
+    length, stderr = sum_sides(result, "path_length")
+    weak = make_snow(density_kg_m3=density, refractive_index={"ice": "1.31+1e-9j"})
+    grains = splits.single_scattering(weak, 532.0, rays=2_000_000)
+    per_chord = 4.0 * math.pi * 1e-9 / 532e-9 / weak.attenuation_per_m
+    enhancement = (1.0 - grains.single_scattering_albedo.item()) / per_chord
+    relative = grains.single_scattering_albedo_stderr.item() / per_chord / enhancement
+    exact = 0.02 * np.array([snow.porosity, (1.0 - snow.porosity) * enhancement])
+    stderr = np.hypot(stderr[[0, 2]], exact * [0.0, relative])
+    judge_z((length[[0, 2]] - exact) / stderr)
+
+
+def test_delays_are_path_lengths_over_group_velocities():
+    snow = make_snow(depth_m=0.05, liquid_water_content=0.03)
+    result = splits.time_of_flight(snow, [532.0, 1064.0], 40.0, rays=20_000)
+    slowness = compute_slowness(snow, np.array([532.0, 1064.0]))
+    per_path = slowness.value / slowness.path_fractions
+    delay = (result.path_length * per_path[np.newaxis]).sum("material")
+    np.testing.assert_allclose(result.mean_delay, delay, rtol=1e-9)
+
+
+def test_derivatives_of_reflectance_are_path_lengths():
+    """−d ln R/dα is the mean length of the path in ice, for absorption by soot in the ice."""
+    wavelengths = np.array([532.0, 900.0, 1064.0])
+    snow = make_snow(depth_m=0.05, impurities_ng_g={"black_carbon": 100.0})
+    spectrum = splits.spectrophotometer(
+        snow, wavelengths, 30.0, jacobian=["impurities_ng_g.black_carbon"],
+        solver="discrete_ordinates",
+    )  # fmt: skip
+    result = splits.time_of_flight(snow, wavelengths, 30.0, rays=200_000, delay_s=UNLIMITED)
+    per_mass = snow.compute_added_absorption(wavelengths)[:, 2] / 100.0
+    slope = spectrum.reflectance_jacobian.squeeze()
+    expected = -slope / spectrum.reflectance / per_mass
+    relative = np.hypot(
+        spectrum.reflectance_jacobian_stderr.squeeze() / slope,
+        spectrum.reflectance_stderr / spectrum.reflectance,
+    )
+    length = result.path_length.sel(side="reflected", material="ice")
+    stderr = result.path_length_stderr.sel(side="reflected", material="ice")
+    judge_z((length - expected) / np.hypot(stderr, relative * expected), 1, bound_added=True)
+
+
+def fit_rate(result, power):
+    """Return the decay rate (1/s) of light over an integer or half-integer power, and its error.
+
+    Light per time from both sides is divided by t^(−power), averaged over bins.
+    """
+    rate = result.return_rate.sum("side").squeeze().values
+    error = np.sqrt((result.return_rate_stderr**2).sum("side")).squeeze().values
+    begin, end = result.delay_bounds.values.T
+    law = (end ** (1.0 - power) - begin ** (1.0 - power)) / (1.0 - power) / (end - begin)
+    slope, covariance = np.polyfit(
+        0.5 * (begin + end), np.log(rate / law), 1, w=rate / error, cov="unscaled"
+    )
+    return -slope[0], math.sqrt(covariance[0, 0])
+
+
+def compute_diffusion(snow):
+    """Return the diffusion coefficient (m²/s) and the extrapolation length (m) of clear snow."""
+    grains = splits.single_scattering(snow, 532.0, rays=200_000)
+    transport = 1.0 / (snow.extinction_per_m * (1.0 - grains.asymmetry_parameter.item()))
+    clear = make_snow(density_kg_m3=snow.density_kg_m3, depth_m=0.01, refractive_index=CLEAR)
+    path = splits.time_of_flight(clear, 532.0, "diffuse", rays=100_000, delay_s=UNLIMITED)
+    delay, _ = sum_sides(path, "mean_delay")
+    return 0.02 / delay * transport / 3.0, 0.7104 * transport
+
+
+def test_late_light_of_a_slab_decays_as_diffusion_theory_predicts():
+    """By e^(−t/τ) with 1/τ = π² D/(H + 2 z)²; the sum of both sides has no antisymmetric modes."""
+    snow = make_snow(density_kg_m3=300.0, depth_m=0.03, refractive_index=CLEAR)
+    diffusion, extrapolation = compute_diffusion(snow)
+    rate = diffusion * (math.pi / (0.03 + 2.0 * extrapolation)) ** 2
+    edges = np.linspace(1.5, 4.5, 16) / rate
+    result = splits.time_of_flight(snow, 532.0, rays=400_000, delay_s=edges, seed=3)
+    measured, stderr = fit_rate(result, power=0.0)
+    # Of the diffusion coefficient, from the asymmetry and the mean delay.
+    tolerance = np.hypot(stderr, 0.01 * rate)
+    assert stderr < 0.02 * rate
+    assert abs(measured - rate) < 2.6 * tolerance, (measured / rate, stderr / rate)
+
+
+def test_light_of_a_half_space_follows_the_law_of_diffusion():
+    """As t^(−3/2) e^(−t/τ), where τ is the time until the grains absorb."""
+    index = {"ice": "1.31+3e-8j"}
+    snow = make_snow(density_kg_m3=300.0, depth_m=math.inf, refractive_index=index)
+    clear = make_snow(density_kg_m3=300.0, depth_m=0.03, refractive_index=CLEAR)
+    path = splits.time_of_flight(clear, 532.0, "diffuse", rays=100_000, delay_s=UNLIMITED)
+    length, delay = (sum_sides(path, name)[0] for name in ("path_length", "mean_delay"))
+    absorption = 4.0 * math.pi * 3e-8 / 532e-9
+    rate = absorption * length[2] / delay
+    edges = np.geomspace(1e-9, 2.0 / rate, 31)
+    result = splits.time_of_flight(snow, 532.0, rays=200_000, delay_s=edges, seed=2)
+    measured, stderr = fit_rate(result, power=1.5)
+    assert stderr < 0.2 * rate
+    assert abs(measured - rate) < 2.6 * stderr, (measured / rate, stderr / rate)
+
+
+def test_errors_equal_the_scatter_of_seeds():
+    snow = make_snow(depth_m=0.02)
+    names = ["fraction", "mean_delay", "delay_spread", "path_length", "return_rate"]
+    runs = [
+        splits.time_of_flight(
+            snow, [532.0, 1064.0], 30.0, rays=8192, seed=seed, delay_s=[0, 1e-11, 1e-10, 1e-9]
+        )
+        for seed in range(1, 41)
+    ]
+    ratios = []
+    for name in names:
+        values = np.stack([run[name].values for run in runs])
+        stated = np.sqrt(np.mean([run[f"{name}_stderr"].values ** 2 for run in runs], axis=0))
+        scatter = compute_batch_stderr(values) * math.sqrt(len(runs))
+        seen = values.mean(axis=0) > 0.0
+        ratios += (scatter[seen] / stated[seen]).tolist()
+    rms = float(np.sqrt(np.mean(np.square(ratios))))
+    print(f"{len(ratios)} quantities: scatter over stated error rms {rms:.3f}")
+    assert 0.85 < rms < 1.15
+
+
+def test_pulses_are_convolved():
+    """A pulse delays light by its centroid, 0, and adds its variance."""
+    snow, fwhm = make_snow(depth_m=0.01), 0.8e-9
+    edges = np.linspace(-1.33e-9, 8e-9, 467)
+    pulse = {"delay_s": [0.0, 1e-9, 3e-9], "power": [0.0, 2.0, 0.0]}
+    start = {"rays": 8192, "delay_s": [0.0, 1e-12, 8e-9]}
+    instant = splits.time_of_flight(snow, 1064.0, **start).squeeze().sel(side="reflected")
+    variances = [(fwhm / math.sqrt(8.0 * math.log(2.0))) ** 2, (1.0 + 9.0 - 3.0) / 18.0 * 1e-18]
+    for one, variance in zip([fwhm, pulse], variances, strict=True):
+        result = splits.time_of_flight(snow, 1064.0, rays=8192, delay_s=edges, pulse=one)
+        result = result.squeeze().sel(side="reflected")
+        light = result.return_rate * np.diff(edges)
+        total = light.sum()
+        mean = (light * result.delay).sum() / total
+        spread = np.sqrt((light * (result.delay - mean) ** 2).sum() / total)
+        np.testing.assert_allclose(total, instant.fraction, rtol=1e-3)
+        np.testing.assert_allclose(mean, instant.mean_delay, atol=3e-12)
+        np.testing.assert_allclose(spread**2, instant.delay_spread**2 + variance, rtol=3e-3)
+
+
+def test_intervals_of_depth_add_up():
+    snow = make_snow(depth_m=0.05)
+    result = splits.time_of_flight(snow, 532.0, rays=20_000, depths_m=[0.005, 0.02]).squeeze()
+    reflected = result.sel(side="reflected")
+    np.testing.assert_allclose(result.fraction_by_depth.sum(), reflected.fraction)
+    delay = (result.fraction_by_depth * result.mean_delay_by_depth).sum() / reflected.fraction
+    np.testing.assert_allclose(delay, reflected.mean_delay)
+    least = 2.0 * result.depth_interval / SPEED_OF_LIGHT
+    assert (result.mean_delay_by_depth > least).all()
+
+
+def test_receivers_near_the_source_count_from_its_plane():
+    """Light that is scattered back by the first grain travels along the beam both ways."""
+    snow = make_snow(density_kg_m3=100.0, depth_m=0.5)
+    record = {"rays": 100_000, "delay_s": [0.0, 1e-12, 1e-8]}
+    whole = splits.time_of_flight(snow, 1300.0, 70.0, **record).sel(side="reflected")
+    near = splits.time_of_flight(snow, 1300.0, 70.0, **record, acceptance_deg=10.0)
+    near = near.sel(side="reflected")
+    assert 0.0 < near.fraction < 0.2 * whole.fraction
+    # Towards the horizon, light leaves at a larger distance than it is scattered back.
+    assert near.mean_delay < whole.mean_delay
+    narrow = splits.time_of_flight(snow, 1300.0, 70.0, **record, footprint_radius_m=0.005)
+    narrow = narrow.sel(side="reflected")
+    assert narrow.fraction < whole.fraction and narrow.mean_delay < whole.mean_delay
+
+
+def test_records_of_any_length_agree():
+    """The order of scattering after which paths end does not change what is recorded."""
+    snow = make_snow(depth_m=0.02, ground=0.5)
+    edges = [0.0, 1e-11, 1e-10, 5e-10]
+    short, long = (
+        splits.time_of_flight(snow, 532.0, rays=20_000, delay_s=[*edges, *more])
+        for more in ([], [math.inf])
+    )
+    np.testing.assert_array_equal(short.return_rate, long.return_rate)
+    assert short.fraction.sel(side="reflected") < long.fraction.sel(side="reflected")
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"delay_s": [-1e-9, 1e-9]}, "delay_s = -1e-09: must be at least"),
+        ({"delay_s": [1e-9]}, "at least two"),
+        ({"delay_s": [2e-9, 1e-9]}, "strictly increasing"),
+        ({"pulse": 1e-9, "delay_s": [0.0, 1e-9]}, "pulse = '3.397e-09 s long'"),
+        ({"pulse": -1e-9}, "pulse = -1e-09: must be"),
+        ({"pulse": {"delay_s": [0, 1]}}, "the columns delay_s and power"),
+        ({"pulse": {"delay_s": [0, 1], "power": [-1, 1]}}, "numbers from 0"),
+        ({"acceptance_deg": 100.0}, "acceptance_deg = 100"),
+        ({"acceptance_deg": 10.0, "incidence_deg": "diffuse"}, "acceptance_deg = 10"),
+        ({"footprint_radius_m": 0.0}, "footprint_radius_m = 0"),
+        ({"depths_m": [0.3]}, "depths_m = 0.3"),
+        ({"medium": splits.ParticleLayer(optical_thickness=2.0)}, "a layer of grains"),
+        ({"medium": splits.Snow.natural(specific_surface_area_m2_kg=20, depth_m=math.inf),
+          "delay_s": UNLIMITED}, "finite for an infinite depth"),
+        ({"wavelength_nm": 202.0}, "wavelength_nm"),
+    ],
+)  # fmt: skip
+def test_mistakes_have_one_message(keywords, message):
+    arguments = {"medium": make_snow(depth_m=0.1), "wavelength_nm": 532.0, "rays": 10}
+    with pytest.raises(ValueError, match=message) as caught:
+        splits.time_of_flight(**{**arguments, **keywords})
+    assert "\n" not in str(caught.value)

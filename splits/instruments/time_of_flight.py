@@ -10,6 +10,7 @@ import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
+from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import check_integer, invalid
 from splits.instruments.delay_dataset import make_delay_dataset
 from splits.instruments.delay_record import (
@@ -23,6 +24,7 @@ from splits.instruments.delay_record import (
 )
 from splits.instruments.delay_tally import DelayRecord, DelayTally
 from splits.instruments.slowness import compute_slowness
+from splits.instruments.spectrophotometer import spectrophotometer
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
 from splits.simulation.arguments import check_incidence, check_wavelengths
@@ -36,6 +38,8 @@ from splits.simulation.scene import (
 from splits.simulation.spectral_nodes import choose_nodes
 from splits.simulation.stopping_rule import StoppingRule
 
+LATE_LIGHT_ERRORS = (1e-4, 0.05)
+"""Limits of the requested error of all reflected light."""
 _INTERPOLATION_TOLERANCE = 0.001
 """Bound on the error of a reflectance from interpolation between refractive indices."""
 
@@ -106,7 +110,9 @@ def time_of_flight(
         light, ``mean_delay`` (s), ``delay_spread`` (s), the standard deviation, and
         ``delay_skewness``, and ``path_length`` (m), the mean length of the path in each
         ``material``.  With `depths_m`, the first four also as ``…_by_depth`` over
-        ``depth_interval`` for reflected light.  All with their standard errors ``…_stderr``, which
+        ``depth_interval`` for reflected light.  If all reflected light is received,
+        ``late_fraction``, the fraction of the incident light that is reflected after the record:
+        all reflected light as of `splits.spectrophotometer`, minus that in the record.  All with their standard errors ``…_stderr``, which
         include the errors of group indices and of interpolation between refractive indices.  The
         coordinate ``range`` (m) is half of the delay times the speed of light.
 
@@ -148,7 +154,27 @@ def time_of_flight(
         "incidence_deg": incidence,
         **tally.describe_run(evaluation.stop_reason),
     }
-    return make_delay_dataset(tally, medium, wavelengths, slowness, depths, attributes)
+    dataset = make_delay_dataset(tally, medium, wavelengths, slowness, depths, attributes)
+    if acceptance_deg is None and footprint_radius_m is None and math.isfinite(end_s):
+        return dataset.assign(_compute_late_light(dataset, medium, incidence, run))
+    return dataset
+
+
+def _compute_late_light(
+    dataset: xr.Dataset, medium: Medium, incidence: float | str, run: RunOptions
+) -> dict[str, Variable]:
+    """Return the fraction of the light that is reflected after the record, with its error."""
+    reflected = dataset.sel(side="reflected")
+    recorded, stderr = reflected.fraction.values, reflected.fraction_stderr.values
+    error = float(np.clip(stderr.max(), *LATE_LIGHT_ERRORS))
+    total = spectrophotometer(
+        medium, dataset.wavelength.values, incidence, error, run.seed, threads=run.threads
+    )
+    return make_variable(
+        "late_fraction", "wavelength", total.reflectance.values - recorded,
+        np.hypot(total.reflectance_stderr.values, stderr),
+        "fraction of the incident light that is reflected after the record",
+    )  # fmt: skip
 
 
 def _limit_depth(medium: Medium, end_s: float) -> Medium:

@@ -49,7 +49,8 @@ def compute_group_index(
         _fit_slopes(compute_index, wavelength_nm, half_width)
         for half_width in (FIT_HALF_WIDTH, 0.5 * FIT_HALF_WIDTH)
     )
-    return GroupIndex(index - wide, np.abs(wide - narrow))
+    # The error of a slope is proportional to the square of the range.
+    return GroupIndex(index - wide, 4.0 / 3.0 * np.abs(wide - narrow))
 
 
 def _fit_slopes(

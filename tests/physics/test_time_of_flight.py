@@ -235,6 +235,18 @@ def test_records_of_any_length_agree():
     assert short.fraction.sel(side="reflected") < long.fraction.sel(side="reflected")
 
 
+def test_later_light_is_what_the_record_lacks():
+    snow = make_snow(depth_m=0.05)
+    early, whole = (
+        splits.time_of_flight(snow, [532.0, 1064.0], 30.0, rays=50_000, seed=seed, delay_s=edges)
+        for seed, edges in ((1, [0.0, 1e-11, 2e-10]), (2, [0.0, 1e-10, math.inf]))
+    )
+    assert "late_fraction" not in whole
+    later = whole.fraction - early.fraction
+    z = (early.late_fraction - later) / np.hypot(early.late_fraction_stderr, whole.fraction_stderr)
+    judge_z(z.sel(side="reflected"), independent=1, bound_added=True)
+
+
 @pytest.mark.parametrize(
     ("keywords", "message"),
     [

@@ -102,9 +102,7 @@ RESULTS = {
         make_layer(), PAIR, 30.0, relative_stderr=0.5
     ),
     "beam_spread": lambda: splits.beam_spread(make_layer(), PAIR, rays=1000, half_width_m=1.0),
-    "time_of_flight": lambda: splits.time_of_flight(
-        make_snow(), PAIR, rays=1000, depths_m=[0.01]
-    ),
+    "time_of_flight": lambda: splits.time_of_flight(make_snow(), PAIR, rays=1000, depths_m=[0.01]),
     "irradiance_profile": lambda: splits.irradiance_profile(
         make_snow(), PAIR, [0.01], max_stderr=0.1
     ),

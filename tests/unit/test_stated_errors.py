@@ -50,7 +50,7 @@ CASES = {
     ),
     "time_of_flight": (
         splits.Snow(), ([900.0], 0.0, 1), {"depths_m": [0.01]},
-        {"return_rate", "path_length"} | {
+        {"return_rate", "path_length", "late_fraction"} | {
             f"{name}{suffix}" for suffix in ("", "_by_depth")
             for name in ("fraction", "mean_delay", "delay_spread", "delay_skewness")
         },

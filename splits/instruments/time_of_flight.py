@@ -105,16 +105,18 @@ def time_of_flight(
     -------
     xarray.Dataset
         Over ``side`` ("reflected", "transmitted") and ``wavelength``: ``return_rate`` (s⁻¹) over
-        ``delay``, the fraction of the incident light per time, convolved with the pulse; for an
-        instantaneous pulse and delays before the end of the record, ``fraction`` of the incident
-        light, ``mean_delay`` (s), ``delay_spread`` (s), the standard deviation, and
+        ``delay``, the fraction of the incident light per time, convolved with the pulse.  For an
+        instantaneous pulse and delays before the end of the record: ``fraction`` of the incident
+        light, ``mean_delay`` (s), ``delay_spread`` (s), the standard deviation,
         ``delay_skewness``, and ``path_length`` (m), the mean length of the path in each
         ``material``.  With `depths_m`, the first four also as ``…_by_depth`` over
         ``depth_interval`` for reflected light.  If all reflected light is received,
         ``late_fraction``, the fraction of the incident light that is reflected after the record:
-        all reflected light as of `splits.spectrophotometer`, minus that in the record.  All with their standard errors ``…_stderr``, which
-        include the errors of group indices and of interpolation between refractive indices.  The
-        coordinate ``range`` (m) is half of the delay times the speed of light.
+        all reflected light as of `splits.spectrophotometer`, minus that in the record.
+
+        All have standard errors ``…_stderr``, which include the errors of group indices and of
+        interpolation between refractive indices.  The coordinate ``range`` (m) is half of the
+        delay times the speed of light.  Light that a ground absorbs is not transmitted.
 
     Raises
     ------

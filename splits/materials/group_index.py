@@ -30,8 +30,8 @@ def compute_group_index(
 ) -> GroupIndex:
     """Return the group index n − λ dn/dλ of materials.
 
-    The dispersion is the slope of a parabola that is fitted to n over ln λ.  The error is the
-    difference from the slope over half the range.
+    The dispersion is the slope of a parabola that is fitted to n over ln λ.  The error follows
+    from the difference from the slope over half the range.
 
     Parameters
     ----------

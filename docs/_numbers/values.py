@@ -42,6 +42,7 @@ LABEL_DTYPES: Any = {"low": str, "high": str, "value": str}
 
 AGREEMENT_FILE, TABLE3_FILE = "tables/agreement.csv", "tables/table3.csv"
 SENSITIVITY_FILE, SAND_SHIFTS_FILE = "tables/sensitivity.csv", "tables/sand_weights.csv"
+ALL_SENSITIVITY_FILE = "tables/sensitivity_by_interpretation.csv"
 SAND_FIT_FILE, LAYER_TRENDS_FILE = "tables/sand_fit_parameters.csv", "tables/layer_trends.csv"
 LENS_FILE, GLASS_FILE = "data/layer_fig02_lens.nc", "data/layer_fig03_glass.nc"
 OURS_COLUMNS = ("ours", "stderr")
@@ -220,7 +221,7 @@ def _list_sensitivity_numbers() -> dict[str, QuotedNumber]:
                     *MSI_COLUMNS, largest=largest, name="interpretation", **filters
                 )
                 numbers[f"{prefix}.{parameter}.{name}"] = QuotedNumber(
-                    SENSITIVITY_FILE, select, ".2f"
+                    ALL_SENSITIVITY_FILE, select, ".2f"
                 )
         for parameter, low, high in others:
             filters = {"quantity": quantity, "parameter": parameter, "low": low, "high": high}

@@ -17,6 +17,7 @@ import xarray as xr
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
+from splits.core.uncertainty import compute_remaining_error
 from splits.core.validation import invalid
 
 AREA = "specific_surface_area_m2_kg"
@@ -85,6 +86,35 @@ def fit_surface_area(
     return SurfaceAreaFit(float(np.exp(log_area)), *evaluate(log_area))
 
 
+def bound_fit_errors(
+    areas: np.ndarray, modelled: np.ndarray, errors: np.ndarray, fit: SurfaceAreaFit,
+    scale_bound: float | None = None,
+) -> tuple[float, float]:  # fmt: skip
+    """Return bounds on the errors of area and scale for modelled errors of any correlation.
+
+    Parameters
+    ----------
+    areas : float, shape (areas,)
+        Surface areas (m²/kg).
+    modelled, errors : float, shape (areas, wavelengths)
+        Reflectance and its errors.
+    fit : SurfaceAreaFit
+    scale_bound : float, optional
+        Bound on the error of a fixed scale; by default, the scale is fitted, too.
+    """
+    model, log_area = CubicSpline(np.log(areas), modelled), np.log(fit.area)
+    shape, slope = model(log_area), fit.scale * model(log_area, 1)
+    nearest = int(np.argmin(np.abs(np.log(areas) - log_area)))
+    changes = fit.scale * errors[nearest]
+    if scale_bound is None:
+        area_change, scale_bound = (
+            np.abs(np.linalg.pinv(np.stack([slope, shape], axis=1))) @ changes
+        )
+        return fit.area * float(area_change), float(scale_bound)
+    response = np.abs(slope) @ changes + abs(slope @ shape) * scale_bound
+    return fit.area * float(response / (slope @ slope)), scale_bound
+
+
 def retrieve_surface_areas(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame:
     """Return the surface areas of snow from measured spectra.
 
@@ -101,7 +131,7 @@ def retrieve_surface_areas(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.Da
     -------
     pandas.DataFrame
         Per spectrum and window: ``area`` (m²/kg) and ``scale`` with their errors from
-        the noise of the model, ``rmse``, and ``at_the_end``, whether the area is at the end of the
+        those of the model, ``rmse``, and ``at_the_end``, whether the area is at the end of the
         grid.  The scale is that of all windows, since strongly absorbed wavelengths alone do not
         separate it from the area.
     """
@@ -111,8 +141,15 @@ def retrieve_surface_areas(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.Da
         areas = snow[AREA].values.astype(float)
         batches = snow.reflectance_batches.transpose("batch", AREA, "wavelength").values
         modelled = snow.reflectance.transpose(AREA, "wavelength").values
+        # Discrete ordinates have no other errors.
+        remaining = (
+            compute_remaining_error(snow.reflectance_stderr, snow.reflectance_batches.astype(float))
+            .transpose(AREA, "wavelength")
+            .values
+        )
         nodes = [modelled, *(modelled + batch for batch in batches)]
         scales: list[float | None] = [None] * len(nodes)
+        scale_bound: float | None = None
         for name, window in FIT_WINDOWS_NM.items():
             is_fitted = is_in_windows(snow.wavelength.values, window)
             fits = [
@@ -122,7 +159,12 @@ def retrieve_surface_areas(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.Da
             scales = [fit.scale for fit in fits]
             # Batch deviations, whose squares add up to the variance.
             deviations = np.subtract([fit[:2] for fit in fits[1:]], fits[0][:2])
-            area_error, scale_error = np.sqrt((deviations**2).sum(axis=0))
+            area_bound, scale_bound = bound_fit_errors(
+                areas, modelled[:, is_fitted], remaining[:, is_fitted], fits[0], scale_bound
+            )
+            area_error, scale_error = np.sqrt(
+                (deviations**2).sum(axis=0) + np.square([area_bound, scale_bound])
+            )
             area, scale, rmse = fits[0]
             is_at_end = bool(np.isclose(area, areas[[0, -1]], rtol=1e-6).any())
             rows.append((column, name, area, area_error, scale, scale_error, rmse, is_at_end))

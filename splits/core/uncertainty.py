@@ -132,8 +132,7 @@ def compute_error_parts(
     if f"{quantity}_batches" not in dataset:
         return xr.zeros_like(upper_bound), upper_bound
     deviations = dataset[f"{quantity}_batches"].astype(float)
-    excess_variance = stderr**2 - (deviations**2).sum("batch", skipna=False)
-    bound = excess_variance.where(~(excess_variance <= _VARIANCE_ROUNDING * stderr**2), 0.0) ** 0.5
+    bound = compute_remaining_error(stderr, deviations)
     statistical = (_sum_weighted(weights, deviations) ** 2).sum("batch", skipna=False) ** 0.5
     weighted_bound = (abs(weights) * bound).where(weights != 0.0, 0.0)
     interpolation = xr.apply_ufunc(
@@ -143,6 +142,20 @@ def compute_error_parts(
     )
     has_scatter = (deviations != 0.0).any(["batch", "wavelength"])
     return statistical, interpolation.where(has_scatter, upper_bound)
+
+
+def compute_remaining_error(stderr: xr.DataArray, deviations: xr.DataArray) -> xr.DataArray:
+    """Return the part of standard errors that the deviations by batch do not contain.
+
+    Parameters
+    ----------
+    stderr : xarray.DataArray
+    deviations : xarray.DataArray
+        In double precision, also over ``batch``.
+    """
+    excess_variance = stderr**2 - (deviations**2).sum("batch", skipna=False)
+    is_rounding = excess_variance <= _VARIANCE_ROUNDING * stderr**2
+    return excess_variance.where(~is_rounding, 0.0) ** 0.5
 
 
 def compute_difference(

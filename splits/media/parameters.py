@@ -45,6 +45,14 @@ _DERIVATIVE_UNITS = {
 """Units of derivatives, by keyword or by unit of the parameter."""
 
 
+_UNRELATED = {
+    **dict.fromkeys(FRACTION_PARAMETERS, ()),
+    **dict.fromkeys((SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY), (*IMPURITY_KEYWORDS, "saturation")),
+    LIQUID_WATER_KEY: (*IMPURITY_KEYWORDS, "grain_size_um"),
+}
+"""Keywords on which parameters do not depend that are computed from other keywords."""
+
+
 class _ParameterLocation(NamedTuple):
     """Location of a parameter: layer (None for the medium itself), keyword and component."""
 
@@ -123,12 +131,31 @@ def replace_parameter(medium: Any, name: str, value: float) -> Any:
     ValueError
         For a parameter that the medium does not have, or a value outside its range.
     """
-    location = _locate_parameter(medium, name)
-    if location.layer is None:
-        return _replace_value(medium, location, float(value))
-    layers = list(medium.layers)
-    layers[location.layer] = _replace_value(layers[location.layer], location, float(value))
-    return replace(medium, layers=tuple(layers))
+    return replace_parameters(medium, {name: value})
+
+
+def replace_parameters(medium: Any, values: Mapping[str, float]) -> Any:
+    """Return a copy of a medium with new values of parameters, one after another.
+
+    Parameters and errors are those of `replace_parameter`.  Media are made as rarely as possible,
+    as they check all of their values.
+    """
+    layers = {None: medium} | dict(enumerate(getattr(medium, "layers", ())))
+    pending: dict[int | None, dict[str, Any]] = {}
+    for name, value in values.items():
+        location = _locate_parameter(medium, name)
+        layer, key = location.layer, location.key
+        changes = pending.setdefault(layer, {})
+        if any(other not in _UNRELATED.get(key, (other,)) for other in changes):
+            layers[layer] = replace(layers[layer], **changes)
+            changes.clear()
+        changes |= _compute_change(layers[layer], location, float(value), changes)
+    for layer, changes in pending.items():
+        layers[layer] = replace(layers[layer], **changes)
+    if len(layers) == 1:
+        return layers[None]
+    parts = tuple(one for number, one in layers.items() if number is not None)
+    return replace(layers[None], layers=parts)
 
 
 def shift_parameter(medium: Any, name: str, shift: float) -> Any:
@@ -143,30 +170,31 @@ def get_derivative_unit(name: str) -> str:
     return _DERIVATIVE_UNITS.get(key) or _DERIVATIVE_UNITS.get(describe_parameter(key)[1], "1")
 
 
-def _replace_value(owner: Any, location: _ParameterLocation, value: float) -> Any:
+def _compute_change(
+    owner: Any, location: _ParameterLocation, value: float, changes: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return new keywords of a medium for a value of a parameter, after other changes."""
     key = location.key
     if key in FRACTION_PARAMETERS:
-        return replace(owner, **{key: _rescale_fractions(owner, location, value)})
+        return {key: _rescale_fractions(owner, location, value)}
     if location.component:
-        amounts = dict(getattr(owner, key))
+        amounts = dict(changes.get(key, getattr(owner, key)))
         amount = amounts.get(location.component)
         amounts[location.component] = (
             {**amount, "ng_g": value} if isinstance(amount, Mapping) else value
         )
-        return replace(owner, **{key: amounts})
+        return {key: amounts}
     if key in SHIFTABLE_DISTRIBUTIONS:
         old_values = getattr(owner, key)
         n_shifted = SHIFTABLE_DISTRIBUTIONS[key]
         shift = value - old_values[n_shifted - 1]
-        return replace(
-            owner, **{key: (*(x + shift for x in old_values[:n_shifted]), *old_values[n_shifted:])}
-        )
+        return {key: (*(x + shift for x in old_values[:n_shifted]), *old_values[n_shifted:])}
     if key in (SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY):
         factor = _compute_size_factor(owner, key, value)
-        return replace(owner, grain_size_um=tuple(factor * x for x in owner.grain_size_um))
+        return {"grain_size_um": tuple(factor * x for x in owner.grain_size_um)}
     if key == LIQUID_WATER_KEY:
-        return replace(owner, saturation=value / owner.porosity)
-    return replace(owner, **{key: value})
+        return {"saturation": value / owner.porosity}
+    return {key: value}
 
 
 def _compute_size_factor(owner: Any, key: str, value: float) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 
 from splits.core.optional import import_optional
 from splits.media.medium import Medium
-from splits.media.parameters import INCIDENCE_KEY, replace_parameter
+from splits.media.parameters import INCIDENCE_KEY, replace_parameters
 from splits.retrieval.forward_model import MeasurementOperator
 from splits.retrieval.gauss_newton import DescentStage, LocalMinimum, Objective, search_minima
 from splits.retrieval.linearization import BOUND_MARGIN, Linearization, remove_jacobian_noise
@@ -127,12 +127,9 @@ class MediumForwardModel(ABC):
     def make_inputs(self, state: np.ndarray) -> tuple[Medium, float | str, float]:
         """Return the medium, the incidence and the scale of a state."""
         physical = self.state_vector.to_physical(state)
-        medium, incidence = self.medium, self.incidence
-        for row, name in zip(self.rows, self.names, strict=True):
-            if name == INCIDENCE_KEY:
-                incidence = float(physical[row])
-            else:
-                medium = replace_parameter(medium, name, float(physical[row]))
+        values = {n: float(physical[row]) for row, n in zip(self.rows, self.names, strict=True)}
+        incidence = values.pop(INCIDENCE_KEY, self.incidence)
+        medium = replace_parameters(self.medium, values)
         scale = 1.0 if self.scale_row is None else float(physical[self.scale_row])
         return medium, incidence, scale
 

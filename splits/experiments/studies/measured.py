@@ -18,7 +18,7 @@ class SurfaceAreaStudy(Study):
             "{study}",
             "Specific surface area of measured snow",
             "The specific surface area and the scale from all ranges of wavelength and from parts "
-            "of them, with the error due to the noise of the model. The differences between the "
+            "of them, with the error due to that of the model. The differences between the "
             "parts are a better estimate of the uncertainty.",
         ),
         "law": StudyProduct(

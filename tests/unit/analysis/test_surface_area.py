@@ -86,6 +86,27 @@ def test_stated_errors_match_the_scatter_between_runs():
             assert 0.7 < values.std(ddof=1) / stated < 1.3, (window, name)
 
 
+def test_errors_without_batches_bound_all_errors_of_the_model():
+    """As of discrete ordinates, whose errors are correlated in an unknown way."""
+    spectra, random = make_measured(one=16.0), np.random.default_rng(4)
+    table = make_dataset()
+    table["reflectance_stderr"] = table.reflectance_stderr + 0.001
+    stated = retrieve_surface_areas(table, spectra).set_index("window")
+    signs = [1.0, -1.0, *random.choice([-1.0, 1.0], (20, WAVELENGTHS.size)),
+             np.sign(WAVELENGTHS - 1000.0), np.sign(WAVELENGTHS - 1500.0)]  # fmt: skip
+    for sign in signs:
+        changed = table.assign(
+            reflectance=table.reflectance + 0.001 * sign,
+            reflectance_stderr=0.0 * table.reflectance_stderr,
+        )
+        result = retrieve_surface_areas(changed, spectra).set_index("window")
+        for name in ("area", "scale"):
+            change = np.abs(result[name] - stated[name])
+            assert (change <= 1.05 * stated[f"{name}_stderr"]).all()
+            assert (result[f"{name}_stderr"] == 0.0).all()
+    assert (stated.area_stderr < 1.0).all() and (stated.scale_stderr < 0.01).all()
+
+
 def test_overlay_has_the_fitted_scale_and_wavelengths():
     dataset, spectra = make_dataset(), make_measured(a=16.0)
     table = make_overlay_table(dataset, spectra, retrieve_surface_areas(dataset, spectra))

@@ -51,7 +51,7 @@ RETRIEVAL_SOURCES = (
     "retrieval/residual_covariance.py", "retrieval/posterior.py", "retrieval/result.py",
     "retrieval/solution.py", "retrieval/settings.py", "retrieval/retrieve.py",
     "retrieval/medium_model.py",
-    "illumination/bands.py",
+    "illumination/bands.py", "illumination/sensors.py", "illumination/sensors.csv",
 )  # fmt: skip
 """Files that determine retrievals from a table."""
 TABLE_SOURCES = ("tables/assembly.py", "tables/build.py", "experiments/run_table.py")

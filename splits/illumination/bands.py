@@ -1,4 +1,4 @@
-"""Spectral bands of sensors, given by limits or by spectral response."""
+"""Spectral bands, given by limits, by spectral response or by the name of a sensor."""
 
 from __future__ import annotations
 
@@ -11,23 +11,11 @@ import numpy as np
 
 from splits.core.arrays import check_increasing, check_named_numbers, read_columns
 from splits.core.equality import ContentEquality
-from splits.core.keywords import reject_unknown_arguments
-from splits.core.optional import import_optional
 from splits.core.validation import check_choice, invalid, join_names, snap_to_limits, to_text_keys
+from splits.illumination.sensors import SENSORS, sensor_bands
 from splits.materials.csv_table import read_user_table, to_columns
 
 BAND_COLUMNS = ("wavelength_nm", "response")
-SENSORS = {
-    "landsat_5": ("Landsat-5", "TM"),
-    "landsat_7": ("Landsat-7", "ETM+"),
-    "landsat_8": ("Landsat-8", "OLI_TIRS"),
-    "landsat_9": ("Landsat-9", "OLI_TIRS"),
-    "modis_aqua": ("Aqua", "MODIS"),
-    "modis_terra": ("Terra", "MODIS"),
-    "sentinel_2a": ("Sentinel-2A", "MSI"),
-    "sentinel_2b": ("Sentinel-2B", "MSI"),
-}
-"""Satellite and instrument of every sensor, as named by pyrsr."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -103,56 +91,6 @@ class SpectralBand(ContentEquality):
     def limits_nm(self) -> tuple[float, float]:
         """First and last wavelength (nm)."""
         return float(self.wavelength_nm[0]), float(self.wavelength_nm[-1])
-
-
-@reject_unknown_arguments
-def sensor_bands(name: str) -> dict[str, dict[str, np.ndarray]]:
-    """Return the bands of a sensor in the form that `splits.albedo` takes.
-
-    The tables are those of pyrsr (extra ``sky``), which has bands 1 to 16 of MODIS.  Thermal bands
-    are excluded.
-
-    Parameters
-    ----------
-    name : str
-        One of landsat_5, landsat_7, landsat_8, landsat_9, modis_aqua, modis_terra, sentinel_2a,
-        sentinel_2b.
-
-    Returns
-    -------
-    dict
-        By name, which consists of the sensor and the number of the band, so that bands of several
-        sensors can be combined: ``wavelength_nm`` and ``response``, at most 1.
-
-    Raises
-    ------
-    ValueError
-        For an unknown sensor.
-    ModuleNotFoundError
-        Without pyrsr.
-
-    Examples
-    --------
-    >>> import splits
-    >>> bands = splits.sensor_bands("sentinel_2a")
-    >>> green = bands["sentinel_2a_3"]
-    >>> round(float(green["wavelength_nm"][green["response"].argmax()]))
-    560
-    """
-    check_choice("sensor", name, SENSORS)
-    rsr = import_optional("pyrsr", "sky", "bands of sensors need").RSR
-    spectral_response = rsr(*SENSORS[name], no_thermal=True)
-    wavelengths = np.asarray(spectral_response.rsrs_wvl, dtype=float)
-    bands = {}
-    for label, response in spectral_response.rsrs_norm01.items():
-        # From the last zero before the first response to the first after the last.
-        first, last = np.flatnonzero(response > 0.0)[[0, -1]]
-        support = slice(max(first - 1, 0), last + 2)
-        bands[f"{name}_{label}"] = {
-            "wavelength_nm": wavelengths[support],
-            "response": response[support].clip(0.0, 1.0),
-        }
-    return bands
 
 
 def as_bands(bands: Any) -> dict[str, SpectralBand]:

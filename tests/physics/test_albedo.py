@@ -9,6 +9,7 @@ from chi2 import NEEDS_JIT, judge_z
 
 import splits
 from splits.core.uncertainty import compute_difference
+from splits.illumination.bands import as_bands
 
 W = np.array([400.0, 500.0, 700.0, 1000.0])
 CUSTOM_SKY = {
@@ -192,6 +193,29 @@ def test_error_of_albedo_change_agrees_with_scatter():
     assert (changes < 0.0).all()
     scale = np.sqrt((stderrs**2).mean(axis=0) * (1.0 - 1.0 / len(changes)))
     judge_z((changes - changes.mean(axis=0)) / scale, independent=len(changes), bound_added=True)
+
+
+@NEEDS_JIT
+def test_band_albedos_agree_with_sums_over_exact_spectra():
+    """Bands of a run share paths and count as one comparison."""
+    snow = splits.Snow.natural(specific_surface_area_m2_kg=20, depth_m=0.05, ground=0.2)
+    sky, sensor = splits.sky("midlatitude_winter"), "viirs_suomi_npp"
+    wavelengths = np.array([385.0, 500.0, 650.0, 800.0, 1000.0, 1250.0, 1400.0, 1620.0, 2300.0])
+    exact = splits.albedo(snow, sky, wavelengths, solver="discrete_ordinates")
+    bands = as_bands(sensor)
+    weights = np.array([sky.compute_weights(wavelengths, band) for band in bands.values()])
+    expected = weights @ exact.albedo.values / weights.sum(axis=1)
+    uncertainty = weights @ exact.albedo_stderr.values / weights.sum(axis=1)
+    z = []
+    for seed in range(20):
+        found = splits.albedo(
+            snow, sky, wavelengths, 0.02, 2 * seed, bands=sensor, solver="monte_carlo"
+        )
+        found = found.sel(band=list(bands))
+        stderr = np.hypot(found.band_albedo_stderr.values, uncertainty)
+        z.append((found.band_albedo.values - expected) / stderr)
+    judge_z(z, "VIIRS", independent=len(z), bound_added=True)
+    assert np.sqrt(np.mean(np.square(z))) > 0.5
 
 
 @NEEDS_JIT

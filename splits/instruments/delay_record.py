@@ -79,21 +79,20 @@ class Pulse(NamedTuple):
         return cls(delay - centre, emitted)
 
 
-def check_edges(delay_s: Any, pulse: Pulse) -> tuple[np.ndarray, float]:
+def check_record(delay_s: Any, end_s: Any, pulse: Pulse) -> tuple[np.ndarray, float]:
     """Return the delays between bins, and the end of the record (s), after checking them.
 
     Raises
     ------
     ValueError
-        For fewer than two, a wrong order, delays before the pulse, or a record that is shorter than
-        the pulse.
+        For fewer than two delays, a wrong order, delays before the pulse, or a record that is
+        shorter than the pulse or than the bins.
     """
-    if delay_s is None:
-        return DEFAULT_EDGES_S, float(DEFAULT_EDGES_S[-1])
-    unlimited = np.ndim(delay_s) == 1 and len(delay_s) > 1 and delay_s[-1] == math.inf
-    edges = as_1d_array("delay_s", delay_s[:-1] if unlimited else delay_s, "numbers in seconds")
+    edges = DEFAULT_EDGES_S
+    if delay_s is not None:
+        edges = as_1d_array("delay_s", delay_s, "numbers in seconds")
     if edges.size < 2:
-        raise invalid("delay_s", edges.tolist(), "at least two finite delays, the edges of bins")
+        raise invalid("delay_s", edges.tolist(), "at least two delays, the edges of bins")
     check_increasing("delay_s", edges)
     earliest, length = float(pulse.delay_s[0]), float(np.ptp(pulse.delay_s))
     if edges[0] < earliest:
@@ -104,7 +103,10 @@ def check_edges(delay_s: Any, pulse: Pulse) -> tuple[np.ndarray, float]:
             "pulse", f"{length:.4g} s long", f"at most {edges[-1] - edges[0]:.4g} s, the record",
             "give a shorter pulse, or a longer delay_s",
         )  # fmt: skip
-    return edges, math.inf if unlimited else float(edges[-1])
+    if end_s is None:
+        return edges, float(edges[-1])
+    hint = "the end of the record is not before that of the bins"
+    return edges, check_range("end_s", end_s, float(edges[-1]), math.inf, "s", hint=hint)
 
 
 def check_granular_layers(medium: Medium) -> None:

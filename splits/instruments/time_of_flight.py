@@ -17,8 +17,8 @@ from splits.instruments.delay_record import (
     SPEED_OF_LIGHT,
     Pulse,
     check_depths,
-    check_edges,
     check_granular_layers,
+    check_record,
     compute_max_order,
     make_receiver,
 )
@@ -53,6 +53,7 @@ def time_of_flight(
     seed: int = 1,
     *,
     delay_s: Any = None,
+    end_s: float | None = None,
     pulse: Any = None,
     acceptance_deg: float | None = None,
     footprint_radius_m: float | None = None,
@@ -79,8 +80,11 @@ def time_of_flight(
         Non-negative; results with the same seed are identical on any number of threads.
     delay_s : array_like, optional
         Increasing delays (s), the edges of the bins of `return_rate`, from 0, or from the beginning
-        of the pulse.  The last one, the end of the record, may be infinite; rays are not traced
-        beyond it.  By default, ten per decade from 1 ps to 100 ns.
+        of the pulse.  By default, ten per decade from 1 ps to 100 ns.
+    end_s : float, optional
+        Delay (s) until which light counts in moments and path lengths, at least the last of
+        `delay_s`, which is the default; rays are not traced beyond.  It may be infinite, except for
+        media of infinite depth.
     pulse : float or mapping, optional
         Full width at half maximum (s) of a Gaussian pulse, or the columns ``delay_s`` and ``power``
         of any pulse.  Delays count from its centroid.  By default, the pulse is instantaneous.
@@ -135,11 +139,11 @@ def time_of_flight(
     check_integer("rays", rays, 1)
     run = RunOptions.from_arguments(seed, threads, kernel, progress)
     record_pulse = Pulse.from_argument(pulse)
-    edges, end_s = check_edges(delay_s, record_pulse)
+    edges, end = check_record(delay_s, end_s, record_pulse)
     receiver = make_receiver(incidence, acceptance_deg, footprint_radius_m)
     depths = check_depths(depths_m, medium)
     slowness = compute_slowness(medium, wavelengths)
-    last_s = end_s - float(record_pulse.delay_s[0])
+    last_s = end - float(record_pulse.delay_s[0])
     traced = _limit_depth(medium, last_s)
     index, absorption = compute_optical_constants(traced, wavelengths)
     nodes = choose_nodes(index, traced.list_interfaces(), _INTERPOLATION_TOLERANCE)
@@ -148,7 +152,7 @@ def time_of_flight(
     if depths.size:
         scene = add_recording_planes(scene, depths.tolist())
     interval = np.searchsorted(depths, -scene.layers.boundaries, side="right")
-    record = DelayRecord(receiver, edges, end_s, np.stack(record_pulse), interval)
+    record = DelayRecord(receiver, edges, end, np.stack(record_pulse), interval)
     tally = DelayTally(nodes, absorption, slowness.value, record, max_order)
     evaluation = simulate(scene, tally, StoppingRule(0.0, rays, fixed=True), run)
     attributes = {
@@ -157,7 +161,7 @@ def time_of_flight(
         **tally.describe_run(evaluation.stop_reason),
     }
     dataset = make_delay_dataset(tally, medium, wavelengths, slowness, depths, attributes)
-    if acceptance_deg is None and footprint_radius_m is None and math.isfinite(end_s):
+    if acceptance_deg is None and footprint_radius_m is None and math.isfinite(end):
         return dataset.assign(_compute_late_light(dataset, medium, incidence, run))
     return dataset
 
@@ -184,5 +188,5 @@ def _limit_depth(medium: Medium, end_s: float) -> Medium:
     if not medium.is_semi_infinite:
         return medium
     if math.isinf(end_s):
-        raise invalid("delay_s", math.inf, "finite for an infinite depth", "set the end in seconds")
+        raise invalid("end_s", math.inf, "finite for an infinite depth")
     return medium.truncate(0.5 * SPEED_OF_LIGHT * end_s, None)

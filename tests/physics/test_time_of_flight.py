@@ -13,7 +13,7 @@ from tests.statistics.chi2 import judge_z
 SPEED_OF_LIGHT = 299_792_458.0
 CLEAR = {"ice": 1.31, "water": 1.33}
 SPHERES = {"facetness": (0.0, 0.0, 0.0, 0.1), "sphericity": (1.0, 1.0, 1.0, 0.1)}
-UNLIMITED = [0.0, 1e-10, math.inf]
+UNLIMITED = {"delay_s": [0.0, 1e-10], "end_s": math.inf}
 
 
 def make_snow(**keywords):
@@ -45,7 +45,7 @@ def test_clear_slabs_have_the_mean_path_lengths_of_thermodynamics():
     for density in (100.0, 350.0, 600.0):
         snow = make_snow(density_kg_m3=density, depth_m=0.01, refractive_index=CLEAR, **SPHERES)
         result = splits.time_of_flight(
-            snow, 532.0, "diffuse", rays=100_000, delay_s=UNLIMITED, seed=int(density)
+            snow, 532.0, "diffuse", rays=100_000, **UNLIMITED, seed=int(density)
         )
         length, stderr = sum_sides(result, "path_length")
         ice = 1.0 - snow.porosity
@@ -59,7 +59,7 @@ def test_clear_slabs_have_the_mean_path_lengths_of_thermodynamics():
 @pytest.mark.parametrize("density", [100.0, 350.0, 600.0])
 def test_natural_snow_has_the_mean_path_of_its_grains(density):
     snow = make_snow(density_kg_m3=density, depth_m=0.01, refractive_index=CLEAR)
-    result = splits.time_of_flight(snow, 532.0, "diffuse", rays=100_000, delay_s=UNLIMITED)
+    result = splits.time_of_flight(snow, 532.0, "diffuse", rays=100_000, **UNLIMITED)
     length, stderr = sum_sides(result, "path_length")
     weak = make_snow(density_kg_m3=density, refractive_index={"ice": "1.31+1e-9j"})
     grains = splits.single_scattering(weak, 532.0, rays=2_000_000)
@@ -88,7 +88,7 @@ def test_derivatives_of_reflectance_are_path_lengths():
         snow, wavelengths, 30.0, jacobian=["impurities_ng_g.black_carbon"],
         solver="discrete_ordinates",
     )  # fmt: skip
-    result = splits.time_of_flight(snow, wavelengths, 30.0, rays=200_000, delay_s=UNLIMITED)
+    result = splits.time_of_flight(snow, wavelengths, 30.0, rays=200_000, **UNLIMITED)
     per_mass = snow.compute_added_absorption(wavelengths)[:, 2] / 100.0
     slope = spectrum.reflectance_jacobian.squeeze()
     expected = -slope / spectrum.reflectance / per_mass
@@ -121,7 +121,7 @@ def compute_diffusion(snow):
     grains = splits.single_scattering(snow, 532.0, rays=200_000)
     transport = 1.0 / (snow.extinction_per_m * (1.0 - grains.asymmetry_parameter.item()))
     clear = make_snow(density_kg_m3=snow.density_kg_m3, depth_m=0.01, refractive_index=CLEAR)
-    path = splits.time_of_flight(clear, 532.0, "diffuse", rays=100_000, delay_s=UNLIMITED)
+    path = splits.time_of_flight(clear, 532.0, "diffuse", rays=100_000, **UNLIMITED)
     delay, _ = sum_sides(path, "mean_delay")
     return 0.02 / delay * transport / 3.0, 0.7104 * transport
 
@@ -145,7 +145,7 @@ def test_light_of_a_half_space_follows_the_law_of_diffusion():
     index = {"ice": "1.31+3e-8j"}
     snow = make_snow(density_kg_m3=300.0, depth_m=math.inf, refractive_index=index)
     clear = make_snow(density_kg_m3=300.0, depth_m=0.03, refractive_index=CLEAR)
-    path = splits.time_of_flight(clear, 532.0, "diffuse", rays=100_000, delay_s=UNLIMITED)
+    path = splits.time_of_flight(clear, 532.0, "diffuse", rays=100_000, **UNLIMITED)
     length, delay = (sum_sides(path, name)[0] for name in ("path_length", "mean_delay"))
     absorption = 4.0 * math.pi * 3e-8 / 532e-9
     rate = absorption * length[2] / delay
@@ -228,8 +228,8 @@ def test_records_of_any_length_agree():
     snow = make_snow(depth_m=0.02, ground=0.5)
     edges = [0.0, 1e-11, 1e-10, 5e-10]
     short, long = (
-        splits.time_of_flight(snow, 532.0, rays=20_000, delay_s=[*edges, *more])
-        for more in ([], [math.inf])
+        splits.time_of_flight(snow, 532.0, rays=20_000, delay_s=edges, end_s=end)
+        for end in (None, math.inf)
     )
     np.testing.assert_array_equal(short.return_rate, long.return_rate)
     assert short.fraction.sel(side="reflected") < long.fraction.sel(side="reflected")
@@ -238,8 +238,10 @@ def test_records_of_any_length_agree():
 def test_later_light_is_what_the_record_lacks():
     snow = make_snow(depth_m=0.05)
     early, whole = (
-        splits.time_of_flight(snow, [532.0, 1064.0], 30.0, rays=50_000, seed=seed, delay_s=edges)
-        for seed, edges in ((1, [0.0, 1e-11, 2e-10]), (2, [0.0, 1e-10, math.inf]))
+        splits.time_of_flight(
+            snow, [532.0, 1064.0], 30.0, rays=50_000, seed=seed, delay_s=[0.0, 2e-10], end_s=end
+        )
+        for seed, end in ((1, None), (2, math.inf))
     )
     assert "late_fraction" not in whole
     later = whole.fraction - early.fraction
@@ -263,7 +265,8 @@ def test_later_light_is_what_the_record_lacks():
         ({"depths_m": [0.3]}, "depths_m = 0.3"),
         ({"medium": splits.ParticleLayer(optical_thickness=2.0)}, "a layer of grains"),
         ({"medium": splits.Snow.natural(specific_surface_area_m2_kg=20, depth_m=math.inf),
-          "delay_s": UNLIMITED}, "finite for an infinite depth"),
+          "end_s": math.inf}, "end_s = inf: must be finite for an infinite depth"),
+        ({"end_s": 1e-9}, "end_s = 1e-09: must be at least 1e-07 s"),
         ({"wavelength_nm": 202.0}, "wavelength_nm"),
     ],
 )  # fmt: skip

@@ -14,8 +14,8 @@ from splits.instruments.beam_spread_tally import N_MAP_PIXELS, SIDES
 from splits.instruments.delay_record import (
     Pulse,
     check_depths,
-    check_edges,
     check_granular_layers,
+    check_record,
     make_receiver,
 )
 from splits.media.medium import Medium
@@ -57,6 +57,8 @@ class TimeOfFlight(OpticalInstrument):
     delay_s: tuple[float, ...] | None = None
     """edges of the bins of delay (s), increasing; by default 0 and ten per decade from 1e-12 to
     1e-7"""
+    end_s: float | None = None
+    """delay until which light counts in moments (s), by default the last of `delay_s`"""
     pulse: float | PulseSection | None = None
     """full width at half maximum of a Gaussian pulse (s), or its power over time; by default, the
     pulse is instantaneous"""
@@ -77,7 +79,7 @@ class TimeOfFlight(OpticalInstrument):
     def _get_edges(self) -> np.ndarray:
         """Return the edges of the bins of delay (s)."""
         pulse = self.pulse.model_dump() if isinstance(self.pulse, PulseSection) else self.pulse
-        edges, _ = check_edges(self.delay_s, Pulse.from_argument(pulse))
+        edges, _ = check_record(self.delay_s, self.end_s, Pulse.from_argument(pulse))
         return edges
 
     def count_values(self) -> int:

@@ -10,7 +10,7 @@ from splits.instruments.delay_record import (
     DEFAULT_EDGES_S,
     FWHM_PER_SIGMA,
     Pulse,
-    check_edges,
+    check_record,
     compute_max_order,
     make_receiver,
 )
@@ -42,14 +42,14 @@ def test_tabulated_pulses_are_centred():
     assert pulse.emitted[0] == 0.0 and pulse.emitted[-1] == 1.0
 
 
-def test_edges_may_be_unlimited():
+def test_records_may_be_unlimited():
     instant = Pulse.from_argument(None)
-    edges, end = check_edges([0.0, 1e-9, math.inf], instant)
+    edges, end = check_record([0.0, 1e-9], math.inf, instant)
     assert edges.tolist() == [0.0, 1e-9] and end == math.inf
-    edges, end = check_edges(None, instant)
+    edges, end = check_record(None, None, instant)
     assert edges is DEFAULT_EDGES_S and end == edges[-1]
-    with pytest.raises(ValueError, match="at least two finite delays"):
-        check_edges([0.0, math.inf], instant)
+    with pytest.raises(ValueError, match="at least two delays"):
+        check_record([1e-9], math.inf, instant)
 
 
 def test_receivers_look_along_the_beam():

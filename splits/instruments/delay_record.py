@@ -105,6 +105,8 @@ def check_record(delay_s: Any, end_s: Any, pulse: Pulse) -> tuple[np.ndarray, fl
         )  # fmt: skip
     if end_s is None:
         return edges, float(edges[-1])
+    if isinstance(end_s, float) and math.isinf(end_s) and end_s > 0.0:
+        return edges, end_s
     hint = "the end of the record is not before that of the bins"
     return edges, check_range("end_s", end_s, float(edges[-1]), math.inf, "s", hint=hint)
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.core.validation import invalid
 from splits.instruments.angular_estimate import N_ANGULAR_BATCHES
 from splits.kernels.tallies.delays import N_MOMENTS, DelaySums, Receiver, tally_delays
 from splits.simulation.exit_tally import ExitTally
@@ -37,6 +38,10 @@ class DelayRecord(NamedTuple):
     interval: np.ndarray
 
 
+MAX_TALLY_VALUES = 100_000_000
+"""Largest number of sums of a tally."""
+
+
 class DelayTally(ExitTally):
     """Tally of exits by their delay.
 
@@ -49,6 +54,11 @@ class DelayTally(ExitTally):
     record : DelayRecord
     max_order : int
         Order of scattering that no light reaches within the record.
+
+    Raises
+    ------
+    ValueError
+        If the sums do not fit into memory.
 
     Attributes
     ----------
@@ -69,6 +79,15 @@ class DelayTally(ExitTally):
         self.slowness, self.record = slowness, record
         n_bins, n_intervals = record.edges.size - 1, int(record.interval[-1]) + 1
         shape = N_ANGULAR_BATCHES, 2, len(self.rows)
+        n_values = int(np.prod(shape)) * (n_bins + n_intervals * N_MOMENTS + absorption.shape[1])
+        if n_values > MAX_TALLY_VALUES:
+            n_wavelengths = len(absorption)
+            raise invalid(
+                "wavelength_nm", f"{n_wavelengths} wavelengths",
+                f"at most {n_wavelengths * MAX_TALLY_VALUES // n_values} with {n_bins} bins of "
+                f"delay and {n_intervals} intervals of depth",
+                "use fewer bins, or several calls",
+            )  # fmt: skip
         self.histogram_sums = np.zeros((*shape, n_bins))
         self.moment_sums = np.zeros((*shape, n_intervals, N_MOMENTS))
         self.length_sums = np.zeros((*shape, absorption.shape[1]))

@@ -268,6 +268,8 @@ def test_later_light_is_what_the_record_lacks():
           "end_s": math.inf}, "end_s = inf: must be finite for an infinite depth"),
         ({"end_s": 1e-9}, "end_s = 1e-09: must be at least 1e-07 s"),
         ({"wavelength_nm": 202.0}, "wavelength_nm"),
+        ({"wavelength_nm": range(500, 1500), "delay_s": np.linspace(0.0, 1e-7, 10_000)},
+         "wavelengths': must be at most .* with 9999 bins"),
     ],
 )  # fmt: skip
 def test_mistakes_have_one_message(keywords, message):

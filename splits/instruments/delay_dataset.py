@@ -23,6 +23,10 @@ from splits.simulation.interpolation_bounds import bound_fraction_error
 from splits.simulation.rare_light import allow_for_unseen_rays
 from splits.simulation.run_options import make_wavelength_coordinate
 
+MIN_BATCHES = 8
+"""Least number of batches with light for moments to have known errors."""
+ROUNDING = 1e-12
+"""Rounding error of a variance, relative to the mean square."""
 SIDES = ("reflected", "transmitted")
 MOMENT_LABELS = {
     "mean_delay": ("mean delay", "s"),
@@ -67,7 +71,7 @@ class DelayEstimate(NamedTuple):
         first, second, third = (
             _divide_or_zero(moments[..., order], fraction) for order in range(1, 4)
         )
-        variance = np.maximum(second - first**2, 0.0)
+        variance = np.where(second - first**2 > ROUNDING * second, second - first**2, 0.0)
         spread = np.sqrt(variance)
         centred = third - 3.0 * first * second + 2.0 * first**3
         return cls(fraction, first, spread, _divide_or_zero(centred, variance * spread))
@@ -137,8 +141,10 @@ def _make_moment_variables(
     error = np.hypot(error, bound_fraction_error(rays.interpolation_bound, mean))
     label = "fraction of the incident light that returns within the record"
     variables = make_variable(f"fraction{suffix}", dims, mean, error, label)
+    is_known = (moments[..., 0] > 0.0).sum(axis=0) >= MIN_BATCHES
     for name, (label, units) in MOMENT_LABELS.items():
-        values, error = getattr(estimate, name), compute_jackknife_stderr(getattr(jackknife, name))
+        values = np.where(is_known, getattr(estimate, name), np.nan)
+        error = np.where(is_known, compute_jackknife_stderr(getattr(jackknife, name)), np.nan)
         if units == "s":
             error = np.hypot(error, index_error * values)
         variables |= make_variable(f"{name}{suffix}", dims, values, error, label, units)
@@ -149,9 +155,13 @@ def _make_length_variables(fractions: np.ndarray, lengths: np.ndarray) -> dict[s
     """Return mean path lengths with errors, from their sums by batch, divided by fractions."""
     mean = _divide_or_zero(lengths.mean(axis=0), fractions.mean(axis=0))
     jackknife = _divide_or_zero(*map(compute_leave_one_out_means, (lengths, fractions)))
+    is_known = (fractions > 0.0).sum(axis=0) >= MIN_BATCHES
+    mean, error = (
+        np.where(is_known, one, np.nan) for one in (mean, compute_jackknife_stderr(jackknife))
+    )
     return make_variable(
-        "path_length", ("side", "wavelength", "material"), mean,
-        compute_jackknife_stderr(jackknife), "mean length of the path in a material", "m",
+        "path_length", ("side", "wavelength", "material"), mean, error,
+        "mean length of the path in a material", "m",
     )  # fmt: skip
 
 

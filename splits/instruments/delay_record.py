@@ -8,11 +8,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.core.arrays import as_1d_array, check_array_range, check_increasing
-from splits.core.validation import check_range, invalid
+from splits.core.arrays import as_1d_array, check_array_range, check_increasing, read_columns
+from splits.core.validation import as_scalar, check_range, invalid
 from splits.kernels.base.scene import Layers
 from splits.kernels.base.work import NO_MAX_ORDER
 from splits.kernels.tallies.delays import Receiver
+from splits.materials.csv_table import to_columns
 from splits.media.medium import Medium
 
 SPEED_OF_LIGHT = 299_792_458.0
@@ -21,6 +22,8 @@ DEFAULT_EDGES_S = np.concatenate([[0.0], np.geomspace(1e-12, 1e-7, 51)])
 """Default delays between bins: ten per decade, to a path of 30 m in air."""
 PULSE_POINTS = 1025
 """Points of a table of a pulse."""
+MIN_PULSE_STEPS = 8.0
+"""Least time in steps of this table during which 80 % of the light is emitted."""
 GAUSSIAN_HALF_LENGTH = 4.0
 """Half of the length of a Gaussian pulse, in standard deviations."""
 FWHM_PER_SIGMA = math.sqrt(8.0 * math.log(2.0))
@@ -55,28 +58,46 @@ class Pulse(NamedTuple):
         """
         if pulse is None:
             return cls(np.zeros(1), np.ones(1))
+        pulse = to_columns(pulse)
         if not isinstance(pulse, Mapping):
             sigma = check_range("pulse", pulse, 0.0, 1.0, "s", open_low=True) / FWHM_PER_SIGMA
             x = np.linspace(-GAUSSIAN_HALF_LENGTH, GAUSSIAN_HALF_LENGTH, PULSE_POINTS)
             return cls._from_power(sigma * x, np.exp(-0.5 * x**2))
         if set(pulse) != {"delay_s", "power"}:
-            raise invalid("pulse", sorted(map(str, pulse)), "the columns delay_s and power")
-        delay = check_increasing("pulse: delay_s", as_1d_array("pulse: delay_s", pulse["delay_s"]))
-        power = as_1d_array("pulse: power", pulse["power"])
+            allowed = "a width in seconds, or the columns delay_s and power"
+            raise invalid("pulse", sorted(map(str, pulse)), allowed)
+        delay, power = read_columns("pulse", dict(pulse))
+        check_increasing("pulse.delay_s", delay)
         if delay.size < 2 or power.shape != delay.shape:
-            raise invalid("pulse: power", power.size, "as many numbers as delay_s, at least 2")
+            raise invalid("pulse.power", power.size, "as many numbers as delay_s, at least 2")
         if (power < 0.0).any() or not power.any():
-            raise invalid("pulse: power", float(power.min()), "numbers from 0, not all 0")
-        uniform = np.linspace(delay[0], delay[-1], PULSE_POINTS)
-        return cls._from_power(uniform, np.interp(uniform, delay, power))
+            raise invalid("pulse.power", float(power.min()), "numbers from 0, not all 0")
+        return cls._from_power(delay, power / power.max())
 
     @classmethod
     def _from_power(cls, delay: np.ndarray, power: np.ndarray) -> Pulse:
-        """Return a pulse of a power at uniform delays, with its centroid at 0."""
-        steps = 0.5 * (power[1:] + power[:-1])
-        emitted = np.concatenate([[0.0], np.cumsum(steps)]) / steps.sum()
-        centre = (np.diff(emitted) * 0.5 * (delay[1:] + delay[:-1])).sum()
-        return cls(delay - centre, emitted)
+        """Return a pulse of a power that is linear between delays, with its centroid at 0."""
+        uniform = np.linspace(delay[0], delay[-1], PULSE_POINTS)
+        fine = np.union1d(delay, uniform)
+        fine_power = np.interp(fine, delay, power)
+        light = 0.5 * (fine_power[1:] + fine_power[:-1]) * np.diff(fine)
+        emitted = np.concatenate([[0.0], np.cumsum(light)])
+        emitted /= emitted[-1]
+        width = float(np.interp(0.9, emitted, fine) - np.interp(0.1, emitted, fine))
+        if width < MIN_PULSE_STEPS * (uniform[1] - uniform[0]):
+            allowed = f"at most {PULSE_POINTS / MIN_PULSE_STEPS:.0f} times as long as most light"
+            raise invalid(
+                "pulse.delay_s", f"{delay[-1] - delay[0]:.4g} s long", allowed,
+                f"80 % of it is emitted within {width:.4g} s; leave out delays with little light",
+            )  # fmt: skip
+        return cls(uniform - _compute_centroid(fine, fine_power), np.interp(uniform, fine, emitted))
+
+
+def _compute_centroid(delay: np.ndarray, power: np.ndarray) -> float:
+    """Return the mean delay of light whose power is linear between delays."""
+    step, (begin, end) = np.diff(delay), (power[:-1], power[1:])
+    moment = step * (delay[:-1] * (begin + end) / 2.0 + step * (begin + 2.0 * end) / 6.0)
+    return float(moment.sum() / (0.5 * (begin + end) * step).sum())
 
 
 def check_record(delay_s: Any, end_s: Any, pulse: Pulse) -> tuple[np.ndarray, float]:
@@ -105,9 +126,9 @@ def check_record(delay_s: Any, end_s: Any, pulse: Pulse) -> tuple[np.ndarray, fl
         )  # fmt: skip
     if end_s is None:
         return edges, float(edges[-1])
-    if isinstance(end_s, float) and math.isinf(end_s) and end_s > 0.0:
-        return edges, end_s
-    hint = "the end of the record is not before that of the bins"
+    if as_scalar(end_s) == math.inf:
+        return edges, math.inf
+    hint = "not before the end of the bins; it may be infinite"
     return edges, check_range("end_s", end_s, float(edges[-1]), math.inf, "s", hint=hint)
 
 
@@ -146,8 +167,9 @@ def make_receiver(
     if radius_m is not None:
         radius = check_range("footprint_radius_m", radius_m, 0.0, math.inf, "m", open_low=True)
     if isinstance(incidence_deg, str) and not (acceptance_deg is None and radius_m is None):
-        key = "acceptance_deg" if acceptance_deg is not None else "footprint_radius_m"
-        raise invalid(key, acceptance_deg or radius_m, "None for diffuse light", "give a beam")
+        given = {"acceptance_deg": acceptance_deg, "footprint_radius_m": radius_m}
+        key = next(key for key, value in given.items() if value is not None)
+        raise invalid(key, given[key], "left out for diffuse light", "it needs a beam")
     if acceptance_deg is None:
         return Receiver(np.array([0.0, 0.0, 1.0]), -2.0, radius, 0.0)
     acceptance = check_range("acceptance_deg", acceptance_deg, 0.0, 90.0, "deg", open_low=True)
@@ -160,8 +182,8 @@ def compute_max_order(medium: Medium, layers: Layers, receiver: Receiver, end_s:
     """Return an order of scattering that no light reaches before a delay (s).
 
     Collisions are at least as far apart as the pore space between them, in which light has at most
-    the speed of light in vacuum.  Between two hits of the ground, light is scattered, or crosses
-    the medium twice.
+    the speed of light in vacuum (group indices of pores of 1 or more).  Between two hits of the
+    ground, light is scattered, or crosses the medium twice.
     """
     if math.isinf(end_s):
         return NO_MAX_ORDER
@@ -175,5 +197,6 @@ def compute_max_order(medium: Medium, layers: Layers, receiver: Receiver, end_s:
     n_collisions += tilt * min(MIN_PATHS_SIGMA * distance, reach)
     n_collisions += MIN_PATHS_SIGMA * math.sqrt(n_collisions) + MIN_PATHS_SIGMA**2
     if medium.reflecting_ground is not None:
-        n_collisions = 2.0 * n_collisions + SPEED_OF_LIGHT * end_s / medium.depth_m
+        crossings = SPEED_OF_LIGHT * end_s / pore_fraction / medium.depth_m
+        n_collisions = 2.0 * n_collisions + crossings
     return min(int(n_collisions) + 1, NO_MAX_ORDER)

@@ -42,6 +42,18 @@ MAX_TALLY_VALUES = 100_000_000
 """Largest number of sums of a tally."""
 
 
+def check_tally_size(n_wavelengths: int, n_bins: int, n_intervals: int = 1) -> None:
+    """Check that the sums of a tally fit into memory, if two nodes serve each wavelength."""
+    n_values = 2 * N_ANGULAR_BATCHES * 2 * n_wavelengths * (n_bins + n_intervals * N_MOMENTS)
+    if n_values > MAX_TALLY_VALUES:
+        raise invalid(
+            "wavelength_nm", f"{n_wavelengths} wavelengths",
+            f"at most {n_wavelengths * MAX_TALLY_VALUES // n_values} with {n_bins} bins of "
+            f"delay and {n_intervals} intervals of depth",
+            "use fewer bins, or several calls",
+        )  # fmt: skip
+
+
 class DelayTally(ExitTally):
     """Tally of exits by their delay.
 
@@ -79,15 +91,7 @@ class DelayTally(ExitTally):
         self.slowness, self.record = slowness, record
         n_bins, n_intervals = record.edges.size - 1, int(record.interval[-1]) + 1
         shape = N_ANGULAR_BATCHES, 2, len(self.rows)
-        n_values = int(np.prod(shape)) * (n_bins + n_intervals * N_MOMENTS + absorption.shape[1])
-        if n_values > MAX_TALLY_VALUES:
-            n_wavelengths = len(absorption)
-            raise invalid(
-                "wavelength_nm", f"{n_wavelengths} wavelengths",
-                f"at most {n_wavelengths * MAX_TALLY_VALUES // n_values} with {n_bins} bins of "
-                f"delay and {n_intervals} intervals of depth",
-                "use fewer bins, or several calls",
-            )  # fmt: skip
+        check_tally_size(len(absorption), n_bins, n_intervals)
         self.histogram_sums = np.zeros((*shape, n_bins))
         self.moment_sums = np.zeros((*shape, n_intervals, N_MOMENTS))
         self.length_sums = np.zeros((*shape, absorption.shape[1]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import xarray as xr
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import Variable, make_variable
-from splits.core.validation import check_integer, invalid
+from splits.core.validation import InvalidValue, check_integer, invalid
 from splits.instruments.delay_dataset import make_delay_dataset
 from splits.instruments.delay_record import (
     SPEED_OF_LIGHT,
@@ -38,6 +39,10 @@ from splits.simulation.scene import (
 from splits.simulation.spectral_nodes import choose_nodes
 from splits.simulation.stopping_rule import StoppingRule
 
+CLEARANCE_MFP = 30.0
+"""Mean free paths between the depths that matter and the end of a semi-infinite medium."""
+MAX_DEPTH_M = 9_000.0
+"""Largest depth that replaces an infinite one."""
 LATE_LIGHT_ERRORS = (1e-4, 0.05)
 """Limits of the requested error of all reflected light."""
 _INTERPOLATION_TOLERANCE = 0.001
@@ -116,10 +121,14 @@ def time_of_flight(
         ``material``.  With `depths_m`, the first four also as ``…_by_depth`` over
         ``depth_interval`` for reflected light.  If all reflected light is received,
         ``late_fraction``, the fraction of the incident light that is reflected after the record:
-        all reflected light as of `splits.spectrophotometer`, minus that in the record.
+        all reflected light as of `splits.spectrophotometer`, minus that in the record; it is left
+        out where that instrument does not apply.  Moments and path lengths are NaN where light is
+        in fewer than eight of 64 batches of rays, as for a ``fraction`` of 0.
 
-        All have standard errors ``…_stderr``, which include the errors of group indices and of
-        interpolation between refractive indices.  The coordinate ``range`` (m) is half of the
+        All have standard errors ``…_stderr``.  Those of fractions include the error of
+        interpolation between refractive indices, which the attribute ``interpolation_error_bound``
+        bounds, and those of ``mean_delay`` and ``delay_spread`` the error of group indices.  The
+        coordinate ``range`` (m) is half of the
         delay times the speed of light.  Light that a ground absorbs is not transmitted.
 
     Raises
@@ -142,9 +151,9 @@ def time_of_flight(
     edges, end = check_record(delay_s, end_s, record_pulse)
     receiver = make_receiver(incidence, acceptance_deg, footprint_radius_m)
     depths = check_depths(depths_m, medium)
-    slowness = compute_slowness(medium, wavelengths)
     last_s = end - float(record_pulse.delay_s[0])
-    traced = _limit_depth(medium, last_s)
+    traced = _limit_depth(medium, last_s, float(depths.max(initial=0.0)))
+    slowness = compute_slowness(traced, wavelengths)
     index, absorption = compute_optical_constants(traced, wavelengths)
     nodes = choose_nodes(index, traced.list_interfaces(), _INTERPOLATION_TOLERANCE)
     scene = build_scene(traced, incidence, False)
@@ -162,7 +171,9 @@ def time_of_flight(
     }
     dataset = make_delay_dataset(tally, medium, wavelengths, slowness, depths, attributes)
     if acceptance_deg is None and footprint_radius_m is None and math.isfinite(end):
-        return dataset.assign(_compute_late_light(dataset, medium, incidence, run))
+        # Some semi-infinite media have no solution without an end of the record.
+        with suppress(InvalidValue):
+            return dataset.assign(_compute_late_light(dataset, medium, incidence, run))
     return dataset
 
 
@@ -174,8 +185,9 @@ def _compute_late_light(
     recorded, stderr = reflected.fraction.values, reflected.fraction_stderr.values
     error = float(np.clip(stderr.max(), *LATE_LIGHT_ERRORS))
     total = spectrophotometer(
-        medium, dataset.wavelength.values, incidence, error, run.seed, threads=run.threads
-    )
+        medium, dataset.wavelength.values, incidence, error, run.seed, threads=run.threads,
+        kernel=run.kernel, progress=run.progress,
+    )  # fmt: skip
     return make_variable(
         "late_fraction", "wavelength", total.reflectance.values - recorded,
         np.hypot(total.reflectance_stderr.values, stderr),
@@ -183,10 +195,20 @@ def _compute_late_light(
     )  # fmt: skip
 
 
-def _limit_depth(medium: Medium, end_s: float) -> Medium:
-    """Return a semi-infinite medium without the depths from which no light returns in time."""
+def _limit_depth(medium: Medium, end_s: float, recorded_depth_m: float) -> Medium:
+    """Return a semi-infinite medium without the depths from which no light returns in time.
+
+    In the pore space light has at most the speed of light in vacuum.  The end of the medium does
+    not change light some mean free paths and grains above it.
+    """
     if not medium.is_semi_infinite:
         return medium
-    if math.isinf(end_s):
-        raise invalid("end_s", math.inf, "finite for an infinite depth")
-    return medium.truncate(0.5 * SPEED_OF_LIGHT * end_s, None)
+    layer = medium.lowest_layer
+    margin = 2.0 * layer.largest_grain_m + CLEARANCE_MFP / layer.extinction_per_m
+    depth = margin + max(
+        0.5 * SPEED_OF_LIGHT * end_s / layer.pore_fraction, recorded_depth_m * (1.0 + 1e-6)
+    )
+    if depth > MAX_DEPTH_M:
+        allowed = f"below {2.0 * MAX_DEPTH_M * layer.pore_fraction / SPEED_OF_LIGHT:.3g} s"
+        raise invalid("end_s", end_s, f"{allowed} for an infinite depth")
+    return medium.truncate(depth, None)

@@ -250,6 +250,46 @@ def test_later_light_is_what_the_record_lacks():
 
 
 @pytest.mark.parametrize(
+    ("make_medium", "end_s"),
+    [(make_snow, 3e-12), (make_snow, 1e-11), (splits.Snow, 1e-11), (splits.Sand, 1e-12)],
+)
+def test_infinite_media_equal_thick_ones(make_medium, end_s):
+    infinite, thick = (
+        splits.time_of_flight(make_medium(depth_m=depth), 800.0, rays=8192, delay_s=[0.0, end_s])
+        for depth in (math.inf, 0.05)
+    )
+    np.testing.assert_array_equal(infinite.return_rate, thick.return_rate)
+
+
+@pytest.mark.parametrize("keywords", [{"ground": 0.5}, {}])
+def test_infinite_media_may_have_depths_and_a_ground(keywords):
+    snow = make_snow(depth_m=math.inf, **keywords)
+    result = splits.time_of_flight(snow, 532.0, rays=10, delay_s=[0, 1e-10], depths_m=[0.01, 0.3])
+    np.testing.assert_allclose(
+        result.fraction_by_depth.sum(), result.fraction.sel(side="reflected")
+    )
+    assert result.fraction_by_depth.values[-1] == 0.0
+
+
+def test_moments_of_little_light_are_unknown():
+    result = splits.time_of_flight(
+        make_snow(depth_m=0.02), 1300.0, rays=8192, acceptance_deg=0.5, seed=5
+    ).sel(side="reflected")
+    assert result.fraction > 0.0 and result.fraction_stderr > 0.0
+    for name in ("mean_delay", "delay_spread", "delay_skewness", "path_length"):
+        assert np.isnan(result[name]).all() and np.isnan(result[f"{name}_stderr"]).all()
+
+
+def test_all_light_towards_a_receiver_is_in_a_bin():
+    sand = splits.Sand(interpretation="radiative_transfer", depth_m=0.05)
+    result = splits.time_of_flight(
+        sand, 800.0, 60.0, rays=8192, acceptance_deg=90.0, delay_s=[0.0, 1e-12, 1e-8]
+    ).sel(side="reflected")
+    width = np.diff(result.delay_bounds).ravel()
+    np.testing.assert_allclose((result.return_rate * width).sum(), result.fraction)
+
+
+@pytest.mark.parametrize(
     ("keywords", "message"),
     [
         ({"delay_s": [-1e-9, 1e-9]}, "delay_s = -1e-09: must be at least"),
@@ -260,14 +300,16 @@ def test_later_light_is_what_the_record_lacks():
         ({"pulse": {"delay_s": [0, 1]}}, "the columns delay_s and power"),
         ({"pulse": {"delay_s": [0, 1], "power": [-1, 1]}}, "numbers from 0"),
         ({"acceptance_deg": 100.0}, "acceptance_deg = 100"),
-        ({"acceptance_deg": 10.0, "incidence_deg": "diffuse"}, "acceptance_deg = 10"),
+        ({"acceptance_deg": 0, "incidence_deg": "diffuse"}, "acceptance_deg = 0: must be left out"),
         ({"footprint_radius_m": 0.0}, "footprint_radius_m = 0"),
         ({"depths_m": [0.3]}, "depths_m = 0.3"),
         ({"medium": splits.ParticleLayer(optical_thickness=2.0)}, "a layer of grains"),
         ({"medium": splits.Snow.natural(specific_surface_area_m2_kg=20, depth_m=math.inf),
-          "end_s": math.inf}, "end_s = inf: must be finite for an infinite depth"),
+          "end_s": math.inf}, "end_s = inf: must be below .* s for an infinite depth"),
         ({"end_s": 1e-9}, "end_s = 1e-09: must be at least 1e-07 s"),
-        ({"wavelength_nm": 202.0}, "wavelength_nm"),
+        ({"wavelength_nm": 215.0}, "wavelength_nm = 215.0: must be 8 % inside the range of all"),
+        ({"pulse": {"delay_s": [0, 1e-13, 2e-13, 1e-9], "power": [0, 1, 0, 0]}},
+         "pulse.delay_s = '1e-09 s long': must be at most 128 times as long"),
         ({"wavelength_nm": range(500, 1500), "delay_s": np.linspace(0.0, 1e-7, 10_000)},
          "wavelengths': must be at most .* with 9999 bins"),
     ],

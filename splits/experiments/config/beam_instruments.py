@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import AfterValidator, model_validator
+from pydantic import AfterValidator, AllowInfNan, model_validator
 
 from splits.core.validation import key_prefix
 from splits.experiments.config.instrument import OpticalInstrument, Rays
@@ -18,6 +18,8 @@ from splits.instruments.delay_record import (
     check_record,
     make_receiver,
 )
+from splits.instruments.delay_tally import check_tally_size
+from splits.instruments.slowness import compute_slowness
 from splits.media.medium import Medium
 from splits.simulation.arguments import check_half_width
 
@@ -57,7 +59,7 @@ class TimeOfFlight(OpticalInstrument):
     delay_s: tuple[float, ...] | None = None
     """edges of the bins of delay (s), increasing; by default 0 and ten per decade from 1e-12 to
     1e-7"""
-    end_s: float | None = None
+    end_s: Annotated[float, AllowInfNan(True)] | None = None
     """delay until which light counts in moments (s), by default the last of `delay_s`"""
     pulse: float | PulseSection | None = None
     """full width at half maximum of a Gaussian pulse (s), or its power over time; by default, the
@@ -74,7 +76,13 @@ class TimeOfFlight(OpticalInstrument):
     def _check_record(self) -> TimeOfFlight:
         self._get_edges()
         make_receiver(self.incidence_deg, self.acceptance_deg, self.footprint_radius_m)
+        check_tally_size(self.get_wavelengths().size, self._get_edges().size - 1)
         return self
+
+    @property
+    def takes_beam_only(self) -> bool:
+        """Whether its light is a beam."""
+        return self.acceptance_deg is not None or self.footprint_radius_m is not None
 
     def _get_edges(self) -> np.ndarray:
         """Return the edges of the bins of delay (s)."""
@@ -92,3 +100,4 @@ class TimeOfFlight(OpticalInstrument):
         check_granular_layers(medium)
         with key_prefix("instrument"):
             check_depths(self.depths_m, medium)
+            compute_slowness(medium, self.get_wavelengths())

@@ -92,6 +92,11 @@ class Instrument(FiniteSection):
         """Return the target error of the experiment for that of the accuracy."""
         return min(getattr(self, "stderr_scale", 1.0) * stderr, MAX_STDERR)
 
+    @property
+    def takes_beam_only(self) -> bool:
+        """Whether its light is a beam."""
+        return self.MEASURES_BEAM
+
     def count_values(self) -> int:
         """Return the number of values of a quantity at one point of a grid."""
         return self.N_POSITIONS * self.get_wavelengths().size

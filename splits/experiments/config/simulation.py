@@ -107,7 +107,7 @@ class SimulationConfig(ConfigSection):
             with self.locate_errors(labels):
                 if not self.fit:
                     compute_optical_constants(medium, wavelengths)
-                check = check_beam_angle if self.instrument.MEASURES_BEAM else check_incidence
+                check = check_beam_angle if self.instrument.takes_beam_only else check_incidence
                 check(incidence)
                 check_thickness(medium)
             self._check_medium(kind, medium)

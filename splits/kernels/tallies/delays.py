@@ -118,6 +118,8 @@ def tally_delays(exits, crossings, absorption, slowness, receiver, edges, end, p
             delay = geometric
             for material in range(slowness.shape[1]):
                 delay += slowness[i, material] * lengths[material]
+            # Backwards between point grains, light may advance faster than with time.
+            delay = max(delay, 0.0)
             weight = compute_path_weight(lengths, row[EXIT_WEIGHT], absorption, i)
             _add_to_histogram(histogram[side, i], edges, pulse, delay, weight)
             if delay < end:

@@ -42,6 +42,15 @@ def test_tabulated_pulses_are_centred():
     assert pulse.emitted[0] == 0.0 and pulse.emitted[-1] == 1.0
 
 
+def test_pulses_with_fast_parts_keep_their_light():
+    table = {"delay_s": [0.0, 1e-11, 2e-11, 1e-10], "power": [0.0, 10.0, 0.0, 1.0]}
+    pulse = Pulse.from_argument(table)
+    # Triangles of 10 and 4 units of light, at 1/10 and 11/15 of the duration.
+    mean = (10.0 * 1e-11 + 4.0 * (2e-11 + 8e-11 * 2.0 / 3.0)) / 14.0
+    np.testing.assert_allclose(pulse.delay_s[0], -mean, rtol=1e-6)
+    np.testing.assert_allclose(np.interp(2e-11 - mean, *pulse), 10.0 / 14.0, rtol=1e-3)
+
+
 def test_records_may_be_unlimited():
     instant = Pulse.from_argument(None)
     edges, end = check_record([0.0, 1e-9], math.inf, instant)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from splits.materials.group_index import compute_group_index
-from splits.materials.refractive_index import ConstantIndex, SellmeierIndex
+from splits.materials.refractive_index import ConstantIndex, SellmeierIndex, TabulatedIndex
 
 QUARTZ = SellmeierIndex("test", "test", (250.0, 3500.0), 0.0, ((0.6961663, 0.0684043**2),
                         (0.4079426, 0.1162414**2), (0.8974794, 9.896161**2)))  # fmt: skip
@@ -32,5 +32,15 @@ def test_constants_have_no_dispersion():
 
 
 def test_wavelengths_at_the_end_of_a_table_are_rejected():
-    with pytest.raises(ValueError, match="wavelength_nm"):
+    with pytest.raises(ValueError, match=r"wavelength_nm = 260\.0: must be 8 % inside"):
         compute_group_index(as_column(QUARTZ), np.array([260.0]))
+
+
+def test_kinks_of_tables_have_a_large_error():
+    """Where the slope of n over ln λ changes from −0.07 to 0."""
+    nodes = np.array([300.0, 532.0, 2000.0])
+    kinked = TabulatedIndex("t", "t", nodes, np.array([1.35, 1.31, 1.31]), np.zeros(3))
+    group = compute_group_index(as_column(kinked), np.array([532.0]))
+    slope = 0.04 / np.log(532.0 / 300.0)
+    np.testing.assert_allclose(group.value, 1.31 + 0.5 * slope, rtol=1e-6)
+    np.testing.assert_allclose(group.stderr, 0.5 * slope, rtol=1e-6)

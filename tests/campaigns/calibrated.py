@@ -138,6 +138,9 @@ POLARIZED_READERS = ANGULAR_READERS | make_readers("brdf_q", "brdf_u", "btdf_q",
 SPREAD_READERS = make_readers(
     "fraction", "mean_radius", "quantile_radius", "profile", "profile_map"
 )
+DELAY_READERS = make_readers(
+    "return_rate", "fraction", "mean_delay", "delay_spread", "path_length", side="reflected"
+)
 PROFILE_READERS = make_readers("downward_irradiance", "upward_irradiance", "absorptance")
 GRAIN_READERS = make_readers(
     "single_scattering_albedo", "asymmetry_parameter", "legendre_moment",
@@ -190,6 +193,11 @@ def make_spread_run(medium, wavelength, half_width):
     return lambda seed: splits.beam_spread(
         medium, [wavelength], 30.0, 20_000, seed, half_width_m=half_width, **ONE_THREAD
     )
+
+
+def run_delays(seed):
+    delays = [0.0, 1e-12, 1e-11, 1e-10, 1e-9]
+    return splits.time_of_flight(SNOW, [1300.0], 30.0, 20_000, seed, delay_s=delays, **ONE_THREAD)
 
 
 def make_profile_run(medium, wavelengths, incidence=0.0, error=0.02):
@@ -316,6 +324,7 @@ CASES = [
     CalibrationCase(
         "beam_spread", "layer", make_spread_run(SCATTERING_LAYER, 600.0, 1.0), SPREAD_READERS
     ),
+    CalibrationCase("time_of_flight", "snow", run_delays, DELAY_READERS),
     CalibrationCase(
         "irradiance_profile",
         "snow",

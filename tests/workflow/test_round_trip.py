@@ -60,6 +60,8 @@ CASES = {
     + "figure: {kind: bins, select: {saturation: damp}}\n",
     "trip_snow_spread": SNOW + "instrument: {kind: beam_spread, wavelength_nm: [600],"
     " half_width_m: 0.01}\n" + TWO_VALUES + SELECT_WET,
+    "trip_snow_return": SNOW + "instrument: {kind: time_of_flight, wavelength_nm: [600, 1300],"
+    " rays: 5000, pulse: 1.0e-10, delay_s: [0, 1.0e-11, 1.0e-10, 1.0e-9]}\n" + TWO_VALUES,
     "trip_snow_ground": SNOW + "instrument: {wavelength_nm: [500, 800]}\n"
     "grid: {ground: {open: open, black: black, soil: camborthid, white: 1}}\n"
     "figure: {select: {ground: soil}, quantity: [reflectance, transmittance]}\n",

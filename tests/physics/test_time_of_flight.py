@@ -56,6 +56,7 @@ def test_clear_slabs_have_the_mean_path_lengths_of_thermodynamics():
     judge_z(z, independent=3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("density", [100.0, 350.0, 600.0])
 def test_natural_snow_has_the_mean_path_of_its_grains(density):
     snow = make_snow(density_kg_m3=density, depth_m=0.01, refractive_index=CLEAR)
@@ -126,6 +127,7 @@ def compute_diffusion(snow):
     return 0.02 / delay * transport / 3.0, 0.7104 * transport
 
 
+@pytest.mark.long
 def test_late_light_of_a_slab_decays_as_diffusion_theory_predicts():
     """By e^(−t/τ) with 1/τ = π² D/(H + 2 z)²; the sum of both sides has no antisymmetric modes."""
     snow = make_snow(density_kg_m3=300.0, depth_m=0.03, refractive_index=CLEAR)
@@ -140,6 +142,7 @@ def test_late_light_of_a_slab_decays_as_diffusion_theory_predicts():
     assert abs(measured - rate) < 2.6 * tolerance, (measured / rate, stderr / rate)
 
 
+@pytest.mark.long
 def test_light_of_a_half_space_follows_the_law_of_diffusion():
     """As t^(−3/2) e^(−t/τ), where τ is the time until the grains absorb."""
     index = {"ice": "1.31+3e-8j"}
@@ -156,6 +159,7 @@ def test_light_of_a_half_space_follows_the_law_of_diffusion():
     assert abs(measured - rate) < 2.6 * stderr, (measured / rate, stderr / rate)
 
 
+@pytest.mark.long
 def test_errors_equal_the_scatter_of_seeds():
     snow = make_snow(depth_m=0.02)
     names = ["fraction", "mean_delay", "delay_spread", "path_length", "return_rate"]

@@ -123,7 +123,7 @@ class BeamSpreadTally(ExitTally):
             np.sqrt(fraction_variance),
             bound_fraction_error(self.nodes.interpolation_bound, mean_fraction),
         )
-        jackknife_radius = _divide_or_zero(*map(compute_leave_one_out_means, (moment, fraction)))
+        jackknife_radius = divide_or_zero(*map(compute_leave_one_out_means, (moment, fraction)))
         jackknife_quantile = compute_quantile_radii(
             compute_leave_one_out_means(radial), RADIUS_QUANTILES
         )
@@ -136,7 +136,7 @@ class BeamSpreadTally(ExitTally):
             "fraction": ("fraction of light", "1", (), mean_fraction, fraction_error),
             "mean_radius": (
                 "mean distance between entry and exit", "m", (),
-                _divide_or_zero(moment.mean(axis=0), mean_fraction),
+                divide_or_zero(moment.mean(axis=0), mean_fraction),
                 compute_jackknife_stderr(jackknife_radius),
             ),
             "quantile_radius": (
@@ -190,5 +190,7 @@ def _make_coordinates(
     }
 
 
-def _divide_or_zero(numerator: np.ndarray, denominator: np.ndarray) -> np.ndarray:
-    return np.divide(numerator, denominator, out=np.zeros_like(numerator), where=denominator > 0.0)
+def divide_or_zero(numerator: np.ndarray, denominator: np.ndarray) -> np.ndarray:
+    """Return quotients, 0 where the denominator is not above 0."""
+    shape = np.broadcast_shapes(numerator.shape, denominator.shape)
+    return np.divide(numerator, denominator, out=np.zeros(shape), where=denominator > 0.0)

@@ -15,6 +15,7 @@ from splits.core.uncertainty import (
     compute_leave_one_out_means,
     make_variable,
 )
+from splits.instruments.beam_spread_tally import SIDES, divide_or_zero
 from splits.instruments.delay_record import SPEED_OF_LIGHT
 from splits.instruments.delay_tally import DelayTally
 from splits.instruments.slowness import Slowness
@@ -27,7 +28,6 @@ MIN_BATCHES = 8
 """Least number of batches with light for moments to have known errors."""
 ROUNDING = 1e-12
 """Rounding error of a variance, relative to the mean square."""
-SIDES = ("reflected", "transmitted")
 MOMENT_LABELS = {
     "mean_delay": ("mean delay", "s"),
     "delay_spread": ("standard deviation of the delay", "s"),
@@ -69,12 +69,12 @@ class DelayEstimate(NamedTuple):
         """Return the estimate from moments about 0, shape (..., 4)."""
         fraction = moments[..., 0]
         first, second, third = (
-            _divide_or_zero(moments[..., order], fraction) for order in range(1, 4)
+            divide_or_zero(moments[..., order], fraction) for order in range(1, 4)
         )
         variance = np.where(second - first**2 > ROUNDING * second, second - first**2, 0.0)
         spread = np.sqrt(variance)
         centred = third - 3.0 * first * second + 2.0 * first**3
-        return cls(fraction, first, spread, _divide_or_zero(centred, variance * spread))
+        return cls(fraction, first, spread, divide_or_zero(centred, variance * spread))
 
 
 def make_delay_dataset(
@@ -106,7 +106,7 @@ def make_delay_dataset(
     )  # fmt: skip
     recorded = lengths.mean(axis=0)
     # Errors of group indices are taken as fully correlated between materials.
-    index_error = _divide_or_zero(
+    index_error = divide_or_zero(
         (slowness.stderr * recorded).sum(axis=-1), (slowness.value * recorded).sum(axis=-1)
     )
     variables |= _make_moment_variables(total, dims, "", index_error, rays)
@@ -153,8 +153,8 @@ def _make_moment_variables(
 
 def _make_length_variables(fractions: np.ndarray, lengths: np.ndarray) -> dict[str, Variable]:
     """Return mean path lengths with errors, from their sums by batch, divided by fractions."""
-    mean = _divide_or_zero(lengths.mean(axis=0), fractions.mean(axis=0))
-    jackknife = _divide_or_zero(*map(compute_leave_one_out_means, (lengths, fractions)))
+    mean = divide_or_zero(lengths.mean(axis=0), fractions.mean(axis=0))
+    jackknife = divide_or_zero(*map(compute_leave_one_out_means, (lengths, fractions)))
     is_known = (fractions > 0.0).sum(axis=0) >= MIN_BATCHES
     mean, error = (
         np.where(is_known, one, np.nan) for one in (mean, compute_jackknife_stderr(jackknife))
@@ -186,8 +186,3 @@ def _make_coordinates(
         attributes = {"long_name": "upper end of the interval of the largest depth", "units": "m"}
         coordinates["depth_interval"] = ("depth_interval", [0.0, *depths_m], attributes)
     return coordinates
-
-
-def _divide_or_zero(numerator: np.ndarray, denominator: np.ndarray) -> np.ndarray:
-    shape = np.broadcast_shapes(numerator.shape, denominator.shape)
-    return np.divide(numerator, denominator, out=np.zeros(shape), where=denominator > 0.0)

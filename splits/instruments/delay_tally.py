@@ -2,41 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from splits.core.validation import invalid
 from splits.instruments.angular_estimate import N_ANGULAR_BATCHES
-from splits.kernels.tallies.delays import N_MOMENTS, DelaySums, Receiver, tally_delays
+from splits.kernels.tallies.delays import N_MOMENTS, DelayRecord, DelaySums, tally_delays
 from splits.simulation.exit_tally import ExitTally
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.stratum import Stratum
 from splits.simulation.tally import RAYS_PER_CHUNK
-
-
-class DelayRecord(NamedTuple):
-    """What is recorded of delays.
-
-    Attributes
-    ----------
-    receiver : Receiver
-    edges : float, shape (bins + 1,)
-        Delays between bins (s).
-    end_s : float
-        End of the record (s), which may be infinite.
-    pulse : float, shape (2, points)
-        See `splits.kernels.tallies.delays.tally_delays`.
-    interval : int, shape (boundaries,)
-        Interval of depth that belongs to each boundary of the scene.
-    """
-
-    receiver: Receiver
-    edges: np.ndarray
-    end_s: float
-    pulse: np.ndarray
-    interval: np.ndarray
-
 
 MAX_TALLY_VALUES = 100_000_000
 """Largest number of sums of a tally."""
@@ -101,7 +75,7 @@ class DelayTally(ExitTally):
     def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> DelaySums:
         """Return the sums of a chunk of exits."""
         slowness = self.slowness[self.rows[stratum.node_rows]]
-        return tally_delays(exits, crossings, stratum.absorption, slowness, *self.record)
+        return tally_delays(exits, crossings, stratum.absorption, slowness, self.record)
 
     def merge(self, stratum: Stratum, score: DelaySums) -> None:
         """Add the sums of the next chunk of a stratum."""

@@ -23,9 +23,10 @@ from splits.instruments.delay_record import (
     compute_max_order,
     make_receiver,
 )
-from splits.instruments.delay_tally import DelayRecord, DelayTally
+from splits.instruments.delay_tally import DelayTally
 from splits.instruments.slowness import compute_slowness
 from splits.instruments.spectrophotometer import spectrophotometer
+from splits.kernels.tallies.delays import DelayRecord
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
 from splits.simulation.arguments import check_incidence, check_wavelengths

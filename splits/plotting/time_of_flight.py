@@ -8,14 +8,15 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
+from splits.instruments.delay_record import SPEED_OF_LIGHT
 from splits.io.netcdf import select_points
 from splits.plotting.annotations import annotate_figure, describe_conditions
+from splits.plotting.beam_spread import MAX_RELATIVE_ERROR
 from splits.plotting.lines import PlotLines
 from splits.plotting.style import BAND_SIGMA, TWO_COLUMNS_INCHES, make_subplots, use_style
 
-SPEED_OF_LIGHT_MM_PER_NS = 299.792458
-MAX_RELATIVE_ERROR = 0.25
-"""Relative error above which a value is not drawn."""
+HALF_SPEED_MM_PER_NS = 0.5e-6 * SPEED_OF_LIGHT
+"""Apparent depth per delay."""
 
 
 def draw_returns(
@@ -62,8 +63,8 @@ def draw_returns(
             depth = axes.secondary_xaxis(
                 "top",
                 functions=(
-                    lambda x: 0.5 * SPEED_OF_LIGHT_MM_PER_NS * x,
-                    lambda x: x / (0.5 * SPEED_OF_LIGHT_MM_PER_NS),
+                    lambda x: HALF_SPEED_MM_PER_NS * x,
+                    lambda x: x / HALF_SPEED_MM_PER_NS,
                 ),
             )
             depth.set_xlabel("apparent depth (mm)")

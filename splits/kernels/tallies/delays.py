@@ -45,6 +45,30 @@ class Receiver(NamedTuple):
     inverse_speed: float
 
 
+class DelayRecord(NamedTuple):
+    """What is recorded of delays.
+
+    Attributes
+    ----------
+    receiver : Receiver
+    edges : float64[bins + 1]
+        Increasing delays between bins (s).
+    end_s : float
+        End of the record (s), which may be infinite.
+    pulse : float64[2, points]
+        Delays (s), uniform, and the part of the pulse that has been emitted until then; a single
+        point for an instantaneous pulse.
+    interval : int64[boundaries]
+        Interval of the depth of rays that have reached a boundary and no lower one; increasing.
+    """
+
+    receiver: Receiver
+    edges: np.ndarray
+    end_s: float
+    pulse: np.ndarray
+    interval: np.ndarray
+
+
 class DelaySums(NamedTuple):
     """Distributions of delays, for the reflected and the transmitted side.
 
@@ -65,7 +89,7 @@ class DelaySums(NamedTuple):
 
 
 @entry_point
-def tally_delays(exits, crossings, absorption, slowness, receiver, edges, end, pulse, interval):
+def tally_delays(exits, crossings, absorption, slowness, record):
     """Tally the weights of rays by delay.
 
     Parameters
@@ -78,21 +102,13 @@ def tally_delays(exits, crossings, absorption, slowness, receiver, edges, end, p
         Absorption coefficients (1/m).
     slowness : float64[wavelengths, materials]
         Inverse of the group velocity (s/m).
-    receiver : Receiver
-    edges : float64[bins + 1]
-        Increasing delays between bins (s).
-    end : float
-        End of the record (s), which may be infinite.
-    pulse : float64[2, points]
-        Delays (s), uniform, and the part of the pulse that has been emitted until then; a single
-        point for an instantaneous pulse.
-    interval : int64[boundaries]
-        Interval of the depth of rays that have reached a boundary and no lower one; increasing.
+    record : DelayRecord
 
     Returns
     -------
     DelaySums
     """
+    receiver, edges, end, pulse, interval = record
     wavelengths = absorption.shape[0]
     histogram = np.zeros((2, wavelengths, edges.size - 1))
     moments = np.zeros((2, wavelengths, interval[-1] + 1, N_MOMENTS))

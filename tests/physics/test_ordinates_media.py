@@ -109,7 +109,7 @@ def test_profiles_and_directions_of_point_grains_agree_with_paths():
         interpretation={"set": POINTS, "mean_free_path": "pore_only"}, saturation=0.2, depth_m=0.03
     )
     for medium in (snow, wet):
-        arguments = (medium, WAVELENGTHS[1:4], [0.01, 0.02], 30.0, 0.004)
+        arguments = (medium, WAVELENGTHS[1:4], [0.01, 0.02], 30.0, 0.002)
         paths, solved = (splits.irradiance_profile(*arguments, **how) for how in (TRACED, SOLVED))
         for name in ("downward_irradiance", "upward_irradiance", "absorptance_of_material"):
             stderr = np.hypot(paths[f"{name}_stderr"], solved[f"{name}_stderr"])

@@ -4,7 +4,7 @@ Errors are
 
 - truncation: the difference from twice as many streams, by direction;
 - the table of the grains, for light scattered several times: the error of the reflectance or of the
-  transmittance;
+  transmittance; of the anisotropy factor, the change that comes with this error;
 - the phase function of light scattered once: the noise of the highest orders of the table, which
   is s/√(2l + 1) for every order l as the number of paths is limited; the change if the last of
   these orders are left out; and half of the forward peak beyond the table, for light in wet pores.
@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.discrete_ordinates.adding import Budget
 from splits.discrete_ordinates.direct_light import DirectLight, scatter_once, trace_direct_light
 from splits.discrete_ordinates.geometry import Geometry, PlaneLayers
 from splits.discrete_ordinates.granular_layers import MIN_WET_FRACTION
@@ -29,6 +30,7 @@ from splits.discrete_ordinates.granular_stack import (
 )
 from splits.discrete_ordinates.integrals import TINY
 from splits.discrete_ordinates.layer_optics import LayerOptics
+from splits.discrete_ordinates.phase_series import estimate_phase_error, extend_forward_peak
 from splits.discrete_ordinates.pores import WET
 from splits.discrete_ordinates.radiance import compute_bidirectional, sum_legendre
 from splits.discrete_ordinates.streams import Streams
@@ -38,16 +40,17 @@ MAX_BRDF_STREAMS = 32
 """Largest number of streams of a BRDF: the number of moments of the table minus 1."""
 MODE_TOLERANCE = 1e-9
 """Fraction of the BRDF and of the BTDF below which azimuthal modes are left out."""
-N_TAIL_ORDERS = 8
-"""Number of the highest orders, which give the error of the phase function."""
-N_PEAK_ORDERS, MAX_PEAK_RATIO = 160, 0.97
-"""Number of the orders of the forward peak, and largest ratio of two successive moments."""
 PEAK_ERROR = 0.5
 """Error of the extrapolated forward peak, relative to it."""
 MIN_REFERENCE_FRACTION = 0.05
 """Fraction of a Lambertian distribution below which truncation is relative to that fraction."""
 MAX_CHUNK_VALUES = 1_000_000
 """Largest number of layers, wavelengths and directions at once."""
+ADDED_ABSORPTION = 1e-5
+"""Absorption of dry pores, per collision with grains, from which follows how the anisotropy factor
+changes with the reflectance."""
+MAX_SENSITIVITY = 2.0
+"""Largest relative change of the anisotropy factor, over that of the reflectance."""
 SIDE_NAMES = ("reflectance", "transmittance")
 
 
@@ -56,26 +59,29 @@ class BidirectionalSolution(NamedTuple):
 
     Attributes
     ----------
-    values, truncation, optics_error : float, shape (2, wavelengths, views, azimuths)
+    values, truncation, optics_error : float, shape (2, wavelengths, beams, views, azimuths)
         1/sr, reflected and transmitted; errors due to the number of streams, and due to the table
         of the grains.
+    anisotropy_error : float, shape (wavelengths, beams, views, azimuths)
+        Error of the anisotropy factor times the reflectance of scattered light / π (1/sr).
     n_streams : int
     spectrum : SpectrumSolution
         Hemispherical values.
     direct : DirectLight
-        Light of the beam that is not scattered.
+        Light of the beams that is not scattered.
     """
 
     values: np.ndarray
     truncation: np.ndarray
     optics_error: np.ndarray
+    anisotropy_error: np.ndarray
     n_streams: int
     spectrum: SpectrumSolution
     direct: DirectLight
 
     @property
     def error(self) -> np.ndarray:
-        """Errors, shape (2, wavelengths, views, azimuths)."""
+        """Errors, shape (2, wavelengths, beams, views, azimuths)."""
         error: np.ndarray = np.hypot(self.truncation, self.optics_error)
         return error
 
@@ -93,7 +99,6 @@ def solve_bidirectional(
     ----------
     snowpack : GranularStack
     geometry : Geometry
-        Of one beam.
     relative_error : float
         The number of streams is the first whose truncation error is at most half of this.
     limited : bool, shape (views,)
@@ -103,35 +108,86 @@ def solve_bidirectional(
     """
     spectrum = solve_relative_spectrum(snowpack, geometry.beams, relative_error, side)
     direct = trace_direct_light(_stack_layers(snowpack, 1), geometry.beams)[0]
-    totals = np.stack([getattr(spectrum.budget, name)[..., 0] for name in SIDE_NAMES])
-    unscattered = np.stack([direct.reflected[..., 0], direct.transmitted[..., 0]])
-    scattered = np.maximum(totals - unscattered, 0.0)
+    totals = _stack_sides(spectrum.budget)
+    unscattered = np.stack([direct.reflected, direct.transmitted])
+    scattered = np.maximum(totals - unscattered, 0.0)[..., np.newaxis, np.newaxis]
     n_wavelengths = snowpack.ground.size
     trial = choose_trial_wavelengths(n_wavelengths)
     few = snowpack.select(trial)
-    lambertian = scattered[:, trial, np.newaxis, np.newaxis] / np.pi
+    floor = MIN_REFERENCE_FRACTION / np.pi * scattered
     for n_streams in (number for number in STREAM_NUMBERS if number <= MAX_BRDF_STREAMS):
         coarse, fine = (_solve(few, geometry, number) for number in (n_streams, 2 * n_streams))
-        reference = np.maximum(fine, MIN_REFERENCE_FRACTION * lambertian)
+        reference = np.maximum(fine, floor[:, trial])
         relative = np.abs(coarse - fine) / np.where(reference > 0.0, reference, 1.0)
-        if relative[side][:, limited].max(initial=0.0) <= 0.5 * relative_error:
+        if relative[side][..., limited, :].max(initial=0.0) <= 0.5 * relative_error:
             break
     values = _solve(snowpack, geometry, n_streams)
     by_direction = spread_truncation(np.moveaxis(relative, 1, -1), trial, n_wavelengths)
-    floor = MIN_REFERENCE_FRACTION / np.pi * scattered[..., np.newaxis, np.newaxis]
     truncation = np.maximum(values, floor) * np.moveaxis(by_direction, -1, 1)
-    errors = spectrum.bound_errors(totals)
+    by_total = _compute_relative_errors(snowpack, geometry, spectrum, totals)
+    once = _compute_single_scattering_error(snowpack, geometry, n_streams)
+    sensitivity = _compute_sensitivity(snowpack, geometry, n_streams, values[0], unscattered[0])
+    own = np.hypot(truncation[0], once[0])
+    return BidirectionalSolution(
+        values, truncation, np.hypot(values * by_total, once),
+        np.hypot(own, sensitivity * values[0] * by_total[0]), n_streams, spectrum, direct,
+    )  # fmt: skip
+
+
+def _stack_sides(budget: Budget) -> np.ndarray:
+    """Return reflectance and transmittance of the beams, shape (2, wavelengths, beams)."""
+    return np.stack([budget.reflectance, budget.transmittance])[..., :-1]
+
+
+def _compute_relative_errors(
+    snowpack: GranularStack, geometry: Geometry, spectrum: SpectrumSolution, totals: np.ndarray
+) -> np.ndarray:
+    """Return the relative errors of reflectance and transmittance, shape (2, ..., beams, 1, 1)."""
+    errors = np.stack(
+        [spectrum.bound_errors(totals[..., beam]) for beam in range(totals.shape[-1])], axis=-1
+    )
     if snowpack.is_wet:
         # Distributions assume the equilibrium of air in all layers.
         in_air = snowpack._replace(equilibrium=AIR).solve(geometry.beams, spectrum.n_streams)
-        change = np.stack([getattr(in_air, name)[..., 0] for name in SIDE_NAMES]) - totals
-        errors = np.hypot(errors, change)
-    by_total = np.minimum(errors / np.maximum(totals, TINY), 1.0)
-    multiple = values * by_total[..., np.newaxis, np.newaxis]
-    once = _compute_single_scattering_error(snowpack, geometry, n_streams)
-    return BidirectionalSolution(
-        values, truncation, np.hypot(multiple, once), n_streams, spectrum, direct
+        errors = np.hypot(errors, _stack_sides(in_air) - totals)
+    relative = np.minimum(errors / np.maximum(totals, TINY), 1.0)
+    return relative[..., np.newaxis, np.newaxis]
+
+
+def _compute_sensitivity(
+    snowpack: GranularStack,
+    geometry: Geometry,
+    n_streams: int,
+    brdf: np.ndarray,
+    unscattered: np.ndarray,
+) -> np.ndarray:
+    """Return the relative change of the anisotropy factor over that of the reflectance.
+
+    Errors of single scattering change both as a little absorption does.
+
+    Parameters
+    ----------
+    snowpack : GranularStack
+    geometry : Geometry
+    n_streams : int
+    brdf : float, shape (wavelengths, beams, views, azimuths)
+    unscattered : float, shape (wavelengths, beams)
+        Reflectance without scattering.
+    """
+    darker = snowpack._replace(layers=[
+        layer._replace(
+            pore_absorption=layer.pore_absorption + ADDED_ABSORPTION * layer.collisions_per_m
+        )
+        for layer in snowpack.layers
+    ])  # fmt: skip
+    reflectance, less = (
+        one.solve(geometry.beams, n_streams).reflectance[..., :-1] - unscattered
+        for one in (snowpack, darker)
     )
+    change = (less / np.maximum(reflectance, TINY))[..., np.newaxis, np.newaxis] - 1.0
+    brdf_change = _solve(darker, geometry, n_streams)[0] / np.maximum(brdf, TINY) - 1.0
+    ratio = np.divide(brdf_change, change, out=np.ones_like(brdf), where=change < 0.0)
+    return np.minimum(np.abs(ratio - 1.0), MAX_SENSITIVITY)
 
 
 def solve_relative_spectrum(
@@ -145,7 +201,7 @@ def solve_relative_spectrum(
 
 
 def _solve(snowpack: GranularStack, geometry: Geometry, n_streams: int) -> np.ndarray:
-    """Return the BRDF and the BTDF of one beam, shape (2, wavelengths, views, azimuths)."""
+    """Return the BRDF and the BTDF, shape (2, wavelengths, beams, views, azimuths)."""
     streams, n_known = Streams.from_number(n_streams), _count_orders(snowpack)
     values = []
     for part in _divide_wavelengths(snowpack, geometry):
@@ -158,14 +214,14 @@ def _solve(snowpack: GranularStack, geometry: Geometry, n_streams: int) -> np.nd
             n_orders = None if a == b == WET else n_known
             return sum_legendre(scattering[..., a, b, :n_orders], cosines)
 
-        both = compute_bidirectional(layers, streams, geometry, evaluate, MODE_TOLERANCE)
-        values.append(both[..., 0, :, :])
+        values.append(compute_bidirectional(layers, streams, geometry, evaluate, MODE_TOLERANCE))
     return np.concatenate(values, axis=1)
 
 
 def _divide_wavelengths(snowpack: GranularStack, geometry: Geometry) -> list[GranularStack]:
     """Return the snowpack at parts of its wavelengths, which fit into memory."""
-    n_values = len(snowpack.layers) * geometry.views.size * geometry.azimuths.size
+    n_directions = geometry.beams.size * geometry.views.size * geometry.azimuths.size
+    n_values = len(snowpack.layers) * n_directions
     size = max(1, MAX_CHUNK_VALUES // n_values)
     wavelengths = np.arange(snowpack.ground.size)
     return [
@@ -177,7 +233,7 @@ def _divide_wavelengths(snowpack: GranularStack, geometry: Geometry) -> list[Gra
 def _compute_single_scattering_error(
     snowpack: GranularStack, geometry: Geometry, n_streams: int
 ) -> np.ndarray:
-    """Return the error of light scattered once, shape (2, wavelengths, views, azimuths)."""
+    """Return the error of light scattered once, shape (2, wavelengths, beams, views, azimuths)."""
     n_known = _count_orders(snowpack)
     errors = []
     for part in _divide_wavelengths(snowpack, geometry):
@@ -194,62 +250,8 @@ def _compute_single_scattering_error(
             peak = sum_legendre(moments, cosines) - known
             return np.hypot(error, PEAK_ERROR * peak)
 
-        errors.append(scatter_once(layers.truncate(n_streams), geometry, evaluate)[..., 0, :, :])
+        errors.append(scatter_once(layers.truncate(n_streams), geometry, evaluate))
     return np.concatenate(errors, axis=1)
-
-
-def estimate_phase_error(
-    moments: np.ndarray, cosines: np.ndarray, has_peak: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return ∑ (2l + 1) χ_l P_l without a forward peak, and its error.
-
-    Parameters
-    ----------
-    moments : float, shape (layers, ..., orders)
-        From a limited number of paths.
-    cosines : float, shape (..., beams, views, azimuths)
-    has_peak : bool
-        Whether the last moment is that of a forward peak, which is left out.
-    """
-    n_orders, tail = moments.shape[-1], slice(-N_TAIL_ORDERS, None)
-    factors = 2.0 * np.arange(n_orders) + 1.0
-    # Second differences leave the noise of a smooth series; its variance is 6 times as large.
-    curvature = np.diff(moments[..., tail], 2)
-    noise = (factors[tail][1:-1] * curvature**2).mean(axis=-1) / 6.0
-    coefficients = np.moveaxis(moments, -1, 0)[..., np.newaxis, np.newaxis, np.newaxis]
-    before, here = np.zeros_like(cosines), np.ones_like(cosines)
-    series, peak, power = (np.zeros_like(cosines) for _ in range(3))
-    truncated = []
-    for order, factor in enumerate(factors):
-        if order >= n_orders - N_TAIL_ORDERS:
-            truncated.append(series - has_peak * coefficients[order] * peak)
-        series = series + factor * coefficients[order] * here
-        peak, power = peak + factor * here, power + factor * here**2
-        before, here = here, (factor * cosines * here - order * before) / (order + 1.0)
-    complete = truncated[-1]
-    remainder = np.mean([(complete - one) ** 2 for one in truncated[:-1]], axis=0)
-    error = np.sqrt(noise[..., np.newaxis, np.newaxis, np.newaxis] * power + remainder)
-    return complete, error
-
-
-def extend_forward_peak(scattering: np.ndarray) -> np.ndarray:
-    """Return scattering (..., 2, 2, orders) with further orders of light that stays in wet pores.
-
-    Grains hardly refract this light, so that its moments decrease slowly.  They continue as a
-    geometric series with the mean decrease of the last known orders, and end at 0.
-    """
-    n_known = scattering.shape[-1]
-    own = scattering[..., WET, WET, :]
-    last, earlier = (np.maximum(own[..., order], TINY) for order in (-1, -1 - N_TAIL_ORDERS))
-    ratio = np.minimum((last / earlier) ** (1.0 / N_TAIL_ORDERS), MAX_PEAK_RATIO)
-    extended = np.zeros((*scattering.shape[:-1], N_PEAK_ORDERS))
-    extended[..., :n_known] = scattering
-    steps = np.arange(1, N_PEAK_ORDERS - n_known + 1)
-    # A series that ends with a step oscillates in all directions.
-    taper = np.cos(0.5 * np.pi * steps / steps[-1]) ** 2
-    tail = last[..., np.newaxis] * ratio[..., np.newaxis] ** steps
-    extended[..., WET, WET, n_known:] = tail * taper
-    return extended
 
 
 def _count_orders(snowpack: GranularStack) -> int:

@@ -92,7 +92,7 @@ class AngularBinTally(AngularTally, ExitTally):
         )
         estimate = AngularEstimate(
             mean, stderr, stderr, hemispherical, np.zeros((2, n_rows), dtype=int),
-            np.zeros_like(mean),
+            np.zeros_like(mean), stderr[0],
         )  # fmt: skip
         return add_interpolation_error(estimate, self.nodes.interpolation_bound)
 

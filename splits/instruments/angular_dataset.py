@@ -69,13 +69,17 @@ def make_angular_dataset(
     is_diffuse = attributes["incidence_deg"] == "diffuse"
     distributions: dict[str, tuple[str, str, int, Any]] = {
         **(DIFFUSE_DISTRIBUTIONS if is_diffuse else BEAM_DISTRIBUTIONS),
-        "anisotropy_factor": ("anisotropy factor", "1", 0, anisotropy_scale),
     }
     variables: dict[str, Variable] = {}
     for name, (long_name, units, side, factor) in distributions.items():
         mean = (factor * estimate.mean[side]).reshape(shape)
         stderr = (factor * estimate.stderr[side]).reshape(shape)
         variables |= make_variable(name, grid, mean, stderr, long_name, units)
+    mean, stderr = (
+        (anisotropy_scale * one).reshape(shape)
+        for one in (estimate.mean[0], estimate.anisotropy_stderr)
+    )
+    variables |= make_variable("anisotropy_factor", grid, mean, stderr, "anisotropy factor")
     for name, (values, error) in stokes.items():
         label = f"Stokes {name[-1].upper()} of the light of the {name[:4].upper()}"
         variables |= make_variable(

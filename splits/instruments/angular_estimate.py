@@ -57,6 +57,9 @@ class AngularEstimate(NamedTuple):
         Largest degree of a polynomial that was kept.
     truncation_error : float, shape (2, wavelengths, directions)
         Part of the standard errors due to detail finer than the polynomials (1/sr).
+    anisotropy_stderr : float, shape (wavelengths, directions)
+        Error of the anisotropy factor times the reflectance of scattered light / π (1/sr), from
+        what BRDF and reflectance have in common where that is known.
     """
 
     mean: np.ndarray
@@ -65,41 +68,58 @@ class AngularEstimate(NamedTuple):
     hemispherical: np.ndarray
     degree: np.ndarray
     truncation_error: np.ndarray
+    anisotropy_stderr: np.ndarray
 
     def compute_scattered(self) -> np.ndarray:
         """Return the reflectance and the transmittance of scattered light."""
         return self.hemispherical[0] - self.hemispherical[2]
 
-    def compute_reference(self, side: int, direction_mask: Any = slice(None)) -> np.ndarray:
-        """Return the reference of relative errors, shape (wavelengths, directions).
+    def compute_reference(
+        self, side: int, direction_mask: Any = slice(None), *, absolute: bool = False
+    ) -> np.ndarray:
+        """Return the reference of errors, shape (wavelengths, directions).
 
-        It is the value, or 1/20 of that of an isotropic distribution, whichever is larger.
+        It is the value, or 1/20 of that of an isotropic distribution, whichever is larger; for
+        absolute errors, that of a perfect diffuser.
         """
+        if absolute:
+            return np.full_like(self.mean[side][:, direction_mask], 1.0 / np.pi)
         isotropic = self.compute_scattered()[side][:, np.newaxis] / np.pi
         reference = np.maximum(self.mean[side], MIN_REFERENCE_FRACTION * isotropic)
         return reference[:, direction_mask]
 
     def compute_max_error(
-        self, side: int, direction_mask: Any = slice(None), *, use_stopping_error: bool = False
-    ) -> float:
+        self, side: int, direction_mask: Any = slice(None), *, use_stopping_error: bool = False,
+        absolute: bool = False,
+    ) -> float:  # fmt: skip
         """Return the largest relative error of one side, over wavelengths with light.
 
-        It is that of the standard errors, or of the errors for the stopping rule.
+        It is that of the standard errors, or of the errors for the stopping rule; as an error of
+        the reflectance factor if absolute.
         """
         stderr = (self.stopping_error if use_stopping_error else self.stderr)[side]
-        reference = self.compute_reference(side, direction_mask)
+        reference = self.compute_reference(side, direction_mask, absolute=absolute)
         relative_error = np.zeros_like(reference)
         np.divide(stderr[:, direction_mask], reference, out=relative_error, where=reference != 0.0)
         return float(relative_error.max())
 
-    def is_truncation_limited(self, side: int, direction_mask: Any, max_error: float) -> bool:
+    def is_truncation_limited(
+        self, side: int, direction_mask: Any, max_error: float, *, absolute: bool = False
+    ) -> bool:
         """Return whether only detail finer than the polynomials prevents convergence."""
         stderr, truncation_error = (
             error[side][:, direction_mask] for error in (self.stopping_error, self.truncation_error)
         )
         statistical_error = np.sqrt(np.maximum(stderr**2 - truncation_error**2, 0.0))
-        limit = max_error * self.compute_reference(side, direction_mask)
+        limit = max_error * self.compute_reference(side, direction_mask, absolute=absolute)
         return bool((statistical_error <= limit).all())
+
+
+WAVELENGTH_AXES = {
+    "mean": 1, "stderr": 1, "stopping_error": 1, "hemispherical": 2, "degree": 1,
+    "truncation_error": 1, "anisotropy_stderr": 0,
+}  # fmt: skip
+"""Axis of the wavelengths in the arrays of an estimate."""
 
 
 class ErrorTarget(NamedTuple):
@@ -113,12 +133,15 @@ class ErrorTarget(NamedTuple):
     side : int
         0 reflected, 1 transmitted.
     direction_mask : bool, shape (directions,)
+    absolute : bool
+        Whether the error is that of the reflectance factor, instead of a relative one.
     """
 
     directions: DirectionGrid
     axisymmetric: bool
     side: int
     direction_mask: np.ndarray
+    absolute: bool = False
 
 
 def estimate_row(
@@ -146,7 +169,7 @@ def estimate_row(
     variances : list of float, shape (classes, directions of the target)
         Contributions of each node to the variance.
     """
-    directions, axisymmetric, side, direction_mask = target
+    directions, axisymmetric, side, direction_mask, _ = target
     total = np.sum(coefficients, axis=0)
     keep = select_terms(total, directions.basis, axisymmetric)
     variances, polynomials = [], directions.polynomials[direction_mask].T
@@ -154,11 +177,14 @@ def estimate_row(
         values_by_class = np.where(keep[:, side], coefficient[:, :, side], 0.0) @ polynomials
         variances.append(values_by_class.var(axis=0, ddof=1) / N_ANGULAR_BATCHES)
     values = np.where(keep, total, 0.0).sum(axis=1) @ directions.polynomials.T
+    noise = compute_batch_stderr(values)
     stderr, stopping_error, truncation_error = compute_truncation_errors(
-        compute_batch_stderr(values), total, keep, directions, axisymmetric
+        noise, total, keep, directions, axisymmetric
     )
     scattered = total[..., 0].sum(axis=1) / directions.basis.norms[0]
     hemispherical, sparse, unsampled = _compute_hemispherical(scattered, unscattered, n_rays)
+    detail = np.sqrt(np.maximum(stderr[0] ** 2 - noise[0] ** 2, 0.0) + (sparse[0] / np.pi) ** 2)
+    relative = _compute_relative_noise(values[:, 0], scattered[:, 0])
     estimate = AngularEstimate(
         values.mean(axis=0),
         np.hypot(stderr, sparse[:, np.newaxis] / np.pi),
@@ -166,6 +192,7 @@ def estimate_row(
         hemispherical,
         np.where(keep, directions.basis.degrees, 0).max(axis=(0, -1)),
         truncation_error,
+        np.hypot(relative, detail),
     )
     return estimate, variances
 
@@ -174,13 +201,17 @@ def stack_rows(
     estimates: Sequence[AngularEstimate], interpolation_bound: np.ndarray
 ) -> AngularEstimate:
     """Return the estimates of wavelengths as one, with the error of interpolation."""
-    stacked = AngularEstimate(
-        *(np.stack(arrays, axis=1) for arrays in zip(*estimates, strict=True))
-    )
-    hemispherical = np.stack([one.hemispherical for one in estimates], axis=-1)
-    return add_interpolation_error(
-        stacked._replace(hemispherical=hemispherical), interpolation_bound
-    )
+    arrays = zip(AngularEstimate._fields, zip(*estimates, strict=True), strict=True)
+    stacked = {name: np.stack(rows, axis=WAVELENGTH_AXES[name]) for name, rows in arrays}
+    return add_interpolation_error(AngularEstimate(**stacked), interpolation_bound)
+
+
+def join_wavelengths(estimates: Sequence[AngularEstimate]) -> AngularEstimate:
+    """Return estimates as one, with the wavelengths of one after those of the other."""
+    arrays = zip(AngularEstimate._fields, zip(*estimates, strict=True), strict=True)
+    return AngularEstimate(**{
+        name: np.concatenate(rows, axis=WAVELENGTH_AXES[name]) for name, rows in arrays
+    })  # fmt: skip
 
 
 def add_interpolation_error(
@@ -203,7 +234,22 @@ def add_interpolation_error(
         stderr=np.hypot(estimate.stderr, error),
         stopping_error=np.hypot(estimate.stopping_error, error),
         hemispherical=hemispherical,
+        anisotropy_stderr=np.hypot(estimate.anisotropy_stderr, error[0]),
     )
+
+
+def _compute_relative_noise(brdf: np.ndarray, reflectance: np.ndarray) -> np.ndarray:
+    """Return the statistical error of a BRDF relative to the reflectance, shape (directions,).
+
+    Parameters
+    ----------
+    brdf : float, shape (batches, directions)
+    reflectance : float, shape (batches,)
+    """
+    mean = reflectance.mean()
+    ratio = brdf.mean(axis=0) / mean if mean > 0.0 else np.zeros(brdf.shape[1])
+    noise: np.ndarray = compute_batch_stderr(brdf - ratio * reflectance[:, np.newaxis])
+    return noise
 
 
 def _compute_hemispherical(

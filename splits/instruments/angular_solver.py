@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from splits.discrete_ordinates.applicability import find_direction_obstacle, make_granular_stack
 from splits.discrete_ordinates.geometry import Geometry
 from splits.discrete_ordinates.granular_stack import REVERSED, GranularStack, SpectrumSolution
+from splits.discrete_ordinates.integrals import TINY
 from splits.discrete_ordinates.stack_brdf import solve_bidirectional, solve_relative_spectrum
 from splits.instruments.angular_estimate import AngularEstimate
 from splits.media.medium import Medium
@@ -97,18 +98,30 @@ def solve_angular_result(medium: Medium, request: AngularRequest, threads: int) 
     threads : int
         For paths through grains.
     """
+    return solve_angular_results(medium, request, [request.incidence], threads)[0]
+
+
+def solve_angular_results(
+    medium: Medium, request: AngularRequest, incidences: Sequence[float | str], threads: int
+) -> list[AngularResult]:
+    """Return angular distributions for several incidences, which replace that of the request.
+
+    The beams are solved together, so that the requested error determines one number of streams for
+    all of them.
+    """
     snowpack = make_granular_stack(
         medium, request.wavelengths, PHASE_FUNCTION_SHARE * request.relative_stderr, threads
     )
-    solve = _solve_diffuse if request.incidence == "diffuse" else _solve_beam
+    beams = [float(one) for one in incidences if one != "diffuse"]
     with limit_blas_threads():
-        estimate, attributes = solve(snowpack, request)
-    return AngularResult(estimate, {}, (), attributes)
+        by_beam = iter(_solve_beams(snowpack, request, beams) if beams else [])
+        return [
+            _solve_diffuse(snowpack, request) if one == "diffuse" else next(by_beam)
+            for one in incidences
+        ]
 
 
-def _solve_diffuse(
-    snowpack: GranularStack, request: AngularRequest
-) -> tuple[AngularEstimate, dict[str, Any]]:
+def _solve_diffuse(snowpack: GranularStack, request: AngularRequest) -> AngularResult:
     """Return factors under diffuse light, by reciprocity.
 
     The reflectance factor in a direction is the reflectance of a beam from there, and the
@@ -129,72 +142,89 @@ def _solve_diffuse(
     mean, stderr = (
         np.repeat(one / np.pi, request.azimuth.size, axis=-1) for one in (values, errors)
     )
-    estimate = _make_estimate(mean, stderr, spectrum, -1, 0.0)
+    totals = _select_totals(spectrum, -1)
+    relative = spectrum.bound_errors(totals)[0] / np.maximum(totals[0], TINY)
+    anisotropy_stderr = np.hypot(stderr[0], mean[0] * relative[:, np.newaxis])
+    estimate = _make_estimate([mean, stderr, anisotropy_stderr], spectrum, -1, 0.0)
     n_streams = max(one.n_streams for one in (spectrum, above, below))
-    return estimate, _describe(estimate, request, spectrum, n_streams)
+    return _make_result(estimate, request, spectrum, n_streams)
 
 
-def _solve_beam(
-    snowpack: GranularStack, request: AngularRequest
-) -> tuple[AngularEstimate, dict[str, Any]]:
-    """Return the BRDF and the BTDF under a beam."""
-    cosine = np.cos(np.radians(np.array([float(request.incidence)])))
+def _solve_beams(
+    snowpack: GranularStack, request: AngularRequest, incidence_deg: list[float]
+) -> list[AngularResult]:
+    """Return the BRDF and the BTDF under each of several beams."""
     # Both are symmetric in the azimuth.
     azimuths, columns = np.unique(
         np.minimum(request.azimuth, 360.0 - request.azimuth), return_inverse=True
     )
-    geometry = Geometry(cosine, np.cos(np.radians(request.polar)), np.radians(azimuths))
+    cosines, views = (np.cos(np.radians(one)) for one in (incidence_deg, request.polar))
     limited: np.ndarray = request.direction_mask.reshape(request.polar.size, -1)[:, 0]
     solution = solve_bidirectional(
-        snowpack, geometry, request.relative_stderr, limited, request.side
-    )
-    shape = (2, request.wavelengths.size, -1)
-    mean, stderr = (
-        values[..., columns.ravel()].reshape(shape) for values in (solution.values, solution.error)
-    )
-    direct = np.stack([solution.direct.reflected[..., 0], solution.direct.transmitted[..., 0]])
-    estimate = _make_estimate(np.maximum(mean, 0.0), stderr, solution.spectrum, 0, direct)
+        snowpack, Geometry(cosines, views, np.radians(azimuths)), request.relative_stderr, limited,
+        request.side,
+    )  # fmt: skip
     n_streams = max(solution.n_streams, solution.spectrum.n_streams)
-    return estimate, _describe(estimate, request, solution.spectrum, n_streams)
+    results = []
+    for beam in range(cosines.size):
+        by_direction = [
+            values[..., beam, :, :][..., columns.ravel()].reshape(*values.shape[:-3], -1)
+            for values in (solution.values, solution.error, solution.anisotropy_error)
+        ]
+        direct = np.stack([
+            solution.direct.reflected[..., beam], solution.direct.transmitted[..., beam]
+        ])  # fmt: skip
+        estimate = _make_estimate(by_direction, solution.spectrum, beam, direct)
+        results.append(_make_result(estimate, request, solution.spectrum, n_streams))
+    return results
+
+
+def _select_totals(spectrum: SpectrumSolution, column: int) -> np.ndarray:
+    """Return reflectance and transmittance, shape (2, wavelengths); see `_make_estimate`."""
+    return np.stack([
+        np.clip(side[..., column], 0.0, 1.0)
+        for side in (spectrum.budget.reflectance, spectrum.budget.transmittance)
+    ])  # fmt: skip
 
 
 def _make_estimate(
-    mean: np.ndarray, stderr: np.ndarray, spectrum: SpectrumSolution, column: int, direct: Any
+    by_direction: Sequence[np.ndarray], spectrum: SpectrumSolution, column: int, direct: Any
 ) -> AngularEstimate:
     """Return an estimate.
 
     Parameters
     ----------
-    mean, stderr : float, shape (2, wavelengths, directions)
-        1/sr, reflected and transmitted.
+    by_direction : float, shapes (2, wavelengths, directions) twice, and (wavelengths, directions)
+        Values, reflected and transmitted, their errors, and that of the anisotropy factor as in
+        `AngularEstimate` (1/sr).
     spectrum : SpectrumSolution
     column : int
-        0 for the beam, -1 for diffuse light.
+        Number of the beam, −1 for diffuse light.
     direct : float, shape (2, wavelengths)
         Reflectance and transmittance without scattering.
     """
-    totals = np.stack([
-        np.clip(side[..., column], 0.0, 1.0)
-        for side in (spectrum.budget.reflectance, spectrum.budget.transmittance)
-    ])  # fmt: skip
+    mean, stderr, anisotropy_stderr = by_direction
+    totals = _select_totals(spectrum, column)
     hemispherical = np.zeros((4, *totals.shape))
     hemispherical[0] = totals
     hemispherical[1] = spectrum.bound_errors(totals)
     hemispherical[2] = direct
     return AngularEstimate(
-        mean, stderr, stderr, hemispherical, np.zeros(totals.shape, dtype=int), np.zeros_like(mean)
-    )
+        np.maximum(mean, 0.0), stderr, stderr, hemispherical, np.zeros(totals.shape, dtype=int),
+        np.zeros_like(mean), anisotropy_stderr,
+    )  # fmt: skip
 
 
-def _describe(
+def _make_result(
     estimate: AngularEstimate, request: AngularRequest, spectrum: SpectrumSolution, n_streams: int
-) -> dict[str, Any]:
-    """Return the attributes of a solution."""
+) -> AngularResult:
+    """Return an estimate with the attributes of its solution."""
     reached = estimate.compute_max_error(request.side, request.direction_mask)
-    return {
+    attributes = {
         "stop_reason": "converged" if reached <= request.relative_stderr else "solver_error",
         "rays": 0,
         "streams": n_streams,
         "truncation_error": float(spectrum.truncation.max()),
         "optics_error": float(spectrum.optics_error.max()),
     }
+    return AngularResult(estimate, {}, (), attributes)

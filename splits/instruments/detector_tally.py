@@ -145,7 +145,7 @@ class DetectorTally(AngularTally):
         return AngularEstimate(
             mean, stderr, stopping_error,
             np.repeat(hemispherical.reshape(4, 2, 1), self.n_wavelengths, axis=2),
-            np.zeros(shape[:2], dtype=int), np.zeros(shape),
+            np.zeros(shape[:2], dtype=int), np.zeros(shape), stderr[0],
         )  # fmt: skip
 
     def make_stokes(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:

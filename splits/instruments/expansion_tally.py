@@ -124,10 +124,14 @@ class ExpansionTally(AngularTally, ExitTally):
     def evaluate(self, stop: StoppingRule) -> Evaluation:
         """Return the largest relative error, and why tracing stops if no rays would reduce it."""
         estimate, self.variances = self._estimate_rows()
-        side, direction_mask, n_rays = self.target.side, self.target.direction_mask, self.n_rays
-        error = estimate.compute_max_error(side, direction_mask, use_stopping_error=True)
+        target, n_rays = self.target, self.n_rays
+        where = target.side, target.direction_mask
+        error = estimate.compute_max_error(
+            *where, use_stopping_error=True, absolute=target.absolute
+        )
         if error <= stop.max_error:
-            resolved = estimate.compute_max_error(side, direction_mask) <= stop.max_error
+            final_error = estimate.compute_max_error(*where, absolute=target.absolute)
+            resolved = final_error <= stop.max_error
             return Evaluation(error, estimate, "" if resolved else "unresolved_lobe")
         # Eight times the rays should reduce a statistical error by a factor of nearly three.
         stagnates = any(
@@ -135,7 +139,7 @@ class ExpansionTally(AngularTally, ExitTally):
             for earlier_rays, earlier in self._earlier_errors
         )
         self._earlier_errors.append((n_rays, error))
-        limited = estimate.is_truncation_limited(side, direction_mask, stop.max_error)
+        limited = estimate.is_truncation_limited(*where, stop.max_error, absolute=target.absolute)
         return Evaluation(error, estimate, "max_degree" if stagnates or limited else "")
 
     def allocate_rays(self, stop: StoppingRule, evaluation: Evaluation) -> np.ndarray:
@@ -151,8 +155,11 @@ class ExpansionTally(AngularTally, ExitTally):
         costs = np.maximum(np.diff(segments.reshape(class_rays.shape), prepend=-1.0, axis=1), 0.01)
         interpolation_error = INTERPOLATION_FACTOR * self.nodes.interpolation_bound[:, np.newaxis]
         side, direction_mask = self.target.side, self.target.direction_mask
-        reference = evaluation.estimate.compute_reference(side, direction_mask)
-        targets = (stop.max_error**2 - interpolation_error**2) * reference**2
+        reference = evaluation.estimate.compute_reference(
+            side, direction_mask, absolute=self.target.absolute
+        )
+        mean = evaluation.estimate.mean[side][:, direction_mask]
+        targets = (stop.max_error * reference) ** 2 - (interpolation_error * mean) ** 2
         target_rays = np.zeros(class_rays.shape)
         for (nodes, row_variances), target in zip(self.variances, targets, strict=True):
             cost = costs[nodes][:, :, np.newaxis]

@@ -51,7 +51,7 @@ TARGET_SIDES = {"brdf": 0, "btdf": 1}
 TRANSMITTED_VARIABLES = ("btdf", "transmittance_factor", "transmittance", "direct_transmittance")
 """Variables of light that leaves below, which is undefined over a ground."""
 
-_INTERPOLATION_FRACTION = 0.05
+INTERPOLATION_FRACTION = 0.05
 """Bound on the error of a reflectance from interpolation between refractive indices, relative to
 the requested relative error."""
 
@@ -142,7 +142,8 @@ def goniophotometer(
     xarray.Dataset
         Over ``wavelength``, ``polar`` and ``azimuth``: ``brdf`` and ``btdf`` (1/sr) of scattered
         light; the ``reflectance_factor`` π·BRDF; the ``anisotropy_factor``, π·BRDF divided by the
-        reflectance of scattered light (its error is that of the BRDF alone), 0 without such light.
+        reflectance of scattered light, 0 without such light.  Its error allows for what both have
+        in common, except for bins and next-event estimation, where it is that of the BRDF.
         Over ``wavelength``: ``reflectance`` and ``transmittance`` of all light, and their
         unscattered parts, which leave as collimated beams: ``specular_reflectance`` and
         ``direct_transmittance``.  All with their standard errors ``…_stderr``.
@@ -231,7 +232,7 @@ def _simulate_angular_result(
         tally = DetectorTally(layers, scene, detectors, side, len(wavelengths))
     else:
         index, absorption = compute_optical_constants(medium, wavelengths)
-        tolerance = _INTERPOLATION_FRACTION * relative_stderr
+        tolerance = INTERPOLATION_FRACTION * relative_stderr
         nodes = choose_nodes(index, medium.list_interfaces(), tolerance)
         if bins is not None:
             tally = AngularBinTally(nodes, absorption, bins, medium.polarized)

@@ -249,15 +249,19 @@ def get_table_ranges(table: Table) -> dict[str, ParameterRange]:
     """Return the ranges of all axes of a table that may be free, and of the scale."""
     names = table.axes[:-1]
     rows = tuple(tuple(table.dataset[name].values.tolist()) for name in names)
-    return get_grid_ranges(ParameterGrid(tuple(names), rows))
+    return get_grid_ranges(ParameterGrid(tuple(names), rows), has_direction=table.has_direction)
 
 
-def get_grid_ranges(grid: ParameterGrid) -> dict[str, ParameterRange]:
+def get_grid_ranges(
+    grid: ParameterGrid, *, has_direction: bool = False
+) -> dict[str, ParameterRange]:
     """Return the ranges of `get_table_ranges` for the axes of a table."""
     ranges = {}
     for name, row in zip(*grid, strict=True):
         if len(row) > 1 and not isinstance(row[0], str):
-            transform, _ = transform_axis(name, np.array(row, dtype=float))
+            transform, _ = transform_axis(
+                name, np.array(row, dtype=float), has_direction=has_direction
+            )
             ranges[name] = ParameterRange(float(row[0]), float(row[-1]), transform)
     return ranges | {SCALE: ParameterRange(*SCALE_RANGE, "identity")}
 
@@ -286,7 +290,9 @@ def _slice_table(
         if nodes.dtype.kind != "f":
             part = part.sel({name: check_choice(f"fixed.{name}", str(value), nodes.tolist())})
             continue
-        interpolation = compute_interpolation_weights(name, nodes, value)
+        interpolation = compute_interpolation_weights(
+            name, nodes, value, has_direction=table.has_direction
+        )
         part, axis_weights[name] = part.isel({name: interpolation.nodes}), interpolation.weights
     part = load_selection(part)
     for name, weights in axis_weights.items():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -14,32 +14,83 @@ from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.simulation.run_options import make_wavelength_coordinate
 from splits.simulation.stopping_rule import STOP_REASONS
-from splits.tables.axes import INCIDENCE
+from splits.tables.axes import INCIDENCE, ParameterGrid
 from splits.tables.block import TableRequest
 from splits.tables.plan import TablePlan
+from splits.tables.views import DIFFUSE_PREFIX, VIEW_AXES, list_view_axes
 
 
-def compute_array_shapes(plan: TablePlan, request: TableRequest) -> dict[str, tuple[int, ...]]:
-    """Return the shape of each variable of a table, with flattened points."""
-    shape = (plan.grid.size, plan.wavelengths.size)
-    shapes: dict[str, tuple[int, ...]] = {}
-    for side in request.quantities:
-        shapes |= {side: shape, f"{side}_stderr": shape}
+class TableVariable(NamedTuple):
+    """Variable of a table.
+
+    Attributes
+    ----------
+    quantity : str
+    grid : ParameterGrid
+        Grid of the points: the media, and the incidences except for quantities under isotropic
+        light.
+    leading, trailing : dict
+        Sizes of the dimensions before and after those of the points.
+    """
+
+    quantity: str
+    grid: ParameterGrid
+    leading: dict[str, int]
+    trailing: dict[str, int]
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        """Dimensions."""
+        return (*self.leading, *self.grid.names, *self.trailing)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape."""
+        return (*self.leading.values(), *self.grid.shape, *self.trailing.values())
+
+    @property
+    def flat_shape(self) -> tuple[int, ...]:
+        """Shape with flattened points."""
+        return (*self.leading.values(), self.grid.size, *self.trailing.values())
+
+
+def list_variables(plan: TablePlan, request: TableRequest) -> dict[str, TableVariable]:
+    """Return the variables of a table by name."""
+    views = dict(zip(VIEW_AXES, request.views.shape, strict=True)) if request.views else {}
+    variables: dict[str, TableVariable] = {}
+    for quantity in request.quantities:
+        trailing = {name: views[name] for name in list_view_axes(quantity)}
+        trailing["wavelength"] = plan.wavelengths.size
+        grid = plan.media_grid if quantity.startswith(DIFFUSE_PREFIX) else plan.grid
+        for suffix in ("", "_stderr"):
+            variables[quantity + suffix] = TableVariable(quantity, grid, {}, trailing)
         if request.covariance:
-            shapes[f"{side}_batches"] = (N_BATCHES, *shape)
-    return shapes
+            batches = {"batch": N_BATCHES}
+            variables[f"{quantity}_batches"] = TableVariable(quantity, grid, batches, trailing)
+    return variables
+
+
+LABELS = {
+    **QUANTITY_LABELS,
+    "reflectance_factor": "bidirectional reflectance factor",
+    "anisotropy_factor": "anisotropy factor",
+    "diffuse_reflectance": "bihemispherical reflectance",
+    "diffuse_reflectance_factor": "hemispherical-directional reflectance factor",
+    "diffuse_anisotropy_factor": "anisotropy factor under isotropic light",
+}
 
 
 def allocate_arrays(plan: TablePlan, request: TableRequest) -> dict[str, np.ndarray]:
     """Return NaN arrays of a table by variable, to be filled by `insert_block`."""
-    shapes = compute_array_shapes(plan, request)
-    return {name: np.full(shape, np.nan, np.float32) for name, shape in shapes.items()}
+    variables = list_variables(plan, request)
+    return {name: np.full(one.flat_shape, np.nan, np.float32) for name, one in variables.items()}
 
 
 def insert_block(arrays: dict[str, np.ndarray], block: xr.Dataset) -> None:
     """Copy a block into the arrays of a table."""
-    for name, values in arrays.items():
-        values[..., block.point.values, :] = block[name].values
+    for name, variable in block.data_vars.items():
+        points = (slice(None),) * variable.dims.index("point")
+        arrays[str(name)][(*points, block.point.values)] = variable.values
 
 
 def assemble_dataset(
@@ -50,25 +101,19 @@ def assemble_dataset(
     wall_time_s: float,
 ) -> xr.Dataset:
     """Return a table as a dataset from its arrays and the attributes of its blocks."""
-    dims = (*plan.grid.names, "wavelength")
-    shape = (*plan.grid.shape, plan.wavelengths.size)
     variables = {}
-    for name, values in arrays.items():
-        side = name.partition("_")[0]
-        attrs = {"long_name": QUANTITY_LABELS[side], "units": "1"}
-        if name == side:
-            attrs["ancillary_variables"] = f"{side}_stderr"
+    for name, variable in list_variables(plan, request).items():
+        quantity = variable.quantity
+        attrs = {"long_name": LABELS[quantity], "units": "1"}
+        if name == quantity:
+            attrs["ancillary_variables"] = f"{quantity}_stderr"
         else:
             kind = "standard error" if name.endswith("_stderr") else "deviation by batch of rays"
             attrs["long_name"] = f"{kind} of {attrs['long_name']}"
-        leading_dims = ("batch",) if name.endswith("_batches") else ()
-        variables[name] = (
-            (*leading_dims, *dims),
-            values.reshape(*values.shape[: len(leading_dims)], *shape),
-            attrs,
-        )
+        variables[name] = (variable.dims, arrays[name].reshape(variable.shape), attrs)
     coordinates = {
         **plan.grid.to_coordinates(),
+        **({} if request.views is None else request.views.to_coordinates()),
         "wavelength": make_wavelength_coordinate(plan.wavelengths),
     }
     spectral_request = request.spectral_request
@@ -107,7 +152,6 @@ def _find_common_attributes(plan: TablePlan) -> dict[str, Any]:
             for k, v in attrs.items()
             if k in medium_attrs and np.array_equal(medium_attrs[k], v)
         }
-    incidences = {path_group.incidence for path_group in plan.path_groups}
     if INCIDENCE not in plan.grid.names:
-        attrs["incidence_deg"] = incidences.pop()
+        attrs["incidence_deg"] = plan.path_groups[0].incidence
     return {"medium": first_medium.kind, **attrs}

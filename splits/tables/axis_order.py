@@ -29,7 +29,7 @@ def sort_axes(dataset: Any) -> xr.Dataset:
     errors = [name for name in dataset.data_vars if f"{name}_stderr" in dataset.data_vars]
     if not errors:
         raise invalid("table", list(map(str, dataset.data_vars)), "with a quantity and its error")
-    axes = [str(dimension) for dimension in dataset[errors[0]].dims]
+    axes = [str(dimension) for dimension in max((dataset[n].dims for n in errors), key=len)]
     if "wavelength" not in axes:
         hint = "select a list: sel(wavelength=[500]), which keeps the axis"
         raise invalid("table", f"over {', '.join(axes) or 'nothing'}", "over wavelength", hint)

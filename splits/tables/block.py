@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,8 +17,15 @@ from splits.io.netcdf import load, make_provenance, save
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.simulation.spectral_rows import PathSharingMedia
 from splits.simulation.truncated_medium import TruncatedMedium
+from splits.tables.directions import (
+    AngularCache,
+    make_view_variables,
+    solve_directions,
+    trace_directions,
+)
 from splits.tables.ordinates import SolutionCache
 from splits.tables.plan import PathGroup
+from splits.tables.views import ViewGrid
 
 DIGEST_ATTRIBUTE = "table_digest"
 
@@ -30,16 +38,39 @@ class TableRequest(NamedTuple):
     spectral_request : SpectralRequest
         Request for spectra; each ensemble sets its own incidence.
     quantities : tuple of str
-        Some of `SIDE_QUANTITIES`.
+        See `splits.tables.views.check_quantities`.
     covariance : bool
         Whether deviations by batch of rays are stored.
     solver : {"monte_carlo", "discrete_ordinates"}
+    views : ViewGrid or None
+        Directions of observation.
     """
 
     spectral_request: SpectralRequest
     quantities: tuple[str, ...]
     covariance: bool
     solver: str = MONTE_CARLO
+    views: ViewGrid | None = None
+
+
+class BlockCaches(NamedTuple):
+    """What the blocks of media under several incidences have in common.
+
+    Attributes
+    ----------
+    truncations : TruncationCache
+    solutions : SolutionCache
+    angular : AngularCache
+    """
+
+    truncations: TruncationCache
+    solutions: SolutionCache
+    angular: AngularCache
+
+    @classmethod
+    def from_groups(cls, groups: Sequence[PathGroup]) -> BlockCaches:
+        """Return empty caches for the path groups of a table."""
+        return cls(TruncationCache(), SolutionCache(groups), AngularCache(groups))
 
 
 class TruncationCache:
@@ -64,18 +95,17 @@ class TruncationCache:
 def compute_block(
     path_group: PathGroup,
     request: TableRequest,
-    caches: tuple[TruncationCache, SolutionCache],
+    caches: BlockCaches,
     digest: str,
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
-    """Compute a block: values and standard errors over ``point`` and ``wavelength``.
+    """Compute a block: values and standard errors over ``point``, views and ``wavelength``.
 
     Parameters
     ----------
     path_group : PathGroup
     request : TableRequest
-    caches : (TruncationCache, SolutionCache)
-        For paths and for discrete ordinates.
+    caches : BlockCaches
     digest : str
         Digest of all inputs of the block, see `splits.tables.build.compute_block_digest`.
     progress : callable, optional
@@ -83,13 +113,51 @@ def compute_block(
     start_time = time.perf_counter()
     run = request.spectral_request.run._replace(progress=progress)
     spectral_request = request.spectral_request._replace(incidence=path_group.incidence, run=run)
-    truncations, solutions = caches
+    compute = _compute_spectra if request.views is None else _compute_directions
+    variables, described = compute(path_group, request, spectral_request, caches)
+    attrs = {
+        **make_provenance("block of a table"),
+        DIGEST_ATTRIBUTE: digest,
+        "ensemble": path_group.number,
+        **described,
+        "wall_time_s": round(time.perf_counter() - start_time, 3),
+    }
+    point_coordinate = ("point", path_group.positions, {"long_name": "flat index in the table"})
+    return xr.Dataset(
+        variables, {"point": point_coordinate, "wavelength": spectral_request.wavelengths}, attrs
+    )
+
+
+def _compute_directions(
+    path_group: PathGroup, request: TableRequest, spectral_request: SpectralRequest,
+    caches: BlockCaches,
+) -> tuple[dict[str, Any], dict[str, Any]]:  # fmt: skip
+    """Return the variables of a block with directions of observation, and its attributes."""
+    views = request.views
+    assert views is not None
     if request.solver == DISCRETE_ORDINATES:
-        estimate = solutions.get(
-            path_group, spectral_request.wavelengths, spectral_request.max_stderr, run.threads
-        )
+        estimate, attrs = solve_directions(path_group, spectral_request, views, caches.angular)
     else:
-        truncation = truncations.get(spectral_request, path_group.path_sharing)
+        truncation = caches.truncations.get(spectral_request, path_group.path_sharing)
+        estimate, attrs = trace_directions(path_group, spectral_request, views, truncation)
+    variables = make_view_variables(
+        estimate, path_group, views, spectral_request.wavelengths.size, request.quantities
+    )
+    return variables, attrs | {"interpolation_error_bound": 0.0}
+
+
+def _compute_spectra(
+    path_group: PathGroup, request: TableRequest, spectral_request: SpectralRequest,
+    caches: BlockCaches,
+) -> tuple[dict[str, Any], dict[str, Any]]:  # fmt: skip
+    """Return the variables of a block of spectra, and its attributes."""
+    if request.solver == DISCRETE_ORDINATES:
+        estimate = caches.solutions.get(
+            path_group, spectral_request.wavelengths, spectral_request.max_stderr,
+            spectral_request.run.threads,
+        )  # fmt: skip
+    else:
+        truncation = caches.truncations.get(spectral_request, path_group.path_sharing)
         estimate = spectral_request.simulate(path_group.path_sharing, truncation)
     shape = (len(path_group.path_sharing.media), spectral_request.wavelengths.size)
     variables: dict[str, Any] = {}
@@ -105,20 +173,12 @@ def compute_block(
             variables[f"{side}_batches"] = (
                 ("batch", "point", "wavelength"), deviations.astype(np.float32),
             )  # fmt: skip
-    attrs = {
-        **make_provenance("block of a table"),
-        DIGEST_ATTRIBUTE: digest,
-        "ensemble": path_group.number,
+    return variables, {
         **estimate.rays,
         "max_stderr_reached": float(estimate.stderr.max()),
         "interpolation_error_bound": float(estimate.interpolation_error.max()),
         "stop_reason": estimate.get_stop_reason(spectral_request.max_stderr),
-        "wall_time_s": round(time.perf_counter() - start_time, 3),
     }
-    point_coordinate = ("point", path_group.positions, {"long_name": "flat index in the table"})
-    return xr.Dataset(
-        variables, {"point": point_coordinate, "wavelength": spectral_request.wavelengths}, attrs
-    )
 
 
 def make_block_path(folder: Path, number: int, digest: str) -> Path:

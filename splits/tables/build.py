@@ -16,23 +16,22 @@ from splits.core.keywords import reject_unknown_arguments
 from splits.core.paths import expand_path
 from splits.core.progress import Progress, ProgressCallback
 from splits.core.provenance import hash_physics_sources
-from splits.core.validation import check_choice, invalid
 from splits.instruments.solver import MONTE_CARLO
-from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest
+from splits.instruments.spectral_run import SpectralRequest
 from splits.media.medium import Medium
 from splits.simulation.path_reuse import compute_absorption_signature, compute_path_signature
 from splits.simulation.run_options import RunOptions
 from splits.tables.assembly import allocate_arrays, assemble_dataset, insert_block
 from splits.tables.axes import ParameterGrid
 from splits.tables.block import (
+    BlockCaches,
     TableRequest,
-    TruncationCache,
     compute_block,
     load_block,
     save_block,
 )
-from splits.tables.ordinates import SolutionCache
 from splits.tables.plan import PathGroup, TablePlan, choose_table_solver
+from splits.tables.views import DIFFUSE_PREFIX, ViewGrid, check_quantities, drop_view_axes
 
 
 @reject_unknown_arguments
@@ -45,7 +44,7 @@ def build_table(
     seed: int = 1,
     *,
     solver: str = "auto",
-    quantities: Sequence[str] = ("reflectance",),
+    quantities: Sequence[str] | None = None,
     covariance: bool = False,
     folder: str | Path | None = None,
     max_rays: int = 20_000_000,
@@ -65,18 +64,25 @@ def build_table(
         `splits.Snow.natural` or a user's function.
     grid : mapping
         Values by parameter: increasing numbers, or text.  ``incidence_deg`` may be one of the
-        parameters, in degrees or "diffuse".
+        parameters, in degrees or "diffuse".  ``polar_deg`` (from the normal, 0 to below 90 degrees)
+        and ``azimuth_deg`` (from the direction in which the beam travels, 0 to 180 degrees) are
+        directions of observation.
     wavelength_nm : array_like
         Vacuum wavelengths (nm), strictly increasing.
     incidence_deg : float or "diffuse"
         Angle of incidence (degrees), unless it is an axis of the grid.
     max_stderr, seed, max_rays, threads, kernel
         As for `splits.spectrophotometer`.  `max_stderr` applies to every node of the table, and
-        `max_rays` to each ensemble.
+        `max_rays` to each ensemble.  With directions, it applies to reflectance factors up to polar
+        angles of `splits.instruments.goniophotometer.MAX_CONVERGED_POLAR_DEG`.
     solver : {"auto", "discrete_ordinates", "monte_carlo"}
         As for `splits.spectrophotometer`, for all points of the table.
-    quantities : sequence of str
-        Quantities of the table: "reflectance" and "transmittance".
+    quantities : sequence of str, optional
+        Quantities of the table: "reflectance" (default) and "transmittance".  With directions:
+        "reflectance", "reflectance_factor" (π·BRDF) and "anisotropy_factor" (the quotient of both),
+        all three by default and from the same paths or solution, and "diffuse_reflectance",
+        "diffuse_reflectance_factor" and "diffuse_anisotropy_factor", the same under isotropic
+        light, which have no axes of incidence and azimuth.
     covariance : bool
         Whether to store ``…_batches``, 32 deviations by batch of rays for each value.  Sums of
         products over batches are the covariances of values that share paths.
@@ -89,7 +95,8 @@ def build_table(
     Returns
     -------
     xarray.Dataset
-        Values and standard errors (float32) over the axes of the grid and ``wavelength``.
+        Values and standard errors (float32) over the axes of the grid and ``wavelength``;
+        ``reflectance`` has no directions of observation.
 
     Raises
     ------
@@ -111,8 +118,15 @@ def build_table(
     start_time = time.perf_counter()
     run = RunOptions.from_arguments(seed, threads, kernel)
     spectral_request = SpectralRequest.from_arguments(wavelength_nm, 0.0, max_stderr, max_rays, run)
+    axes = ParameterGrid.from_mapping(grid)
+    views = ViewGrid.from_grid(axes)
+    selected = check_quantities(quantities, views, bool(covariance))
     plan = TablePlan.from_grid(
-        make, ParameterGrid.from_mapping(grid), spectral_request.wavelengths, incidence_deg
+        make,
+        drop_view_axes(axes),
+        spectral_request.wavelengths,
+        incidence_deg,
+        with_diffuse=any(name.startswith(DIFFUSE_PREFIX) for name in selected),
     )
     chosen = choose_table_solver(
         solver,
@@ -120,10 +134,9 @@ def build_table(
         spectral_request.wavelengths,
         bool(covariance),
         spectral_request.max_stderr,
+        has_views=views is not None,
     )
-    request = TableRequest(
-        spectral_request, _check_quantities(quantities), bool(covariance), chosen
-    )
+    request = TableRequest(spectral_request, selected, bool(covariance), chosen, views)
     block_folder = None if folder is None else expand_path(folder, "folder")
     arrays = allocate_arrays(plan, request)
     block_attrs = []
@@ -131,13 +144,6 @@ def build_table(
         insert_block(arrays, block)
         block_attrs.append(block.attrs)
     return assemble_dataset(arrays, plan, request, block_attrs, time.perf_counter() - start_time)
-
-
-def _check_quantities(quantities: Sequence[str]) -> tuple[str, ...]:
-    """Return the validated quantities of a table."""
-    if isinstance(quantities, str) or not quantities or len(set(quantities)) < len(quantities):
-        raise invalid("quantities", quantities, f"a list of {' and '.join(SIDE_QUANTITIES)}")
-    return tuple(check_choice("quantities", name, SIDE_QUANTITIES) for name in quantities)
 
 
 def compute_block_digest(path_group: PathGroup, request: TableRequest) -> str:
@@ -150,6 +156,8 @@ def compute_block_digest(path_group: PathGroup, request: TableRequest) -> str:
         inputs += [spectral_request.max_rays, run.seed, run.kernel]
     digest.update(repr(inputs).encode())
     digest.update(repr([request.quantities, request.covariance]).encode())
+    for angles in request.views or ():
+        digest.update(np.ascontiguousarray(angles).tobytes())
     signature, unit = compute_path_signature(path_group.path_sharing.media[0])
     digest.update(signature)
     sizes = unit * path_group.path_sharing.size_ratios
@@ -185,7 +193,7 @@ def iterate_blocks(
     if folder is not None:
         check_writable(folder / "block.nc")
     start_time, n_done = time.perf_counter(), 0
-    caches = TruncationCache(), SolutionCache(path_groups)
+    caches = BlockCaches.from_groups(path_groups)
     for number, path_group in enumerate(path_groups):
         digest = compute_block_digest(path_group, request)
         block = None if folder is None else load_block(folder, path_group.number, digest)

@@ -34,7 +34,7 @@ class DerivativeEstimate(NamedTuple):
 
 
 def compute_derivative_weights(
-    name: str, nodes: np.ndarray, stencil: np.ndarray, value: float
+    name: str, nodes: np.ndarray, stencil: np.ndarray, value: float, *, has_direction: bool = False
 ) -> DerivativeWeights:
     """Return the weights of the derivative with respect to the parameter of an axis.
 
@@ -48,6 +48,8 @@ def compute_derivative_weights(
         Indices of the nodes to use, at least 2.
     value : float
         Position on the axis.
+    has_direction : bool
+        See `splits.tables.interpolation.transform_axis`.
 
     Raises
     ------
@@ -56,7 +58,7 @@ def compute_derivative_weights(
     """
     if len(stencil) < 2:
         raise invalid(f"derivatives ({name})", len(nodes), "an axis of at least two nodes")
-    kind, coordinates = transform_axis(name, nodes)
+    kind, coordinates = transform_axis(name, nodes, has_direction=has_direction)
     x = float(apply_axis_transform(kind, np.array(value)))
     if kind == "square_root" and value <= _TINY:
         hint = "reflectance varies as a square root there: use a larger value"

@@ -25,10 +25,12 @@ class InterpolatedSpectra:
         )
 
 
-def compute_axis_weights(name: str, nodes: np.ndarray, axis_value: Any) -> InterpolationWeights:
+def compute_axis_weights(
+    name: str, nodes: np.ndarray, axis_value: Any, *, has_direction: bool = False
+) -> InterpolationWeights:
     """Return the interpolation weights of a position; a text value selects its node."""
     if nodes.dtype.kind == "f":
-        return compute_interpolation_weights(name, nodes, axis_value)
+        return compute_interpolation_weights(name, nodes, axis_value, has_direction=has_direction)
     check_choice(name, str(axis_value), nodes.tolist())
     node = (nodes == str(axis_value)).argmax(keepdims=True)
     return InterpolationWeights(node, np.ones(1), node[:0], np.zeros((0, nodes.size)))

@@ -50,15 +50,20 @@ class InterpolationWeights(NamedTuple):
         )
 
 
-def transform_axis(name: str, nodes: np.ndarray) -> tuple[str, np.ndarray]:
+def transform_axis(
+    name: str, nodes: np.ndarray, *, has_direction: bool = False
+) -> tuple[str, np.ndarray]:
     """Return the transform of an axis for interpolation, and its transformed nodes.
 
     Positive amounts that span at least a factor of three are transformed to logarithms.  Amounts
     that begin with 0 are transformed to square roots, because reflectance is nearly linear in the
-    square root of absorption.
+    square root of absorption.  Polar angles remain as they are, with incidences for one direction
+    of observation (`has_direction`): the distributions vary linearly with them at the normal.
     """
-    if name == "incidence_deg":
+    if name == "azimuth_deg" or (name == "incidence_deg" and not has_direction):
         return "cosine", apply_axis_transform("cosine", nodes)
+    if name in ("polar_deg", "incidence_deg"):
+        return "identity", apply_axis_transform("identity", nodes)
     if name != "wavelength" and nodes[0] > 0.0 and nodes[-1] >= 3.0 * nodes[0]:
         return "logarithm", apply_axis_transform("logarithm", nodes)
     if name != "wavelength" and nodes[0] == 0.0 and nodes.size > 2:
@@ -92,7 +97,7 @@ def check_within_axis(name: str, nodes: np.ndarray, value: object) -> float:
 
 
 def compute_interpolation_weights(
-    name: str, nodes: np.ndarray, value: object
+    name: str, nodes: np.ndarray, value: object, *, has_direction: bool = False
 ) -> InterpolationWeights:
     """Return the interpolation weights of a value on an axis.
 
@@ -101,7 +106,7 @@ def compute_interpolation_weights(
     ValueError
         For a value outside the axis.
     """
-    kind, coordinates = transform_axis(name, nodes)
+    kind, coordinates = transform_axis(name, nodes, has_direction=has_direction)
     x = float(apply_axis_transform(kind, np.array(check_within_axis(name, nodes, value))))
     stencil = _find_nearest_nodes(coordinates, x, STENCIL_SIZE)
     weights = _compute_lagrange_weights(coordinates[stencil], x)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.core.validation import invalid
+from splits.discrete_ordinates.applicability import find_direction_obstacle
 from splits.instruments.solver import DISCRETE_ORDINATES, choose_solver
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
@@ -15,6 +16,8 @@ from splits.simulation.arguments import check_incidence
 from splits.simulation.path_reuse import MediaGroup, group_by_shared_paths
 from splits.simulation.spectral_rows import PathSharingMedia
 from splits.tables.axes import INCIDENCE, ParameterGrid
+
+DIFFUSE = "diffuse"
 
 
 class PathGroup(NamedTuple):
@@ -28,7 +31,8 @@ class PathGroup(NamedTuple):
     path_sharing : PathSharingMedia
         Distinct media of the points.
     positions : int, shape (points,)
-        Flat indices of the points in the table.
+        Flat indices of the points in the table, or in the grid of its media where the table has
+        other incidences.
     media_indices : int, shape (points,)
         Index of the medium of each point.
     """
@@ -65,6 +69,8 @@ class TablePlan(NamedTuple):
         grid: ParameterGrid,
         wavelengths: np.ndarray,
         incidence_deg: float | str = 0.0,
+        *,
+        with_diffuse: bool = False,
     ) -> TablePlan:
         """Return the plan of a table.
 
@@ -76,6 +82,8 @@ class TablePlan(NamedTuple):
         wavelengths : float, shape (wavelengths,)
         incidence_deg : float or "diffuse"
             Incidence, unless it is an axis of the grid.
+        with_diffuse : bool
+            Whether isotropic light is added.
 
         Raises
         ------
@@ -88,17 +96,20 @@ class TablePlan(NamedTuple):
         media_axes = grid.drop(INCIDENCE)
         media = [_make_medium(make_medium, point) for point in media_axes.iterate_points()]
         beams = [check_incidence(angle) for angle in grid.get_values(INCIDENCE, incidence_deg)]
+        if with_diffuse and DIFFUSE in beams:
+            raise invalid(INCIDENCE, DIFFUSE, "angles with quantities under isotropic light")
         media_groups = group_by_shared_paths(media, wavelengths)
         positions = np.arange(grid.size).reshape(grid.shape)
         if INCIDENCE in grid.names:
             positions = np.moveaxis(positions, grid.names.index(INCIDENCE), -1)
         positions = positions.reshape(len(media), len(beams))
         path_groups = [
-            PathGroup(
-                0, beam, group.path_sharing, positions[group.positions, row], group.media_indices
-            )
+            PathGroup(0, beam, group.path_sharing, rows, group.media_indices)
             for group in media_groups
-            for row, beam in enumerate(beams)
+            for beam, rows in [
+                *zip(beams, positions[group.positions].T, strict=True),
+                *([(DIFFUSE, group.positions)] if with_diffuse else []),
+            ]
         ]
         numbered = tuple(
             path_group._replace(number=number) for number, path_group in enumerate(path_groups)
@@ -110,13 +121,19 @@ class TablePlan(NamedTuple):
         groups = {id(group.path_sharing): group.path_sharing for group in self.path_groups}
         return [medium for path_sharing in groups.values() for medium in path_sharing.media]
 
+    @property
+    def media_grid(self) -> ParameterGrid:
+        """Grid of the media, without the incidence."""
+        return self.grid.drop(INCIDENCE)
+
     def select_part(self, part: int, n_parts: int, solver: str) -> tuple[PathGroup, ...]:
         """Return the ensembles of one of several parts.
 
         Discrete ordinates solve all angles of incidence of a medium together, which are therefore
         in one part.
         """
-        n_beams = len(self.grid.get_values(INCIDENCE, 0.0)) if solver == DISCRETE_ORDINATES else 1
+        n_media_groups = len({id(one.path_sharing) for one in self.path_groups})
+        n_beams = len(self.path_groups) // n_media_groups if solver == DISCRETE_ORDINATES else 1
         return tuple(one for one in self.path_groups if one.number // n_beams % n_parts == part)
 
     def __str__(self) -> str:
@@ -134,10 +151,14 @@ class TablePlan(NamedTuple):
 
 def choose_table_solver(
     solver: Any, media: Iterable[Medium], wavelengths: np.ndarray, covariance: bool,
-    max_stderr: float = np.inf,
+    max_stderr: float = np.inf, has_views: bool = False,
 ) -> str:  # fmt: skip
     """Return the solver for all media of a table, see `splits.instruments.solver.choose_solver`."""
     obstacle = "a covariance needs batches of rays" if covariance else None
+    if has_views:
+        media = list(media)
+        reasons = (find_direction_obstacle(medium) for medium in media)
+        obstacle = obstacle or next((reason for reason in reasons if reason), None)
     return choose_solver(solver, media, wavelengths, obstacle, max_stderr=max_stderr)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,7 @@ import xarray as xr
 
 from splits.io.cf_encoding import encode_for_netcdf
 from splits.io.integrity import atomic_netcdf, write_checksums
-from splits.kernels.tallies.exits import N_BATCHES
-from splits.tables.assembly import assemble_dataset, compute_array_shapes
+from splits.tables.assembly import TableVariable, assemble_dataset, list_variables
 from splits.tables.block import TableRequest
 from splits.tables.plan import TablePlan
 
@@ -23,8 +23,8 @@ MAX_BYTES_IN_MEMORY = 2**28
 
 def compute_table_bytes(plan: TablePlan, request: TableRequest) -> int:
     """Return the size of the values of a table in bytes."""
-    rows = sum(2 + N_BATCHES * request.covariance for _ in request.quantities)
-    return 4 * rows * plan.grid.size * plan.wavelengths.size
+    sizes = (math.prod(one.shape) for one in list_variables(plan, request).values())
+    return np.dtype(np.float32).itemsize * sum(sizes)
 
 
 def write_table_blockwise(
@@ -58,20 +58,20 @@ def write_table_blockwise(
         skeleton = encode_for_netcdf(
             add_attributes(_make_skeleton(plan, request, [block.attrs for block in read_blocks()]))
         )
-        values = [str(name) for name in skeleton.data_vars]
-        skeleton.drop_vars(values).to_netcdf(temporary, engine="netcdf4")
+        variables = list_variables(plan, request)
+        skeleton.drop_vars(list(variables)).to_netcdf(temporary, engine="netcdf4")
         with netCDF4.Dataset(temporary, "a") as file:
-            for name in values:
+            for name in variables:
                 _create_variable(file, name, skeleton)
             for block in read_blocks():
-                for name in values:
-                    _write_block(file.variables[name], block, plan.grid.shape)
+                for name in map(str, block.data_vars):
+                    _write_block(file.variables[name], block[name], variables[name])
         with netCDF4.Dataset(temporary) as file:
             file.set_auto_maskandscale(False)
             complete = all(
-                _has_block(file.variables[name], block, plan.grid.shape)
+                _has_block(file.variables[name], block[name], variables[name])
                 for block in read_blocks()
-                for name in values
+                for name in map(str, block.data_vars)
             )
         if not complete:
             raise OSError(f"{path}: the file written does not hold the table")
@@ -83,8 +83,8 @@ def _make_skeleton(
 ) -> xr.Dataset:
     """Return a table with broadcast NaN values, which use no memory."""
     empty_arrays = {
-        name: np.broadcast_to(np.float32(np.nan), shape)
-        for name, shape in compute_array_shapes(plan, request).items()
+        name: np.broadcast_to(np.float32(np.nan), one.flat_shape)
+        for name, one in list_variables(plan, request).items()
     }
     return assemble_dataset(
         empty_arrays,
@@ -110,26 +110,28 @@ def _create_variable(file: netCDF4.Dataset, name: str, skeleton: xr.Dataset) -> 
 
 
 def _iterate_points(
-    block: xr.Dataset, shape: tuple[int, ...]
-) -> Iterable[tuple[int, tuple[Any, ...]]]:
-    """Yield the index of each point in a block and in the table."""
-    indices = np.unravel_index(block.point.values, shape)
-    yield from enumerate(zip(*(axis.tolist() for axis in indices), strict=True))
+    block: xr.DataArray, table_variable: TableVariable
+) -> Iterable[tuple[tuple[Any, ...], np.ndarray]]:
+    """Yield the index in the table, and the values, of each point in a block."""
+    indices = np.unravel_index(block.point.values, table_variable.grid.shape)
+    leading = (slice(None),) * len(table_variable.leading)
+    for row, index in enumerate(zip(*(axis.tolist() for axis in indices), strict=True)):
+        yield (*leading, *index), block.isel(point=row).values
 
 
-def _write_block(variable: netCDF4.Variable, block: xr.Dataset, shape: tuple[int, ...]) -> None:
+def _write_block(
+    variable: netCDF4.Variable, block: xr.DataArray, table_variable: TableVariable
+) -> None:
     """Write the values of a block into a variable."""
-    leading = (slice(None),) * (variable.ndim - len(shape) - 1)
-    values = block[variable.name].values
-    for row, index in _iterate_points(block, shape):
-        variable[(*leading, *index)] = values[..., row, :]
+    for index, values in _iterate_points(block, table_variable):
+        variable[index] = values
 
 
-def _has_block(variable: netCDF4.Variable, block: xr.Dataset, shape: tuple[int, ...]) -> bool:
+def _has_block(
+    variable: netCDF4.Variable, block: xr.DataArray, table_variable: TableVariable
+) -> bool:
     """Return whether a variable holds the values of a block."""
-    leading = (slice(None),) * (variable.ndim - len(shape) - 1)
-    values = block[variable.name].values
     return all(
-        np.array_equal(variable[(*leading, *index)], values[..., row, :])
-        for row, index in _iterate_points(block, shape)
+        np.array_equal(variable[index], values)
+        for index, values in _iterate_points(block, table_variable)
     )

@@ -37,6 +37,8 @@ from splits.tables.interpolation import (
 )
 from splits.tables.isofit import convert_to_isofit
 from splits.tables.storage import MAX_BYTES_IN_MEMORY
+from splits.tables.view_selection import ViewRequest, select_view
+from splits.tables.views import POLAR, VIEW_AXES, VIEW_QUANTITIES
 
 Part = TypeVar("Part", xr.Dataset, xr.DataArray)
 
@@ -83,7 +85,77 @@ class Table:
     @property
     def axes(self) -> list[str]:
         """Axes of the table, the wavelength last."""
-        return [str(dim) for dim in self.dataset[self.quantities[0]].dims]
+        largest = max((self.dataset[name] for name in self.quantities), key=lambda one: one.ndim)
+        return [str(dim) for dim in largest.dims]
+
+    @property
+    def has_views(self) -> bool:
+        """Whether directions of observation are axes of the table."""
+        return POLAR in self.axes
+
+    @property
+    def has_direction(self) -> bool:
+        """Whether the table holds distributions over directions, or their values in one."""
+        return any(name in self.quantities for name in VIEW_QUANTITIES)
+
+    @reject_unknown_arguments
+    def at_view(
+        self,
+        polar_deg: float,
+        azimuth_deg: float = 0.0,
+        *,
+        field_of_view_deg: float = 0.0,
+        diffuse_fraction: Any = 0.0,
+    ) -> Table:
+        """Return the table for one direction of observation.
+
+        Parameters
+        ----------
+        polar_deg : float
+            Angle from the normal (degrees), within the table.
+        azimuth_deg : float
+            Angle from the direction in which the beam travels (degrees), −360 to 360; 180 is the
+            side of the sun.
+        field_of_view_deg : float
+            Full angle of a conical field of view, 0 to 60 degrees, which must lie within the
+            table.
+        diffuse_fraction : float or array_like, shape (wavelengths,)
+            Fraction of the irradiance that is isotropic, 0 to 1.  Above 0 it needs the quantities
+            under isotropic light, see `splits.build_table`.
+
+        Returns
+        -------
+        Table
+            ``reflectance``, ``reflectance_factor`` and ``anisotropy_factor`` over the remaining
+            axes, as far as the table holds them.  The reflectance factor is bidirectional,
+            hemispherical-directional (with isotropic light) or (hemispherical-)conical.  Errors
+            include those of interpolation.
+
+        Raises
+        ------
+        ValueError
+            For a table without directions, or a direction outside it.
+
+        References
+        ----------
+        Schaepman-Strub et al. (2006), Remote Sensing of Environment 103, 27-42.
+        """
+        if not self.has_views:
+            hint = f"axes {', '.join(self.axes)}"
+            raise invalid("polar_deg", polar_deg, "left out for a table without directions", hint)
+        request = ViewRequest.from_arguments(
+            self.dataset, polar_deg, azimuth_deg, field_of_view_deg, diffuse_fraction
+        )
+        return Table(select_view(self.dataset, request))
+
+    def _fix_view(self, at: dict[str, Any]) -> tuple[Table, dict[str, Any]]:
+        """Return the table for the direction among positions on axes, and the other positions."""
+        at = check_axis_values(at, self.axes)
+        for name in VIEW_AXES:
+            if name not in at:
+                raise invalid(name, None, "given", "a direction of observation of the table")
+        view = {name: at.pop(name) for name in VIEW_AXES}
+        return self.at_view(**view), at
 
     @reject_unknown_arguments
     def interp(self, **at: Any) -> xr.Dataset:
@@ -110,6 +182,9 @@ class Table:
         ValueError
             For an unknown or missing axis, or a value outside the table.
         """
+        if self.has_views:
+            table, at = self._fix_view(at)
+            return table.interp(**at)
         at = check_axis_values(at, self.axes)
         wavelengths = self.dataset.wavelength.values
         targets = wavelengths
@@ -148,6 +223,9 @@ class Table:
         float, shape (axes, wavelengths)
             Error estimates, with relative signs along the spectrum.
         """
+        if self.has_views:
+            table, at = self._fix_view(at)
+            return table.interpolation_errors(quantity, **at)
         subset, weights = self._select_stencil(at)
         values = subset[quantity].values.astype(float)
         errors: list[list[np.ndarray]] = []
@@ -213,6 +291,9 @@ class Table:
         ValueError
             As for `interp`, and at the singularity of an axis with a square-root transform.
         """
+        if self.has_views:
+            table, at = self._fix_view(at)
+            return table.derivatives(names, **at)
         axes = self.axes[:-1]
         at = check_axis_values(at, axes)
         numeric_axes = [n for n in axes if self.dataset[n].dtype.kind == "f"]
@@ -226,8 +307,9 @@ class Table:
             axis, nodes = axes.index(name), self.dataset[name].values
             stencil = np.searchsorted(nodes, subset[name].values[weights[axis].nodes])
             derivative_weights = compute_derivative_weights(
-                name, nodes, stencil, check_within_axis(name, nodes, at.get(name, nodes[0]))
-            )
+                name, nodes, stencil, check_within_axis(name, nodes, at.get(name, nodes[0])),
+                has_direction=self.has_direction,
+            )  # fmt: skip
             for quantity, rows in estimates.items():
                 rows.append(differentiate(subset, quantity, weights, axis, derivative_weights))
         wavelength = ("wavelength", self.dataset.wavelength.values, self.dataset.wavelength.attrs)
@@ -245,7 +327,9 @@ class Table:
             values = self.dataset[name].values
             if name not in at and values.size > 1:
                 raise invalid(name, None, "given", "an axis of the table")
-            axis_weights = compute_axis_weights(name, values, at.get(name, values[0]))
+            axis_weights = compute_axis_weights(
+                name, values, at.get(name, values[0]), has_direction=self.has_direction
+            )
             # Only nodes with weights are read from a table on disk.
             needed = np.union1d(
                 axis_weights.nodes, np.flatnonzero(axis_weights.error_weights.any(axis=0))

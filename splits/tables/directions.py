@@ -1,0 +1,136 @@
+"""Reflectance factors and anisotropy factors of the media of a path group, in a table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from splits.instruments.angular_estimate import AngularEstimate, join_wavelengths
+from splits.instruments.angular_solver import AngularRequest, AngularResult, solve_angular_results
+from splits.instruments.directional_spectra import simulate_directions
+from splits.instruments.goniophotometer import make_direction_mask
+from splits.instruments.spectral_run import SpectralRequest
+from splits.simulation.truncated_medium import TruncatedMedium
+from splits.tables.plan import DIFFUSE, PathGroup
+from splits.tables.views import DIFFUSE_PREFIX, VIEW_AXES, ViewGrid, list_view_axes
+
+
+class AngularCache:
+    """Cache of solutions by discrete ordinates for all incidences of a table; see `get`.
+
+    Parameters
+    ----------
+    groups : sequence of PathGroup
+        Groups of the table, of which those with the same media have several incidences.
+    """
+
+    def __init__(self, groups: Sequence[PathGroup]) -> None:
+        self._groups = groups
+        self._media: Any = None
+        self._results: dict[Any, list[AngularResult]] = {}
+
+    def get(
+        self, group: PathGroup, request: SpectralRequest, views: ViewGrid
+    ) -> list[AngularResult]:
+        """Return the result of each medium of a group; all its incidences are solved together."""
+        if self._media is not group.path_sharing:
+            same = [one for one in self._groups if one.path_sharing is group.path_sharing]
+            incidences = [one.incidence for one in same]
+            mask = make_direction_mask(*views)
+            one = AngularRequest(request.wavelengths, 0.0, *views, request.max_stderr, mask, 0)
+            by_medium = [
+                solve_angular_results(medium, one, incidences, request.run.threads)
+                for medium in group.path_sharing.media
+            ]
+            self._media = group.path_sharing
+            self._results = dict(zip(incidences, zip(*by_medium, strict=True), strict=True))
+        return list(self._results[group.incidence])
+
+
+def solve_directions(
+    group: PathGroup, request: SpectralRequest, views: ViewGrid, cache: AngularCache
+) -> tuple[AngularEstimate, dict[str, Any]]:
+    """Return the estimate of a path group by discrete ordinates, and its attributes.
+
+    Rows are the wavelengths of one medium after the other.
+    """
+    results = cache.get(group, request, views)
+    estimate = join_wavelengths([result.estimate for result in results])
+    attributes = {
+        "rays": 0,
+        **{
+            name: max(result.attributes[name] for result in results)
+            for name in ("streams", "truncation_error", "optics_error")
+        },
+    }
+    return estimate, attributes | _describe_error(
+        estimate, request.max_stderr, views, "solver_error"
+    )
+
+
+def trace_directions(
+    group: PathGroup,
+    request: SpectralRequest,
+    views: ViewGrid,
+    truncation: TruncatedMedium | None,
+) -> tuple[AngularEstimate, dict[str, Any]]:
+    """Return the estimate of a path group by Monte Carlo, as `solve_directions`."""
+    simulation = simulate_directions(group.path_sharing, truncation, request, *views)
+    attributes = {"rays": simulation.rays} | _describe_error(
+        simulation.estimate, request.max_stderr, views, simulation.stop_reason
+    )
+    return simulation.estimate, attributes
+
+
+def _describe_error(
+    estimate: AngularEstimate, max_stderr: float, views: ViewGrid, otherwise: str
+) -> dict[str, Any]:
+    """Return the attributes of the error of reflectance factors.
+
+    `otherwise` is the reason for stopping if the requested error is not reached.
+    """
+    mask = make_direction_mask(*views)
+    reached = estimate.compute_max_error(0, mask, absolute=True)
+    return {
+        "max_stderr_reached": reached,
+        "stop_reason": "converged" if reached <= max_stderr else otherwise,
+    }
+
+
+def make_view_variables(
+    estimate: AngularEstimate,
+    group: PathGroup,
+    views: ViewGrid,
+    n_wavelengths: int,
+    quantities: Sequence[str],
+) -> dict[str, Any]:
+    """Return the variables of a block with their errors, over ``point``, views and wavelength."""
+    scattered = estimate.compute_scattered()[0]
+    scale = np.divide(np.pi, scattered, out=np.zeros_like(scattered), where=scattered > 0.0)
+    values = {
+        "reflectance": (estimate.hemispherical[0, 0], estimate.hemispherical[1, 0]),
+        "reflectance_factor": (np.pi * estimate.mean[0], np.pi * estimate.stderr[0]),
+        "anisotropy_factor": tuple(
+            scale[:, np.newaxis] * one for one in (estimate.mean[0], estimate.anisotropy_stderr)
+        ),
+    }
+    is_diffuse = group.incidence == DIFFUSE and any(
+        name.startswith(DIFFUSE_PREFIX) for name in quantities
+    )
+    prefix = DIFFUSE_PREFIX if is_diffuse else ""
+    variables: dict[str, Any] = {}
+    for name in quantities:
+        if name.startswith(DIFFUSE_PREFIX) != is_diffuse:
+            continue
+        axes = list_view_axes(name)
+        for suffix, one in zip(("", "_stderr"), values[name.removeprefix(prefix)], strict=True):
+            shape = (len(group.path_sharing.media), n_wavelengths, *(views.shape if axes else ()))
+            by_medium = np.moveaxis(one.reshape(shape), 1, -1)[group.media_indices]
+            if axes != VIEW_AXES and axes:
+                # Under isotropic light, all azimuths are equal.
+                by_medium = by_medium[:, :, 0]
+            dims = ("point", *axes, "wavelength")
+            variables[name + suffix] = (dims, by_medium.astype(np.float32))
+    return variables

@@ -1,0 +1,229 @@
+"""Part of a table for one direction of observation, a field of view, and a sky.
+
+Values of directions between those of a table are interpolated.  A field of view averages them over
+a cone, with the cosine of the polar angle as weight (Schaepman-Strub et al. 2006, Remote Sensing of
+Environment 103, 27).  A part of the light may be isotropic.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from splits.core.arrays import align_to_labels, check_array_range
+from splits.core.uncertainty import make_variable
+from splits.core.validation import check_range, invalid
+from splits.tables.interpolated_spectra import (
+    InterpolatedSpectra,
+    compute_axis_weights,
+    interpolate_first_axis,
+)
+from splits.tables.views import (
+    DIFFUSE_PREFIX,
+    DIFFUSE_QUANTITIES,
+    POLAR,
+    VIEW_AXES,
+    VIEW_QUANTITIES,
+    list_view_axes,
+)
+
+N_RINGS, N_RING_DIRECTIONS = 3, 8
+"""Numbers of rings of a field of view, and of directions in each."""
+MAX_FIELD_OF_VIEW_DEG = 60.0
+LABELS = {
+    "reflectance": "reflectance",
+    "reflectance_factor": "reflectance factor",
+    "anisotropy_factor": "anisotropy factor",
+}
+
+
+class Direction(NamedTuple):
+    """Direction of observation (degrees), with its weight in a field of view."""
+
+    polar: float
+    azimuth: float
+    weight: float
+
+
+class ViewRequest(NamedTuple):
+    """Direction of observation, and what else determines a reflectance factor.
+
+    Attributes
+    ----------
+    polar, azimuth : float
+        Degrees; azimuths from 0 to 180.
+    field_of_view_deg : float
+        Full angle of the cone.
+    diffuse_fraction : float, shape () or (wavelengths,)
+        Fraction of the irradiance that is isotropic.
+    """
+
+    polar: float
+    azimuth: float
+    field_of_view_deg: float
+    diffuse_fraction: np.ndarray
+
+    @classmethod
+    def from_arguments(
+        cls, dataset: xr.Dataset, polar_deg: Any, azimuth_deg: Any, field_of_view_deg: Any,
+        diffuse_fraction: Any,
+    ) -> ViewRequest:  # fmt: skip
+        """Return the request of `splits.Table.at_view`, after checking all values."""
+        polar = check_range("polar_deg", polar_deg, 0.0, 90.0, open_high=True)
+        azimuth = check_range("azimuth_deg", azimuth_deg, -360.0, 360.0)
+        field = check_range("field_of_view_deg", field_of_view_deg, 0.0, MAX_FIELD_OF_VIEW_DEG)
+        fraction = np.asarray(diffuse_fraction, dtype=float)
+        if np.ndim(diffuse_fraction):
+            wavelengths = dataset.wavelength.values
+            fraction = align_to_labels("diffuse_fraction", diffuse_fraction, wavelengths)
+            if fraction.shape != wavelengths.shape:
+                allowed = f"a number, or {wavelengths.size}, one for each wavelength"
+                raise invalid("diffuse_fraction", f"of shape {fraction.shape}", allowed)
+        check_array_range("diffuse_fraction", np.atleast_1d(fraction), 0.0, 1.0)
+        missing = [name for name in DIFFUSE_QUANTITIES if name not in dataset]
+        if fraction.any() and missing:
+            hint = f"the table lacks {', '.join(missing)}, see quantities of splits.build_table"
+            raise invalid("diffuse_fraction", diffuse_fraction, "0 for this table", hint)
+        return cls(polar, _fold_azimuth(azimuth), field, fraction)
+
+    def list_directions(self) -> list[Direction]:
+        """Return the directions of the field of view, with weights that add up to 1."""
+        if self.field_of_view_deg == 0.0:
+            return [Direction(self.polar, self.azimuth, 1.0)]
+        nodes, weights = np.polynomial.legendre.leggauss(N_RINGS)
+        half_angle = np.radians(0.5 * self.field_of_view_deg)
+        cosine = 1.0 - 0.5 * (1.0 - np.cos(half_angle)) * (1.0 + nodes)
+        turn = 2.0 * np.pi * (np.arange(N_RING_DIRECTIONS) + 0.5) / N_RING_DIRECTIONS
+        sine = np.sqrt(1.0 - cosine**2)[:, np.newaxis]
+        x, y = sine * np.cos(turn), sine * np.sin(turn)
+        z = np.broadcast_to(cosine[:, np.newaxis], x.shape)
+        tilt, azimuth = np.radians([self.polar, self.azimuth])
+        x, z = x * np.cos(tilt) + z * np.sin(tilt), z * np.cos(tilt) - x * np.sin(tilt)
+        if (z <= 0.0).any():
+            allowed = f"below {2.0 * (90.0 - self.polar):g} for polar_deg = {self.polar:g}"
+            raise invalid("field_of_view_deg", self.field_of_view_deg, allowed)
+        angles = np.degrees([np.arccos(z), azimuth + np.arctan2(y, x)]).reshape(2, -1)
+        shares = (np.repeat(weights, N_RING_DIRECTIONS) * z.ravel()).tolist()
+        return [
+            Direction(polar, _fold_azimuth(azimuth), share / sum(shares))
+            for polar, azimuth, share in zip(*angles.tolist(), shares, strict=True)
+        ]
+
+
+def _fold_azimuth(azimuth_deg: float) -> float:
+    """Return the azimuth from 0 to 180 degrees on the same cone around the beam."""
+    turned = azimuth_deg % 360.0
+    return float(min(turned, 360.0 - turned))
+
+
+def select_view(dataset: xr.Dataset, request: ViewRequest) -> xr.Dataset:
+    """Return a table of spectra for one request, with the interpolation error in its errors.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Table with directions of observation.
+    request : ViewRequest
+
+    Raises
+    ------
+    ValueError
+        For directions outside the table.
+    """
+    directions = request.list_directions()
+    names = [n for n in ("reflectance", *VIEW_QUANTITIES) if n in dataset]
+    direct = {name: _average(dataset, name, directions) for name in names}
+    if request.diffuse_fraction.any():
+        diffuse = {
+            name: _average(dataset, DIFFUSE_PREFIX + name, directions)
+            for name in ("reflectance", *VIEW_QUANTITIES)
+        }
+        dims = ("wavelength",) * request.diffuse_fraction.ndim
+        direct = _mix(direct, diffuse, xr.DataArray(request.diffuse_fraction, dims=dims))
+    variables: dict[str, Any] = {}
+    for name, (value, error) in direct.items():
+        dims = tuple(str(dim) for dim in dataset[name].dims if dim not in VIEW_AXES)
+        values, errors = (one.transpose(*dims).values for one in (value, error))
+        variables |= make_variable(name, dims, values, errors, LABELS[name])
+    attributes = {
+        "polar_deg": request.polar,
+        "azimuth_deg": request.azimuth,
+        "field_of_view_deg": request.field_of_view_deg,
+        "diffuse_fraction": request.diffuse_fraction,
+    }
+    coordinates = {
+        name: coordinate for name, coordinate in dataset.coords.items() if name not in VIEW_AXES
+    }
+    return xr.Dataset(variables, coordinates, dataset.attrs | attributes)
+
+
+Estimate = tuple[xr.DataArray, xr.DataArray]
+"""Values and standard errors."""
+
+
+def _average(dataset: xr.Dataset, name: str, directions: list[Direction]) -> Estimate:
+    """Return a quantity of a table, averaged over directions where it depends on these."""
+    axes = list_view_axes(name)
+    pair = dataset[name], dataset[f"{name}_stderr"]
+    if not axes:
+        return pair
+    other_dims = [dim for dim in pair[0].dims if dim not in axes]
+    total: Any = 0.0
+    # Errors of neighbouring directions are treated as fully correlated.
+    for direction in directions:
+        part = _interpolate(pair, axes, direction)
+        total = total + direction.weight * np.stack(part)
+    coordinates = {dim: dataset[dim] for dim in other_dims}
+    value, error = (xr.DataArray(one, coordinates, other_dims) for one in total)
+    return value, error
+
+
+def _interpolate(
+    pair: Estimate, axes: tuple[str, ...], direction: Direction
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return values and standard errors in a direction, over the other dimensions."""
+    weights, needed = [], {}
+    for name in axes:
+        nodes = pair[0][name].values
+        angle = direction.polar if name == POLAR else direction.azimuth
+        one = compute_axis_weights(name, nodes, angle)
+        rows = np.union1d(one.nodes, np.flatnonzero(one.error_weights.any(axis=0)))
+        weights.append(one.restrict_to(rows))
+        needed[name] = rows
+    arrays = [one.isel(needed).transpose(*axes, ...).values.astype(float) for one in pair]
+    spectra = InterpolatedSpectra(*arrays)
+    for one in weights:
+        spectra = interpolate_first_axis(spectra, one)
+    return spectra.value, np.hypot(spectra.stderr, spectra.interpolation_error)
+
+
+def _mix(
+    direct: dict[str, Estimate], diffuse: dict[str, Estimate], fraction: xr.DataArray
+) -> dict[str, Estimate]:
+    """Return quantities under a mixture of a beam and isotropic light.
+
+    Errors of both are added, as they may be correlated.
+    """
+
+    def combine(name: str) -> Estimate:
+        value, error = (
+            (1.0 - fraction) * one + fraction * other
+            for one, other in zip(direct[name], diffuse[name], strict=True)
+        )
+        return value, error
+
+    mixed = {name: combine(name) for name in direct if name != "anisotropy_factor"}
+    if "anisotropy_factor" in direct:
+        (beam, beam_error), (sky, sky_error) = (
+            one["anisotropy_factor"] for one in (direct, diffuse)
+        )
+        reflectance = direct["reflectance"], diffuse["reflectance"]
+        first, second = (1.0 - fraction) * reflectance[0][0], fraction * reflectance[1][0]
+        share = first / (first + second)
+        relative = sum(error / value for value, error in reflectance)
+        error = share * beam_error + (1.0 - share) * sky_error
+        error = error + np.abs(beam - sky) * share * (1.0 - share) * relative
+        mixed["anisotropy_factor"] = (share * beam + (1.0 - share) * sky, error)
+    return mixed

@@ -1,0 +1,113 @@
+"""Directions of observation of a table."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from splits.core.validation import invalid
+from splits.instruments.spectral_run import SIDE_QUANTITIES
+from splits.simulation.arguments import check_direction_angles
+from splits.tables.axes import ParameterGrid
+
+POLAR, AZIMUTH = "polar_deg", "azimuth_deg"
+VIEW_AXES = (POLAR, AZIMUTH)
+DIFFUSE_PREFIX = "diffuse_"
+VIEW_QUANTITIES = ("reflectance_factor", "anisotropy_factor")
+DIFFUSE_QUANTITIES = tuple(DIFFUSE_PREFIX + name for name in ("reflectance", *VIEW_QUANTITIES))
+"""Quantities under isotropic light, in a table whose other quantities are under beams."""
+ALL_QUANTITIES = (*SIDE_QUANTITIES, *VIEW_QUANTITIES, *DIFFUSE_QUANTITIES)
+DIRECTIONAL_QUANTITIES = ("reflectance", *VIEW_QUANTITIES, *DIFFUSE_QUANTITIES)
+"""Quantities of a table with directions."""
+
+
+class ViewGrid(NamedTuple):
+    """Directions of observation.
+
+    Attributes
+    ----------
+    polar : float, shape (polar,)
+        Angles from the normal (degrees), 0 to below 90.
+    azimuth : float, shape (azimuth,)
+        Angles from the direction in which the beam travels (degrees), 0 to 180.
+    """
+
+    polar: np.ndarray
+    azimuth: np.ndarray
+
+    @classmethod
+    def from_grid(cls, grid: ParameterGrid) -> ViewGrid | None:
+        """Return the directions among the axes of a grid, None without them.
+
+        Raises
+        ------
+        ValueError
+            For one axis without the other, or angles outside their range.
+        """
+        given = [name for name in VIEW_AXES if name in grid.names]
+        if not given:
+            return None
+        for name in VIEW_AXES:
+            if name not in given:
+                raise invalid(f"grid.{name}", None, "given", f"{given[0]} needs it")
+        polar, azimuth = (
+            check_direction_angles(f"grid.{name}", grid.get_values(name, 0.0), limit)
+            for name, limit in ((POLAR, 90.0), (AZIMUTH, 360.0))
+        )
+        if azimuth[-1] > 180.0:
+            hint = "both sides of the plane of incidence are the same"
+            raise invalid(f"grid.{AZIMUTH}", azimuth.tolist(), "0 to 180", hint)
+        return cls(polar, azimuth)
+
+    def to_coordinates(self) -> dict[str, Any]:
+        """Return the angles as dataset coordinates."""
+        labels = ("angle from the normal", "angle from the direction in which the beam travels")
+        return {
+            name: (name, angles, {"long_name": label, "units": "degree"})
+            for name, angles, label in zip(VIEW_AXES, self, labels, strict=True)
+        }
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers of polar angles and azimuths."""
+        return self.polar.size, self.azimuth.size
+
+
+def drop_view_axes(grid: ParameterGrid) -> ParameterGrid:
+    """Return the grid of the media and beams."""
+    return grid.drop(POLAR).drop(AZIMUTH)
+
+
+def list_view_axes(quantity: str) -> tuple[str, ...]:
+    """Return the axes of a quantity that are directions of observation."""
+    name = quantity.removesuffix("_stderr")
+    if name.removeprefix(DIFFUSE_PREFIX) not in VIEW_QUANTITIES:
+        return ()
+    return (POLAR,) if name.startswith(DIFFUSE_PREFIX) else VIEW_AXES
+
+
+def check_quantities(quantities: Any, views: ViewGrid | None, covariance: bool) -> tuple[str, ...]:
+    """Return the validated quantities of a table; by default those of its axes.
+
+    Raises
+    ------
+    ValueError
+        For unknown quantities, or directional ones without directions.
+    """
+    allowed = SIDE_QUANTITIES if views is None else DIRECTIONAL_QUANTITIES
+    if quantities is None:
+        quantities = ("reflectance",) if views is None else ("reflectance", *VIEW_QUANTITIES)
+    is_list = isinstance(quantities, list | tuple) and len(quantities) > 0
+    if not is_list or len(set(quantities)) < len(quantities):
+        raise invalid("quantities", quantities, f"a list of different {' or '.join(allowed)}")
+    for name in quantities:
+        if name not in allowed:
+            hint = "it needs grid.polar_deg and grid.azimuth_deg"
+            if views is not None:
+                hint = "leave out grid.polar_deg and grid.azimuth_deg"
+            hint = hint if name in ALL_QUANTITIES else ""
+            raise invalid("quantities", name, " or ".join(allowed), hint)
+    if covariance and views is not None:
+        raise invalid("covariance", covariance, "False for a table with directions")
+    return tuple(quantities)

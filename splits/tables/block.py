@@ -17,7 +17,7 @@ from splits.io.netcdf import load, make_provenance, save
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.simulation.spectral_rows import PathSharingMedia
 from splits.simulation.truncated_medium import TruncatedMedium
-from splits.tables.directions import (
+from splits.tables.block_directions import (
     AngularCache,
     make_view_variables,
     solve_directions,

@@ -18,6 +18,12 @@ from splits.tables.axes import INCIDENCE
 from splits.tables.directions import AZIMUTH, POLAR, REFLECTANCE_FACTOR, select_reflectance_factor
 from splits.tables.interpolation import compute_interpolation_weights
 
+UNTRANSFORMED_AXIS = "wavelength"
+"""Name of an axis that is interpolated without a transform.
+
+Scattering that depends on the azimuth grows with the sine of the zenith angles.  It is smooth in
+these angles, and not in their cosines.
+"""
 MIN_LAST_ZENITH_DEG = 60.0
 """Smallest last node of the zenith angles of a table that is converted."""
 
@@ -32,8 +38,9 @@ def convert_to_eradiate(
     """Convert a table of directions to the data of eradiate's ``MQDiffuseBSDF``.
 
     The format has evenly spaced cosines from 0 to 1 and one wavelength.  Values between the nodes
-    of the table are interpolated in the cosine of each angle; negative ones become 0.  Beyond the
-    last node of a zenith angle, the BRDF is that at the last node.
+    of the table are interpolated by cubics in the zenith angles and in the cosine of the azimuth;
+    negative ones become 0.  Beyond the last node of a zenith angle, the BRDF is that at the last
+    node.
 
     Parameters
     ----------
@@ -81,7 +88,9 @@ def convert_to_eradiate(
         _make_weight_matrix(_check_zenith_nodes(name, factor[name].values), zeniths)
         for name in (INCIDENCE, POLAR)
     )
-    azimuth = _make_weight_matrix(factor[AZIMUTH].values, np.abs(180.0 - np.degrees(phi)))
+    # The reflectance factor is an even function of the azimuth, and so smooth in its cosine.
+    azimuth_nodes = factor[AZIMUTH].values.astype(float)
+    azimuth = _make_weight_matrix(-np.cos(np.radians(azimuth_nodes)), np.cos(phi))
     values = np.einsum(
         "op,da,in,npa->odi", polar, azimuth, incidence, factor.values.astype(float), optimize=True
     )
@@ -130,17 +139,16 @@ def _check_zenith_nodes(name: str, nodes: np.ndarray) -> np.ndarray:
     if snap_to_limits(nodes[:1], 0.0, 90.0)[0] != 0.0 or nodes[-1] < MIN_LAST_ZENITH_DEG:
         allowed = f"from 0 to at least {MIN_LAST_ZENITH_DEG:g}"
         raise invalid(name, nodes.tolist(), allowed, "the format covers the hemisphere")
-    return nodes
+    return nodes.astype(float)
 
 
 def _make_weight_matrix(nodes: np.ndarray, targets: np.ndarray) -> np.ndarray:
-    """Return interpolation weights in the cosine of an angle, shape (targets, nodes).
+    """Return the weights of cubic interpolation, shape (targets, nodes).
 
     Targets beyond the nodes get the value of the last node.
     """
     matrix = np.zeros((targets.size, nodes.size))
     for row, x in zip(matrix, np.clip(targets, nodes[0], nodes[-1]), strict=True):
-        # The name of the axis selects the transform to the cosine.
-        weights = compute_interpolation_weights(INCIDENCE, nodes.astype(float), x)
+        weights = compute_interpolation_weights(UNTRANSFORMED_AXIS, nodes, x)
         row[weights.nodes] = weights.weights
     return matrix

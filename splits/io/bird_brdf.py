@@ -1,9 +1,7 @@
 """Universal BRDF format of BiRDview: JSON in a file with the suffix ``.brdf``.
 
-The format is that of Lanevski et al. (2022, Color Research & Application 47, 1177-1192), with its
-example and its schema ``brdf_json_schema_v1.0.json``.  The schema contradicts itself: it requires a
-``name`` of the data, an ``index`` of ``phi_r`` and a ``unit`` of polarization, but allows none of
-them.  There this module follows the example.
+The format is that of Lanevski et al. (2022, Color Research & Application 47, 1177-1192).  Files are
+valid by its schema ``brdf_json_schema_v1.0.json`` as of 21 November 2024.
 """
 
 from __future__ import annotations
@@ -96,6 +94,8 @@ def save_brdf(
         "sample": {
             "name": medium,
             "type": "virtual sample",
+            "dimensions": {"comments": "infinite in the horizontal directions"},
+            "shape": "layer",
             "zero_azimuth_location": "the side from which the light comes",
             "properties_symmetry": "bilaterally symmetric in respect to the plane of incidence",
         },

@@ -41,6 +41,9 @@ def test_files_have_the_required_and_allowed_entries(tmp_path):
     assert (metadata["type"], metadata["method"]) == ("BRDF", "simulation")
     assert (metadata["instrumentation"], metadata["environment"]) == ("NA", "NA")
     assert set(metadata["software"]) >= {"name", "version", "simulation_model"}
+    assert set(metadata["sample"]) >= {
+        "name", "type", "dimensions", "shape", "zero_azimuth_location",
+    }  # fmt: skip
     model = metadata["software"]["simulation_model"]
     assert {"name", "description"} <= set(model)
     for parameter in model["parameters"]:

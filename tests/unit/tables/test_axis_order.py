@@ -11,7 +11,6 @@ from formula_tables import make_snowlike_table
 import splits
 from splits.analysis.theory.phase_function_export import to_eradiate
 from splits.core.validation import InvalidValue
-from splits.tables.isofit import convert_to_isofit
 
 SIZE, SOOT, ANGLE = "optical_radius_um", "impurities_ng_g.black_carbon", "incidence_deg"
 FIXED = {SIZE: 300.0, SOOT: 50.0, ANGLE: 33.0}
@@ -102,18 +101,6 @@ def test_incomplete_tables_are_rejected_on_construction(name, dataset):
     change, message = INVALID_TABLES[name]
     with pytest.raises(InvalidValue, match=message):
         splits.Table(change(dataset))
-
-
-def test_isofit_directions_may_have_any_order(dataset):
-    axes = {
-        ANGLE: [0.0, 30.0, 60.0], "polar": [0.0, 20.0, 40.0], "azimuth": [0.0, 90.0, 180.0, 270.0],
-        SIZE: dataset[SIZE].values[:3], "wavelength": [700.0, 900.0],
-    }  # fmt: skip
-    values = np.random.default_rng(1).random([len(row) for row in axes.values()])
-    directions = xr.Dataset({"reflectance_factor": (tuple(axes), values)}, axes)
-    expected = convert_to_isofit(dataset, directions, **{SOOT: 0.0})
-    actual = convert_to_isofit(dataset, directions.sortby([*axes], ascending=False), **{SOOT: 0.0})
-    xr.testing.assert_equal(actual, expected)
 
 
 ORDERS = {

@@ -84,7 +84,7 @@ def test_isofit_export_has_the_required_names(table):
     assert exported.rho_dif_dir.dims == (
         "solar_zenith", "observer_zenith", "relative_azimuth", "grain_radius", "wl",
     )  # fmt: skip
-    assert exported["statevec_names"].values.tolist() == ["GRAIN_RADIUS"]
+    assert exported["statevec_names"].values.tolist() == ["grain_radius"]
     point = {"impurities_ng_g.dust": 0.0, "liquid_water_content": 0.0, "incidence_deg": 60.0}
     expected = table.dataset.reflectance.sel(point)
     for sun in AXES["incidence_deg"]:
@@ -92,57 +92,6 @@ def test_isofit_export_has_the_required_names(table):
             solar_zenith=sun, observer_zenith=60.0, relative_azimuth=180.0
         )
         np.testing.assert_array_equal(actual.values, expected.values)
-
-
-def make_directions(**changes):
-    """Return bidirectional reflectance factors that differ along every axis."""
-    axes = {
-        "optical_radius_um": np.array([100.0, 400.0]), "incidence_deg": np.array([0.0, 50.0]),
-        "wavelength": np.array([500.0, 900.0]), "polar": np.array([0.0, 20.0, 60.0]),
-        "azimuth": np.array([0.0, 90.0, 180.0, 270.0]),
-    } | changes  # fmt: skip
-    size, sun, w, polar, azimuth = np.meshgrid(*axes.values(), indexing="ij")
-    folded_azimuth = np.minimum(azimuth, 360.0 - azimuth)
-    values = 1e-4 * size + 1e-3 * sun + 1e-5 * w + 1e-2 * polar + 1e-6 * folded_azimuth
-    return xr.Dataset({"reflectance_factor": (tuple(axes), values)}, axes)
-
-
-def test_isofit_export_has_both_reflectances(table):
-    clean = {"impurities_ng_g.dust": 0.0, "liquid_water_content": 0.0}
-    factors = make_directions()
-    exported = table.to_isofit(factors, **clean)
-    assert exported.rho_dir_dir.dims == exported.rho_dif_dir.dims
-    assert exported.relative_azimuth.values.tolist() == [0.0, 90.0, 180.0]
-    for azimuth in (0.0, 90.0, 180.0):
-        point = {
-            "optical_radius_um": 400.0,
-            "incidence_deg": 50.0,
-            "wavelength": 900.0,
-            "polar": 20.0,
-        }
-        expected = float(factors.reflectance_factor.sel({**point, "azimuth": azimuth}))
-        # Azimuth 0 is on the side of the sun in ISOFIT, and forward in this package.
-        actual = exported.sel(grain_radius=400.0, solar_zenith=50.0, wl=900.0, observer_zenith=20.0,
-                         relative_azimuth=180.0 - azimuth)  # fmt: skip
-        assert float(actual.rho_dir_dir) == expected
-    interpolated = table.interp(
-        **clean, optical_radius_um=400.0, incidence_deg=20.0, wavelength=900.0
-    )
-    assert float(actual.rho_dif_dir) == pytest.approx(float(interpolated.reflectance[0]), abs=1e-7)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"optical_radius_um": np.array([100.0, 300.0])}, "directions.optical_radius_um = "),
-        ({"wavelength": np.array([555.5, 900.0])}, "directions.wavelength = "),
-        ({"polar": np.array([0.0, 20.0, 75.0])}, "incidence_deg = 75.0: must be from 0 to 60"),
-    ],
-)
-def test_directions_outside_the_table_are_rejected(table, changes, message):
-    clean = {"impurities_ng_g.dust": 0.0, "liquid_water_content": 0.0}
-    with pytest.raises(InvalidValue, match=f"^{message}"):
-        table.to_isofit(make_directions(**changes), **clean)
 
 
 @pytest.mark.parametrize(
@@ -153,8 +102,6 @@ def test_directions_outside_the_table_are_rejected(table, changes, message):
             lambda t: t.to_isofit(**{"impurities_ng_g.dust": 7.0, "liquid_water_content": 0.0}),
             "impurities_ng_g.dust = 7.0: must be one of",
         ),
-        (lambda t: t.to_isofit(t.dataset, **{"impurities_ng_g.dust": 0.0,
-                                             "liquid_water_content": 0.0}), "directions = "),
         (lambda t: t.to_spires("soot", {"red": RED}), "axis = 'soot': must be one of"),
         (
             lambda t: t.to_spires(

@@ -1,0 +1,264 @@
+"""Export of tables of directions, compared with analytic values and with other programs."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from constructed_results import AUTHOR
+from direction_tables import (
+    AXES,
+    DIMS,
+    SIZE,
+    evaluate_factor,
+    evaluate_reflectance,
+    make_direction_dataset,
+)
+
+from splits.core.validation import InvalidValue
+from splits.tables.bird import write_bird
+from splits.tables.eradiate import convert_to_eradiate
+from splits.tables.export import write_csv
+from splits.tables.isofit import ISOFIT_DIMS, convert_to_isofit
+
+COARSE = {SIZE: 100.0}
+
+
+@pytest.fixture
+def dataset():
+    return make_direction_dataset()
+
+
+def reopen(converted, folder):
+    converted.to_netcdf(folder / "converted.nc")
+    with xr.open_dataset(folder / "converted.nc") as opened:
+        return opened.load()
+
+
+def test_isofit_files_have_the_order_and_types_of_the_format(dataset, tmp_path):
+    opened = reopen(convert_to_isofit(dataset), tmp_path)
+    # The program takes the order of the axes from the order of the coordinates in the file.
+    assert tuple(opened.coords) == ISOFIT_DIMS
+    assert opened.rho_dir_dir.dims == opened.rho_dif_dir.dims == ISOFIT_DIMS
+    assert opened.rho_dir_dir.dtype == opened.rho_dif_dir.dtype == np.float32
+    assert set(opened.statevec_names.values.tolist()) == {"grain_radius"} <= set(ISOFIT_DIMS)
+    assert all((np.diff(opened[name]) > 0.0).all() for name in ISOFIT_DIMS)
+    assert opened.relative_azimuth.values[[0, -1]].tolist() == [0.0, 180.0]
+
+
+@pytest.mark.parametrize("has_diffuse_factor", [True, False])
+def test_isofit_tables_have_the_analytic_reflectances(dataset, has_diffuse_factor):
+    if not has_diffuse_factor:
+        dataset = dataset.drop_vars("diffuse_reflectance_factor")
+    converted = convert_to_isofit(dataset)
+    sun, view, relative_azimuth, size, w = xr.broadcast(*(converted[d] for d in ISOFIT_DIMS))
+    expected = evaluate_factor(size, sun, view, 180.0 - relative_azimuth, w)
+    np.testing.assert_allclose(converted.rho_dir_dir, expected, rtol=1e-6)
+    expected = evaluate_reflectance(size, view, w)
+    np.testing.assert_allclose(converted.rho_dif_dir, expected, rtol=1e-6)
+
+
+def test_isofit_has_forward_scattering_away_from_the_sun(dataset):
+    point = {"solar_zenith": 60.0, "observer_zenith": 60.0}
+    converted = convert_to_isofit(dataset).sel(point).rho_dir_dir
+    assert (converted.argmax("relative_azimuth") == converted.sizes["relative_azimuth"] - 1).all()
+
+
+def test_isofit_tables_are_independent_of_axis_order(dataset):
+    shuffled = dataset.sortby([*AXES], ascending=False).transpose("wavelength", ...)
+    converted = convert_to_isofit(shuffled).sortby("wl")
+    xr.testing.assert_equal(converted, convert_to_isofit(dataset))
+
+
+def test_eradiate_files_have_the_format(dataset, tmp_path):
+    opened = reopen(convert_to_eradiate(dataset, 500.0, 11, 24, **COARSE), tmp_path)
+    assert opened.brdf.dims == ("cos_theta_o", "phi_d", "cos_theta_i")
+    assert opened.brdf.dtype == np.float32
+    for name in ("cos_theta_o", "cos_theta_i"):
+        np.testing.assert_allclose(opened[name], np.linspace(0.0, 1.0, 11))
+    np.testing.assert_allclose(opened.phi_d, np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False))
+    assert opened.phi_d.attrs["units"] == "rad"
+    assert opened.attrs["last_zenith_deg"].tolist() == [75.0, 75.0]
+    assert opened.attrs["wavelength_nm"] == 500.0
+
+
+def test_eradiate_brdf_is_the_analytic_one(dataset):
+    converted = convert_to_eradiate(dataset, 900.0, 11, 24, **COARSE)
+    cosine_o, phi, cosine_i = xr.broadcast(*(converted[d] for d in converted.brdf.dims))
+    last = np.cos(np.radians(75.0))
+    polar, incidence = (np.degrees(np.arccos(np.maximum(c, last))) for c in (cosine_o, cosine_i))
+    azimuth = 180.0 - np.degrees(phi)
+    expected = evaluate_factor(100.0, incidence, polar, azimuth, 900.0) / np.pi
+    np.testing.assert_allclose(converted.brdf, expected, atol=3e-4)
+    forward = converted.brdf.sel(phi_d=np.pi, method="nearest")
+    assert (forward >= converted.brdf.max("phi_d") - 1e-6).all()
+    mirrored = converted.brdf.isel(phi_d=slice(None, 0, -1))
+    np.testing.assert_allclose(converted.brdf.isel(phi_d=slice(1, None)), mirrored, atol=1e-6)
+
+
+def test_eradiate_brdf_distinguishes_sun_and_view(dataset):
+    dataset["reflectance_factor"] = dataset.reflectance_factor * (1.0 + 0.01 * dataset.polar_deg)
+    converted = convert_to_eradiate(dataset, 500.0, 3, 2, **COARSE)
+    view_from_above = converted.brdf.sel(cos_theta_o=1.0, cos_theta_i=0.5, phi_d=0.0)
+    expected = evaluate_factor(100.0, 60.0, 0.0, 180.0, 500.0) / np.pi
+    assert float(view_from_above) == pytest.approx(expected, rel=1e-5)
+
+
+def test_eradiate_wavelength_may_be_omitted_if_there_is_one(dataset):
+    expected = convert_to_eradiate(dataset, 500.0, 3, 2, **COARSE)
+    single = dataset.isel(wavelength=[0])
+    xr.testing.assert_identical(convert_to_eradiate(single, None, 3, 2, **COARSE), expected)
+
+
+def test_negative_interpolated_values_become_zero(dataset):
+    polar = dataset.polar_deg.values
+    steep = np.where(polar == 75.0, 1.0, 0.0).astype(np.float32)
+    dataset["reflectance_factor"] = dataset.reflectance_factor * xr.DataArray(
+        steep, dims="polar_deg"
+    )
+    assert convert_to_eradiate(dataset, 500.0, 31, 2, **COARSE).brdf.min() == 0.0
+
+
+def test_eradiate_evaluates_the_converted_brdf(dataset):
+    eradiate = pytest.importorskip("eradiate")
+    mitsuba = pytest.importorskip("mitsuba")
+    eradiate.set_mode("mono_double")
+    from eradiate.scenes.bsdfs import MQDiffuseBSDF
+
+    converted = convert_to_eradiate(dataset, 500.0, 21, 36, **COARSE)
+    grid = MQDiffuseBSDF(data=converted)._eval_grid_impl(None)
+    bsdf = mitsuba.load_dict({"type": "mqdiffuse", "grid": grid})
+    sun = mitsuba.SurfaceInteraction3f()
+    sun.wi = [-np.sin(np.radians(60.0)), 0.0, 0.5]
+    for azimuth in (0.0, 90.0, 180.0):
+        x, y = np.sin(np.radians(60.0)) * np.array(
+            [np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))]
+        )
+        value = bsdf.eval(mitsuba.BSDFContext(), sun, mitsuba.Vector3f(x, y, 0.5))
+        expected = 0.5 * evaluate_factor(100.0, 60.0, 60.0, azimuth, 500.0) / np.pi
+        assert float(np.ravel(np.array(value))[0]) == pytest.approx(expected, abs=1e-5)
+
+
+def test_bird_files_have_every_direction_once(dataset, tmp_path):
+    write_bird(dataset, tmp_path / "snow.brdf", AUTHOR, **COARSE)
+    content = json.loads((tmp_path / "snow.brdf").read_text(encoding="utf-8"))
+    names = ("theta_i", "theta_r", "phi_r", "wavelength_i", "BRDF", "uBRDF")
+    frame = pd.DataFrame({name: content["data"][name]["values"] for name in names})
+    assert len(frame) == 5 * 6 * 24 * 2
+    assert not frame.duplicated(["theta_i", "theta_r", "phi_r", "wavelength_i"]).any()
+    assert set(content["data"]["phi_i"]["values"]) == {0.0}
+    # The specular direction is at 180°, and the side of the sun at 0.
+    azimuth = frame.phi_r - 180.0
+    expected = evaluate_factor(100.0, frame.theta_i, frame.theta_r, azimuth, frame.wavelength_i)
+    np.testing.assert_allclose(frame.BRDF, expected / np.pi, rtol=1e-5)
+    np.testing.assert_allclose(frame.uBRDF, 0.01 * expected / np.pi, rtol=1e-2)
+    parameters = content["metadata"]["software"]["simulation_model"]["parameters"]
+    values = {parameter["name"]: parameter["value"] for parameter in parameters}
+    assert values == {"density_kg_m3": 300.0, SIZE: 100.0}
+
+
+def test_csv_files_repeat_hemispherical_quantities(dataset, tmp_path):
+    write_csv(dataset, tmp_path / "table.csv")
+    frame = pd.read_csv(tmp_path / "table.csv")
+    assert list(frame.columns) == [*AXES, *dataset.data_vars]
+    assert len(frame) == dataset.reflectance_factor.size
+    restored = frame.set_index([*AXES]).to_xarray()
+    for name, dims in DIMS.items():
+        for variable in (name, f"{name}_stderr"):
+            other_axes = {axis: 0 for axis in AXES if axis not in dims}
+            assert (restored[variable] == restored[variable].isel(other_axes)).all()
+            actual = restored[variable].isel(other_axes).transpose(*dims)
+            np.testing.assert_allclose(actual, dataset[variable], rtol=1e-5)
+
+
+def test_csv_files_have_the_axes_of_all_quantities(dataset, tmp_path):
+    names = ["reflectance", "reflectance_stderr", "diffuse_reflectance_factor"]
+    write_csv(dataset[names], tmp_path / "table.csv")
+    frame = pd.read_csv(tmp_path / "table.csv")
+    assert list(frame.columns[:4]) == [SIZE, "incidence_deg", "polar_deg", "wavelength"]
+    assert len(frame) == 2 * 5 * 6 * 2
+
+
+CONVERSIONS = {
+    "isofit": lambda ds, _: convert_to_isofit(ds),
+    "eradiate": lambda ds, _: convert_to_eradiate(ds, 500.0, 3, 2, **COARSE),
+    "bird": lambda ds, folder: write_bird(ds, folder / "a.brdf", AUTHOR, **COARSE),
+}
+ZERO_TO_180 = "azimuth_deg = .*: must be from 0 to 180"
+INVALID_DATASETS = {
+    "no directions": (
+        lambda: make_direction_dataset().rename(polar_deg="polar"), "table = .*must be with refl"
+    ),
+    "one polar angle": (
+        lambda: make_direction_dataset(polar_deg=[0.0]), "polar_deg = .*at least two angles"
+    ),
+    "horizon": (
+        lambda: make_direction_dataset(polar_deg=[0.0, 90.0]), "polar_deg = .*less than 90"
+    ),
+    "half the azimuths": (
+        lambda: make_direction_dataset(azimuth_deg=[0.0, 45.0, 90.0]), ZERO_TO_180
+    ),
+    "full circle": (lambda: make_direction_dataset(azimuth_deg=[0.0, 180.0, 270.0]), ZERO_TO_180),
+    "text": (
+        lambda: make_direction_dataset().assign_coords(incidence_deg=["a", "b", "c", "d", "e"]),
+        "incidence_deg = .*at least two angles",
+    ),
+    "a gap": (
+        lambda: make_direction_dataset().where(lambda ds: ds.azimuth_deg > 0.0), "table = .*gaps"
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("conversion", CONVERSIONS)
+@pytest.mark.parametrize("name", INVALID_DATASETS)
+def test_unsuitable_tables_are_rejected(name, conversion, tmp_path):
+    make, message = INVALID_DATASETS[name]
+    with pytest.raises(InvalidValue, match=f"^{message}"):
+        CONVERSIONS[conversion](make(), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda ds, _: convert_to_isofit(ds.rename({SIZE: "a"})), "axis = 'optical_radius_um'"),
+        (lambda ds, _: convert_to_isofit(ds, sza=0.0), "sza = .*left out, as it is free"),
+        (
+            lambda ds, _: convert_to_isofit(ds[["reflectance_factor"]]),
+            "table = .*with diffuse_reflectance_factor, or with reflectance",
+        ),
+        (
+            lambda ds, _: convert_to_isofit(
+                ds.drop_vars("diffuse_reflectance_factor").isel(incidence_deg=[0, 1, 2])
+            ),
+            "incidence_deg = 45.0: must be from 0 to 40",
+        ),
+        (lambda ds, _: convert_to_eradiate(ds, 500.0), "optical_radius_um = None: must be given"),
+        (lambda ds, _: convert_to_eradiate(ds, **COARSE), "wavelength = None: must be one of"),
+        (
+            lambda ds, _: convert_to_eradiate(ds, 700.0, **COARSE),
+            "wavelength = 700.0: must be one of the table's 2 wavelengths, from 500 to 900 nm",
+        ),
+        (lambda ds, _: convert_to_eradiate(ds, 500.0, 1, **COARSE), "n_cosines = 1"),
+        (
+            lambda ds, _: convert_to_eradiate(ds.isel(polar_deg=[0, 1, 2]), 500.0, **COARSE),
+            "polar_deg = .*must be from 0 to at least 60",
+        ),
+        (
+            lambda ds, _: convert_to_eradiate(ds.isel(incidence_deg=[1, 4]), 500.0, **COARSE),
+            "incidence_deg = .*must be from 0 to at least 60",
+        ),
+        (lambda ds, folder: write_bird(ds, folder / "a.brdf", {}, **COARSE), "provenance = "),
+        (
+            lambda ds, folder: write_bird(ds.drop_vars("reflectance_factor_stderr"),
+                                          folder / "a.brdf", AUTHOR, **COARSE),
+            "table = .*with reflectance_factor_stderr",
+        ),
+    ],
+)  # fmt: skip
+def test_invalid_arguments_are_rejected(dataset, call, message, tmp_path):
+    with pytest.raises(InvalidValue, match=f"^{message}"):
+        call(dataset, tmp_path)
+    assert list(tmp_path.iterdir()) == []

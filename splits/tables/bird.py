@@ -12,7 +12,8 @@ import xarray as xr
 from splits.core.validation import invalid
 from splits.io.bird_brdf import save_brdf
 from splits.tables.axes import INCIDENCE, check_axis_values
-from splits.tables.directions import AZIMUTH, POLAR, REFLECTANCE_FACTOR, select_reflectance_factor
+from splits.tables.direction_export import REFLECTANCE_FACTOR, select_reflectance_factor
+from splits.tables.views import AZIMUTH, POLAR
 
 
 def write_bird(

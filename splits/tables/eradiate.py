@@ -15,15 +15,10 @@ from splits.core.validation import (
     snap_to_limits,
 )
 from splits.tables.axes import INCIDENCE
-from splits.tables.directions import AZIMUTH, POLAR, REFLECTANCE_FACTOR, select_reflectance_factor
+from splits.tables.direction_export import REFLECTANCE_FACTOR, select_reflectance_factor
 from splits.tables.interpolation import compute_interpolation_weights
+from splits.tables.views import AZIMUTH, POLAR, fold_azimuths
 
-UNTRANSFORMED_AXIS = "wavelength"
-"""Name of an axis that is interpolated without a transform.
-
-Scattering that depends on the azimuth grows with the sine of the zenith angles.  It is smooth in
-these angles, and not in their cosines.
-"""
 MIN_LAST_ZENITH_DEG = 60.0
 """Smallest last node of the zenith angles of a table that is converted."""
 
@@ -85,12 +80,12 @@ def convert_to_eradiate(
     phi = np.linspace(0.0, 2.0 * np.pi, n_azimuths, endpoint=False)
     zeniths = np.degrees(np.arccos(cosines))
     incidence, polar = (
-        _make_weight_matrix(_check_zenith_nodes(name, factor[name].values), zeniths)
+        _make_weight_matrix(name, _check_zenith_nodes(name, factor[name].values), zeniths)
         for name in (INCIDENCE, POLAR)
     )
-    # The reflectance factor is an even function of the azimuth, and so smooth in its cosine.
-    azimuth_nodes = factor[AZIMUTH].values.astype(float)
-    azimuth = _make_weight_matrix(-np.cos(np.radians(azimuth_nodes)), np.cos(phi))
+    azimuth = _make_weight_matrix(
+        AZIMUTH, factor[AZIMUTH].values.astype(float), fold_azimuths(180.0 - np.degrees(phi))
+    )
     values = np.einsum(
         "op,da,in,npa->odi", polar, azimuth, incidence, factor.values.astype(float), optimize=True
     )
@@ -142,13 +137,13 @@ def _check_zenith_nodes(name: str, nodes: np.ndarray) -> np.ndarray:
     return nodes.astype(float)
 
 
-def _make_weight_matrix(nodes: np.ndarray, targets: np.ndarray) -> np.ndarray:
+def _make_weight_matrix(name: str, nodes: np.ndarray, targets: np.ndarray) -> np.ndarray:
     """Return the weights of cubic interpolation, shape (targets, nodes).
 
     Targets beyond the nodes get the value of the last node.
     """
     matrix = np.zeros((targets.size, nodes.size))
     for row, x in zip(matrix, np.clip(targets, nodes[0], nodes[-1]), strict=True):
-        weights = compute_interpolation_weights(UNTRANSFORMED_AXIS, nodes, x)
+        weights = compute_interpolation_weights(name, nodes, x, has_direction=True)
         row[weights.nodes] = weights.weights
     return matrix

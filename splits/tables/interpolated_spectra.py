@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -72,3 +73,24 @@ def interpolate_wavelengths(
         for name in ("value", "stderr", "interpolation_error")
     )
     return InterpolatedSpectra(value, stderr, interpolation_error)
+
+
+def make_interpolated_variables(
+    quantities: Sequence[str], labels: Sequence[str], spectra: Sequence[InterpolatedSpectra]
+) -> dict[str, Any]:
+    """Return the variables of interpolated quantities, with their errors."""
+    variables: dict[str, Any] = {}
+    for name, label, spectrum in zip(quantities, labels, spectra, strict=True):
+        stderr = np.hypot(spectrum.stderr, spectrum.interpolation_error)
+        error_label = f"error of interpolation of {label}"
+        variables |= {
+            name: ("wavelength", spectrum.value, {"long_name": label, "units": "1"}),
+            f"{name}_stderr": (
+                "wavelength", stderr, {"long_name": f"standard error of {label}", "units": "1"},
+            ),
+            f"{name}_interpolation_error": (
+                "wavelength", spectrum.interpolation_error,
+                {"long_name": error_label, "units": "1"},
+            ),
+        }  # fmt: skip
+    return variables

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,6 +17,7 @@ from splits.io.integrity import NETCDF_LOCK
 from splits.io.netcdf import load, open_lazily, to_netcdf_attributes
 from splits.tables.axes import check_axis_values
 from splits.tables.axis_order import check_complete, sort_axes
+from splits.tables.bird import write_bird
 from splits.tables.derivatives import (
     DerivativeEstimate,
     check_derivative_axes,
@@ -24,12 +25,14 @@ from splits.tables.derivatives import (
     differentiate,
     make_derivative_dataset,
 )
+from splits.tables.eradiate import convert_to_eradiate
 from splits.tables.export import convert_to_spires, write_csv
 from splits.tables.interpolated_spectra import (
     InterpolatedSpectra,
     compute_axis_weights,
     interpolate_first_axis,
     interpolate_wavelengths,
+    make_interpolated_variables,
 )
 from splits.tables.interpolation import (
     InterpolationWeights,
@@ -204,7 +207,10 @@ class Table:
             spectra = [
                 interpolate_wavelengths(spectrum, wavelengths, targets) for spectrum in spectra
             ]
-        return self._make_dataset(spectra, targets, at)
+        labels = [str(self.dataset[q].attrs.get("long_name", q)) for q in self.quantities]
+        wavelength = ("wavelength", targets, self.dataset.wavelength.attrs)
+        variables = make_interpolated_variables(self.quantities, labels, spectra)
+        return xr.Dataset(variables, {"wavelength": wavelength}, to_netcdf_attributes(at))
 
     @reject_unknown_arguments
     def interpolation_errors(self, quantity: str, **at: Any) -> np.ndarray:
@@ -349,36 +355,30 @@ class Table:
         return convert_to_spires(self.dataset, impurity, bands, per_unit, **at)
 
     @reject_unknown_arguments
-    def to_isofit(self, directions: xr.Dataset | None = None, **at: Any) -> xr.Dataset:
+    def to_isofit(self, **at: Any) -> xr.Dataset:
         """Convert the table for isofit; see `splits.tables.isofit.convert_to_isofit`."""
-        return convert_to_isofit(self.dataset, directions, **at)
+        return convert_to_isofit(self.dataset, **at)
+
+    @reject_unknown_arguments
+    def to_eradiate(
+        self, wavelength: float | None = None, n_cosines: int = 51, n_azimuths: int = 72, **at: Any
+    ) -> xr.Dataset:
+        """Convert the table for eradiate; see `splits.tables.eradiate.convert_to_eradiate`."""
+        return convert_to_eradiate(self.dataset, wavelength, n_cosines, n_azimuths, **at)
+
+    @reject_unknown_arguments
+    def to_bird(
+        self,
+        path: str | Path,
+        provenance: Mapping[str, Any],
+        license: Mapping[str, str] | None = None,
+        **at: Any,
+    ) -> None:
+        """Write the table in the format of BiRDview; see `splits.tables.bird.write_bird`."""
+        write_bird(self.dataset, path, provenance, license, **at)
 
     def _list_variables(self) -> list[str]:
         return [f"{q}{suffix}" for q in self.quantities for suffix in ("", "_stderr")]
-
-    def _make_dataset(
-        self, spectra: list[InterpolatedSpectra], wavelengths: np.ndarray, at: Any
-    ) -> xr.Dataset:
-        """Return interpolated spectra as a dataset."""
-        variables: dict[str, Any] = {}
-        for name, spectrum in zip(self.quantities, spectra, strict=True):
-            label = str(self.dataset[name].attrs.get("long_name", name))
-            stderr = np.sqrt(spectrum.stderr**2 + spectrum.interpolation_error**2)
-            for suffix, values, long_name in (
-                ("", spectrum.value, label),
-                ("_stderr", stderr, f"standard error of {label}"),
-                (
-                    "_interpolation_error",
-                    spectrum.interpolation_error,
-                    f"error of interpolation of {label}",
-                ),
-            ):
-                attrs = {"long_name": long_name, "units": "1"}
-                variables[name + suffix] = ("wavelength", values, attrs)
-        wavelength_coordinate = ("wavelength", wavelengths, self.dataset.wavelength.attrs)
-        return xr.Dataset(
-            variables, {"wavelength": wavelength_coordinate}, to_netcdf_attributes(at)
-        )
 
 
 def load_selection(selection: Part) -> Part:

@@ -26,6 +26,7 @@ from splits.tables.views import (
     POLAR,
     VIEW_AXES,
     VIEW_QUANTITIES,
+    fold_azimuths,
     list_view_axes,
 )
 
@@ -86,7 +87,7 @@ class ViewRequest(NamedTuple):
         if fraction.any() and missing:
             hint = f"the table lacks {', '.join(missing)}, see quantities of splits.build_table"
             raise invalid("diffuse_fraction", diffuse_fraction, "0 for this table", hint)
-        return cls(polar, _fold_azimuth(azimuth), field, fraction)
+        return cls(polar, float(fold_azimuths(azimuth)), field, fraction)
 
     def list_directions(self) -> list[Direction]:
         """Return the directions of the field of view, with weights that add up to 1."""
@@ -107,15 +108,9 @@ class ViewRequest(NamedTuple):
         angles = np.degrees([np.arccos(z), azimuth + np.arctan2(y, x)]).reshape(2, -1)
         shares = (np.repeat(weights, N_RING_DIRECTIONS) * z.ravel()).tolist()
         return [
-            Direction(polar, _fold_azimuth(azimuth), share / sum(shares))
+            Direction(polar, float(fold_azimuths(azimuth)), share / sum(shares))
             for polar, azimuth, share in zip(*angles.tolist(), shares, strict=True)
         ]
-
-
-def _fold_azimuth(azimuth_deg: float) -> float:
-    """Return the azimuth from 0 to 180 degrees on the same cone around the beam."""
-    turned = azimuth_deg % 360.0
-    return float(min(turned, 360.0 - turned))
 
 
 def select_view(dataset: xr.Dataset, request: ViewRequest) -> xr.Dataset:

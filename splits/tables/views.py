@@ -74,6 +74,12 @@ class ViewGrid(NamedTuple):
         return self.polar.size, self.azimuth.size
 
 
+def fold_azimuths(azimuth_deg: Any) -> Any:
+    """Return azimuths from 0 to 180 degrees on the same cones around the beam."""
+    turned = np.mod(azimuth_deg, 360.0)
+    return np.minimum(turned, 360.0 - turned)
+
+
 def drop_view_axes(grid: ParameterGrid) -> ParameterGrid:
     """Return the grid of the media and beams."""
     return grid.drop(POLAR).drop(AZIMUTH)

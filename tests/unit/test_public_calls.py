@@ -17,7 +17,8 @@ import splits
 
 ROOT = Path(__file__).parents[2]
 TAKES_OTHER_KEYWORDS = {f"Table.{name}" for name in (
-    "derivatives", "deviations", "interp", "interpolation_errors", "to_isofit", "to_spires",
+    "derivatives", "deviations", "interp", "interpolation_errors", "to_bird", "to_eradiate",
+    "to_isofit", "to_spires",
 )} | {"load_medium"}  # fmt: skip
 """Callables whose keywords are the axes of a table, or the keywords of a medium."""
 

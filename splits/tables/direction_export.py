@@ -11,10 +11,9 @@ import xarray as xr
 from splits.core.validation import invalid, snap_to_limits
 from splits.tables.axes import INCIDENCE
 from splits.tables.export import select_at_fixed_axes
+from splits.tables.views import AZIMUTH, VIEW_AXES
 
-POLAR = "polar_deg"
-AZIMUTH = "azimuth_deg"
-ANGLES = (INCIDENCE, POLAR, AZIMUTH)
+ANGLES = (INCIDENCE, *VIEW_AXES)
 REFLECTANCE_FACTOR = "reflectance_factor"
 DIFFUSE_REFLECTANCE_FACTOR = "diffuse_reflectance_factor"
 

@@ -112,6 +112,7 @@ class _RetrievalTask(NamedTuple):
                 spectrum, self.table, free, self.section.compute_noise(spectrum.to_numpy()),
                 fixed={n: value for n, value in fixed_values.items() if n in (*axes, SCALE)},
                 prior={n: pair for n, pair in prior.items() if n in free} or None, seed=self.seed,
+                quantity=self.section.quantity,
             )  # fmt: skip
 
     def _compute_reference_chi2(self, name: str, prior: Mapping[str, Any]) -> float:

@@ -27,6 +27,7 @@ from splits.tables.block import TableRequest, make_block_path
 from splits.tables.build import compute_block_digest, iterate_blocks
 from splits.tables.plan import PathGroup, TablePlan
 from splits.tables.storage import MAX_BYTES_IN_MEMORY, compute_table_bytes, write_table_blockwise
+from splits.tables.views import ViewGrid, check_quantities, drop_view_axes, has_diffuse
 
 
 def count_parts(experiment: SimulationConfig) -> int:
@@ -51,13 +52,18 @@ def prepare_table(
     instrument, axes = experiment.instrument, experiment.make_axes()
     assert isinstance(instrument, TableInstrument)
     wavelengths, incidence = instrument.get_wavelengths(), instrument.get_incidence()
-    plan = TablePlan.from_grid(experiment.make_medium, axes, wavelengths, incidence)
+    has_covariance = instrument.covariance == "keep"
+    views = ViewGrid.from_grid(axes)
+    quantities = check_quantities(instrument.quantities, views, has_covariance)
+    plan = TablePlan.from_grid(
+        experiment.make_medium, drop_view_axes(axes), wavelengths, incidence,
+        with_diffuse=has_diffuse(quantities),
+    )  # fmt: skip
     error, rays = instrument.scale_stderr(accuracy.max_stderr), accuracy.max_rays or MAX_RAYS
     run = RunOptions.from_arguments(instrument.get_seed(seed), threads)
     request = SpectralRequest.from_arguments(wavelengths, 0.0, error, rays, run)
     solver = instrument.choose_solver(plan.list_media(), error)
-    has_covariance = instrument.covariance == "keep"
-    return plan, TableRequest(request, instrument.quantities, has_covariance, solver)
+    return plan, TableRequest(request, quantities, has_covariance, solver, views)
 
 
 def run_part(

@@ -17,6 +17,7 @@ from splits.tables.axes import INCIDENCE, ParameterGrid, check_axis_values
 from splits.tables.export import compute_response_weights
 from splits.tables.interpolation import compute_interpolation_weights, transform_axis
 from splits.tables.table import Table, load_selection
+from splits.tables.views import VIEW_AXES
 
 ERROR_CORRELATION_NM = 400.0
 """Correlation length (nm) assumed for errors of table nodes."""
@@ -258,7 +259,7 @@ def get_grid_ranges(
     """Return the ranges of `get_table_ranges` for the axes of a table."""
     ranges = {}
     for name, row in zip(*grid, strict=True):
-        if len(row) > 1 and not isinstance(row[0], str):
+        if len(row) > 1 and not isinstance(row[0], str) and name not in VIEW_AXES:
             transform, _ = transform_axis(
                 name, np.array(row, dtype=float), has_direction=has_direction
             )

@@ -91,6 +91,7 @@ def retrieve_map(
     *,
     fixed: Mapping[str, Any] | None = None,
     prior: Mapping[str, Any] | None = None,
+    quantity: str = "reflectance",
     threads: int | None = None,
 ) -> xr.Dataset:
     """Retrieve parameters in every pixel of an image.
@@ -112,6 +113,8 @@ def retrieve_map(
         Noise of every pixel, as for `splits.retrieve`.
     fixed, prior : mapping
         As for `splits.retrieve`.
+    quantity : str
+        As for `splits.retrieve`.
     threads : int, optional
         By default, all CPUs available to the process.
 
@@ -131,14 +134,16 @@ def retrieve_map(
     image = _check_image(image)
     # Unsupported types are rejected before work begins.
     as_float_array("image", np.empty(0, image.dtype))
-    check_choice("quantity", "reflectance", table.quantities)
+    check_choice("quantity", quantity, table.quantities)
+    if table.has_views:
+        table, fixed = table.fix_view(fixed or {}, "fixed.")
     state_vector = StateVector.from_ranges(free, prior, get_table_ranges(table))
     if SCALE in state_vector.names:
         raise invalid("free", SCALE, "left out of maps")
     _check_image_names(image, state_vector.names)
     w = image.wavelength.values
     measurement = Measurement.from_input((w, np.full(w.size, 0.5)), noise).check_noise_known()
-    model = TableForwardModel(table, measurement, state_vector, fixed)
+    model = TableForwardModel(table, measurement, state_vector, fixed, quantity)
     random = np.random.default_rng(1)
     model_covariances = [
         model.compute_error_covariance(state)

@@ -42,6 +42,7 @@ from splits.retrieval.solution import (
 )
 from splits.retrieval.state_vector import StateVector
 from splits.tables.table import Table
+from splits.tables.views import VIEW_AXES
 
 
 @reject_unknown_arguments
@@ -87,7 +88,8 @@ def retrieve(
         neighbouring values.
     fixed : mapping
         Values of the other axes, such as ``incidence_deg``, the only one for a medium, by default
-        0.
+        0.  For a table with directions, ``polar_deg`` and ``azimuth_deg`` are those of the
+        measurement.  A field of view or isotropic light is given by `splits.Table.at_view`.
     prior : mapping
         (mean, standard deviation) of prior knowledge, by name.  The prior is normal in the
         coordinate of the parameter, in which reflectance is closest to linear: the logarithm of a
@@ -96,7 +98,7 @@ def retrieve(
     bands : mapping or str
         Bands of the sensor, as for `splits.albedo`.
     quantity : str
-        Quantity of the table.
+        Quantity of the table, such as "reflectance_factor".
     solver : {"auto", "discrete_ordinates", "monte_carlo"}
         Solver for a medium, as for `splits.spectrophotometer`.  "auto" uses discrete ordinates for
         natural snow if they apply within all ranges.
@@ -150,6 +152,10 @@ def retrieve(
             raise invalid("max_stderr", max_stderr, "left out", "a table has its own errors")
         if solver != AUTO:
             raise invalid("solver", solver, "left out", "a table has its own spectra")
+        view = {name: value for name, value in (fixed or {}).items() if name in VIEW_AXES}
+        settings = describe_model(model, TABLE_SOLVER) | {"quantity": quantity}
+        if model.has_views:
+            model, fixed = model.fix_view(fixed or {}, "fixed.")
         check_choice("quantity", quantity, model.quantities)
         measurement = Measurement.from_input(measured, noise, bands)
         state_vector = StateVector.from_ranges(free, prior, get_table_ranges(model))
@@ -158,9 +164,8 @@ def retrieve(
             solution, measurement = retrieve_without_noise(forward_model, measurement, seed)
         else:
             solution = _solve(forward_model, measurement, seed)
-        settings = describe_model(model, TABLE_SOLVER) | {"quantity": quantity}
         settings |= describe_parameters(
-            state_vector, forward_model.list_fixed_values(), prior, seed
+            state_vector, view | forward_model.list_fixed_values(), prior, seed
         )
         return make_result(state_vector, measurement, solution, settings)
     if isinstance(model, str | Mapping) or not hasattr(model, "kind"):

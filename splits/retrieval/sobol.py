@@ -77,6 +77,8 @@ def sobol_indices(
     if not isinstance(table, Table):
         raise invalid("table", type(table).__name__, "a Table", "splits.open_table(…)")
     check_choice("quantity", quantity, table.quantities)
+    if table.has_views:
+        table, fixed = table.fix_view(fixed or {}, "fixed.")
     points, seed = check_integer("points", points, 64, 65_536), check_integer("seed", seed, 0)
     if points & (points - 1):
         raise invalid("points", points, "a power of 2")

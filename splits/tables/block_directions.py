@@ -14,7 +14,7 @@ from splits.instruments.goniophotometer import make_direction_mask
 from splits.instruments.spectral_run import SpectralRequest
 from splits.simulation.truncated_medium import TruncatedMedium
 from splits.tables.plan import DIFFUSE, PathGroup
-from splits.tables.views import DIFFUSE_PREFIX, VIEW_AXES, ViewGrid, list_view_axes
+from splits.tables.views import DIFFUSE_PREFIX, VIEW_AXES, ViewGrid, has_diffuse, list_view_axes
 
 
 class AngularCache:
@@ -116,9 +116,7 @@ def make_view_variables(
             scale[:, np.newaxis] * one for one in (estimate.mean[0], estimate.anisotropy_stderr)
         ),
     }
-    is_diffuse = group.incidence == DIFFUSE and any(
-        name.startswith(DIFFUSE_PREFIX) for name in quantities
-    )
+    is_diffuse = group.incidence == DIFFUSE and has_diffuse(quantities)
     prefix = DIFFUSE_PREFIX if is_diffuse else ""
     variables: dict[str, Any] = {}
     for name in quantities:

@@ -31,7 +31,7 @@ from splits.tables.block import (
     save_block,
 )
 from splits.tables.plan import PathGroup, TablePlan, choose_table_solver
-from splits.tables.views import DIFFUSE_PREFIX, ViewGrid, check_quantities, drop_view_axes
+from splits.tables.views import ViewGrid, check_quantities, drop_view_axes, has_diffuse
 
 
 @reject_unknown_arguments
@@ -126,7 +126,7 @@ def build_table(
         drop_view_axes(axes),
         spectral_request.wavelengths,
         incidence_deg,
-        with_diffuse=any(name.startswith(DIFFUSE_PREFIX) for name in selected),
+        with_diffuse=has_diffuse(selected),
     )
     chosen = choose_table_solver(
         solver,

@@ -12,7 +12,7 @@ import xarray as xr
 from splits.core.arrays import as_1d_array, check_no_gaps
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.paths import expand_path
-from splits.core.validation import invalid
+from splits.core.validation import invalid, key_prefix
 from splits.io.integrity import NETCDF_LOCK
 from splits.io.netcdf import load, open_lazily, to_netcdf_attributes
 from splits.tables.axes import check_axis_values
@@ -151,14 +151,19 @@ class Table:
         )
         return Table(select_view(self.dataset, request))
 
-    def _fix_view(self, at: dict[str, Any]) -> tuple[Table, dict[str, Any]]:
-        """Return the table for the direction among positions on axes, and the other positions."""
-        at = check_axis_values(at, self.axes)
+    def fix_view(self, at: Mapping[str, Any], prefix: str = "") -> tuple[Table, dict[str, Any]]:
+        """Return the table for the direction among positions on axes, and the other positions.
+
+        Names in messages begin with the prefix.  Axes of a single angle may be omitted.
+        """
+        at, view = dict(at), {}
         for name in VIEW_AXES:
-            if name not in at:
-                raise invalid(name, None, "given", "a direction of observation of the table")
-        view = {name: at.pop(name) for name in VIEW_AXES}
-        return self.at_view(**view), at
+            nodes = self.dataset[name].values
+            if name not in at and nodes.size > 1:
+                raise invalid(f"{prefix}{name}", None, "given", "an axis of the table")
+            view[name] = at.pop(name, nodes[0])
+        with key_prefix(prefix.rstrip(".")):
+            return self.at_view(**view), at
 
     @reject_unknown_arguments
     def interp(self, **at: Any) -> xr.Dataset:
@@ -186,7 +191,7 @@ class Table:
             For an unknown or missing axis, or a value outside the table.
         """
         if self.has_views:
-            table, at = self._fix_view(at)
+            table, at = self.fix_view(at)
             return table.interp(**at)
         at = check_axis_values(at, self.axes)
         wavelengths = self.dataset.wavelength.values
@@ -230,7 +235,7 @@ class Table:
             Error estimates, with relative signs along the spectrum.
         """
         if self.has_views:
-            table, at = self._fix_view(at)
+            table, at = self.fix_view(at)
             return table.interpolation_errors(quantity, **at)
         subset, weights = self._select_stencil(at)
         values = subset[quantity].values.astype(float)
@@ -298,7 +303,7 @@ class Table:
             As for `interp`, and at the singularity of an axis with a square-root transform.
         """
         if self.has_views:
-            table, at = self._fix_view(at)
+            table, at = self.fix_view(at)
             return table.derivatives(names, **at)
         axes = self.axes[:-1]
         at = check_axis_values(at, axes)

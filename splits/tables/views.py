@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,8 +38,10 @@ class ViewGrid(NamedTuple):
     azimuth: np.ndarray
 
     @classmethod
-    def from_grid(cls, grid: ParameterGrid) -> ViewGrid | None:
+    def from_grid(cls, grid: ParameterGrid, prefix: str = "grid.") -> ViewGrid | None:
         """Return the directions among the axes of a grid, None without them.
+
+        Names in messages begin with the prefix.
 
         Raises
         ------
@@ -50,14 +53,14 @@ class ViewGrid(NamedTuple):
             return None
         for name in VIEW_AXES:
             if name not in given:
-                raise invalid(f"grid.{name}", None, "given", f"{given[0]} needs it")
+                raise invalid(f"{prefix}{name}", None, "given", f"{given[0]} needs it")
         polar, azimuth = (
-            check_direction_angles(f"grid.{name}", grid.get_values(name, 0.0), limit)
+            check_direction_angles(f"{prefix}{name}", grid.get_values(name, 0.0), limit)
             for name, limit in ((POLAR, 90.0), (AZIMUTH, 360.0))
         )
         if azimuth[-1] > 180.0:
             hint = "both sides of the plane of incidence are the same"
-            raise invalid(f"grid.{AZIMUTH}", azimuth.tolist(), "0 to 180", hint)
+            raise invalid(f"{prefix}{AZIMUTH}", azimuth.tolist(), "0 to 180", hint)
         return cls(polar, azimuth)
 
     def to_coordinates(self) -> dict[str, Any]:
@@ -93,6 +96,11 @@ def list_view_axes(quantity: str) -> tuple[str, ...]:
     return (POLAR,) if name.startswith(DIFFUSE_PREFIX) else VIEW_AXES
 
 
+def has_diffuse(quantities: Iterable[str]) -> bool:
+    """Return whether any quantity is that under isotropic light beside beams."""
+    return any(name.startswith(DIFFUSE_PREFIX) for name in quantities)
+
+
 def check_quantities(quantities: Any, views: ViewGrid | None, covariance: bool) -> tuple[str, ...]:
     """Return the validated quantities of a table; by default those of its axes.
 
@@ -109,9 +117,9 @@ def check_quantities(quantities: Any, views: ViewGrid | None, covariance: bool) 
         raise invalid("quantities", quantities, f"a list of different {' or '.join(allowed)}")
     for name in quantities:
         if name not in allowed:
-            hint = "it needs grid.polar_deg and grid.azimuth_deg"
+            hint = "it needs polar_deg and azimuth_deg"
             if views is not None:
-                hint = "leave out grid.polar_deg and grid.azimuth_deg"
+                hint = "leave out polar_deg and azimuth_deg"
             hint = hint if name in ALL_QUANTITIES else ""
             raise invalid("quantities", name, " or ".join(allowed), hint)
     if covariance and views is not None:

@@ -18,7 +18,6 @@ from splits.experiments.config.instrument import (
     Rays,
     SpectralInstrument,
 )
-from splits.experiments.config.sections import check_different
 from splits.experiments.config.surface_instruments import Lens, SurfaceMap
 from splits.instruments.angular_bins import DEFAULT_N_BINS
 from splits.instruments.angular_solver import find_angular_obstacle
@@ -33,7 +32,9 @@ from splits.plotting.panels import (
     can_map_hemisphere,
 )
 from splits.simulation.arguments import check_direction_angles, check_n_bins
+from splits.tables.axes import ParameterGrid
 from splits.tables.plan import choose_table_solver
+from splits.tables.views import VIEW_AXES, ViewGrid, check_quantities
 
 Angles = tuple[float, ...]
 PolarAngles = Annotated[
@@ -42,6 +43,10 @@ PolarAngles = Annotated[
 Azimuths = Annotated[
     Angles, AfterValidator(lambda x: tuple(check_direction_angles("", x, 360.0).tolist()))
 ]
+TableQuantity = Literal[
+    "reflectance", "transmittance", "reflectance_factor", "anisotropy_factor",
+    "diffuse_reflectance", "diffuse_reflectance_factor", "diffuse_anisotropy_factor",
+]  # fmt: skip
 Solver = Annotated[
     Literal["monte_carlo", "discrete_ordinates", "auto"],
     Field(
@@ -185,15 +190,33 @@ class TableInstrument(OpticalInstrument):
     ALLOWS_SEMI_INFINITE: ClassVar = True
 
     kind: Literal["table"]
-    quantities: Annotated[
-        tuple[Literal["reflectance", "transmittance"], ...], AfterValidator(check_different)
-    ] = ("reflectance",)
-    """quantities in the table"""
+    polar_deg: PolarAngles | None = None
+    """directions of observation: polar angles from the normal (°)"""
+    azimuth_deg: Azimuths | None = None
+    """directions of observation: azimuths from the direction in which the beam travels (°), 0 to
+    180"""
+    quantities: Annotated[tuple[TableQuantity, ...], AfterValidator(check_different)] | None = None
+    """quantities in the table: by default `reflectance`, with directions also `reflectance_factor`
+    and `anisotropy_factor`"""
     covariance: Literal["keep", "leave_out"] = "leave_out"
     """whether the table contains the contributions of batches of rays to the errors"""
     solver: Solver = "auto"
     parts: int = Field(8, ge=1, le=10_000)
     """number of parts of the table, each simulated by one job"""
+
+    @model_validator(mode="after")
+    def _check_views(self) -> TableInstrument:
+        covariance = self.covariance == "keep"
+        axes = self.get_views()
+        grid = ParameterGrid(tuple(axes), tuple(axes.values()))
+        views = ViewGrid.from_grid(grid, "")
+        self.__dict__["quantities"] = check_quantities(self.quantities, views, covariance)
+        return self
+
+    def get_views(self) -> dict[str, tuple[float, ...]]:
+        """Return the axes of the directions of observation, empty without them."""
+        axes = {name: getattr(self, name) for name in VIEW_AXES}
+        return {name: angles for name, angles in axes.items() if angles is not None}
 
     def check_medium(self, medium: Medium) -> None:
         """Reject a medium that the solver does not allow."""
@@ -205,14 +228,15 @@ class TableInstrument(OpticalInstrument):
         has_covariance = self.covariance == "keep"
         with key_prefix("instrument"):
             return choose_table_solver(
-                self.solver, media, self.get_wavelengths(), has_covariance, max_stderr
-            )
+                self.solver, media, self.get_wavelengths(), has_covariance, max_stderr,
+                has_views=self.polar_deg is not None,
+            )  # fmt: skip
 
     def check_figure(self, kind: str, quantities: Iterable[str]) -> None:
         """Reject a figure of quantities that are not in the table."""
         super().check_figure(kind, quantities)
         for quantity in quantities if kind != "none" else ():
-            check_choice("figure.quantity", quantity, self.quantities)
+            check_choice("figure.quantity", quantity, self.quantities or ())
 
 
 def get_instrument_kind(content: Any) -> Any:

@@ -85,12 +85,15 @@ class RetrieveSection(FiniteSection):
     free: dict[str, tuple[float, float]] | tuple[str, ...]
     """parameters to retrieve, which are axes of the grid or `scale`; a mapping also gives their
     ranges (low, high)"""
+    quantity: Literal["reflectance", "reflectance_factor"] = "reflectance"
+    """measured quantity; `reflectance_factor` needs a table with directions"""
     noise: NoiseSection | None = None
     """standard errors of the measurement, by default estimated from the misfit"""
     samples: tuple[str, ...] = ()
     """samples to use; by default all"""
     fixed: dict[str, float | str] = Field({})
-    """values of the other axes"""
+    """values of the other axes, and `polar_deg` and `azimuth_deg` of the measurement for a table
+    with several directions"""
     prior: dict[str, tuple[float, float]] = Field({})
     """prior (mean, standard deviation) by parameter"""
     exclude_nm: tuple[Interval, ...] = ()

@@ -33,27 +33,29 @@ def check_retrieve_section(experiment: SimulationConfig, section: RetrieveSectio
     instrument, grid = experiment.instrument, experiment.grid
     if not isinstance(instrument, TableInstrument):
         raise invalid("instrument.kind", instrument.kind, "table with a section retrieve")
-    if "reflectance" not in instrument.quantities:
-        raise invalid("instrument.quantities", instrument.quantities, "with reflectance")
+    quantities = instrument.quantities or ()
+    if section.quantity not in quantities:
+        raise invalid("instrument.quantities", quantities, f"with {section.quantity}")
+    views = instrument.get_views()
     rows = dict(zip(*experiment.make_axes(), strict=True))
     _check_models(section, rows)
     parameters = [*grid, SCALE]
     known = {
         "free": parameters,
-        "fixed": grid,
+        "fixed": [*grid, *views],
         "prior": parameters,
         "reference_values": section.free,
     }
     for key, names in known.items():
         for name in getattr(section, key):
             check_choice(f"retrieve.{key}", name, names)
-    ranges = get_grid_ranges(experiment.make_axes())
+    ranges = get_grid_ranges(experiment.make_axes(), has_direction=bool(views))
     with key_prefix("retrieve"):
         StateVector.from_ranges(section.free, section.prior or None, ranges)
     for name in [n for n in section.fixed if n in section.free]:
         raise invalid(f"retrieve.fixed.{name}", section.fixed[name], "left out", "it is free")
     assigned = {*section.free, *section.fixed, section.model_axis, INCIDENCE}
-    for name in [n for n, values in grid.items() if len(values) > 1]:
+    for name in [n for n, values in rows.items() if len(values) > 1]:
         if name not in assigned:
             raise invalid(f"retrieve.fixed.{name}", None, "given", "or make it free")
     if not [name for name in section.free if name != SCALE]:

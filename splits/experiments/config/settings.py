@@ -198,6 +198,8 @@ class Settings(ConfigSection):
                 raise ConfigError(f"{key}: must be a table (it is a {kind})")
             if "reflectance" not in getattr(available[name].instrument, "quantities", ()):
                 raise ConfigError(f"{key}: must be a table of reflectance")
+            if getattr(available[name].instrument, "polar_deg", None) is not None:
+                raise ConfigError(f"{key}: must be a table without directions")
             for axis, row in zip(*available[name].make_axes(), strict=True):
                 if len(row) < 2 or isinstance(row[0], str):
                     raise ConfigError(f"{key}: its axis {axis} must have at least two numbers")

@@ -302,7 +302,9 @@ class SimulationConfig(ConfigSection):
 
     def make_axes(self) -> ParameterGrid:
         """Return the grid as axes of a table: increasing numbers, or texts."""
-        nodes = {p: list(_get_axis_nodes(values)) for p, values in self.grid.items()}
+        nodes: dict[str, Any] = {p: list(_get_axis_nodes(v)) for p, v in self.grid.items()}
+        if isinstance(self.instrument, TableInstrument):
+            nodes |= self.instrument.get_views()
         return ParameterGrid.from_mapping(nodes)
 
     def make_medium(self, **values: Any) -> Medium:

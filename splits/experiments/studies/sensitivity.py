@@ -167,7 +167,8 @@ class TableStudy(Study):
                 continue
             experiment = available[name]
             is_table = "reflectance" in getattr(experiment.instrument, "quantities", ())
-            axes = experiment.make_axes().values if is_table else ()
+            has_views = getattr(experiment.instrument, "polar_deg", None) is not None
+            axes = experiment.make_axes().values if is_table and not has_views else ()
             numeric_axes = [row for row in axes if len(row) > 1 and not isinstance(row[0], str)]
             if len(numeric_axes) < 2:
                 raise invalid(

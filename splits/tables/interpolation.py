@@ -17,6 +17,9 @@ from splits.core.validation import check_number, invalid, snap_to_limits
 
 STENCIL_SIZE = 4
 """Largest number of nodes in an interpolation stencil."""
+N_VALIDATION_NODES = 2
+"""Number of nodes that are predicted from others.  All nodes of the stencil are with directions,
+because distributions have details, such as halos, in a few intervals only."""
 
 
 class InterpolationWeights(NamedTuple):
@@ -101,6 +104,15 @@ def compute_interpolation_weights(
 ) -> InterpolationWeights:
     """Return the interpolation weights of a value on an axis.
 
+    Parameters
+    ----------
+    name : str
+    nodes : float, shape (nodes,)
+    value : object
+        Number within the axis.
+    has_direction : bool
+        Whether distributions over directions, or values of them, are interpolated.
+
     Raises
     ------
     ValueError
@@ -126,7 +138,7 @@ def compute_interpolation_weights(
         error_row[0, stencil] += weights
         error_row[0, ordered[:-1]] -= _compute_lagrange_weights(coordinates[ordered[:-1]], x)
         return InterpolationWeights(stencil, weights, ordered[-1:], error_row)
-    validation = ordered[:2]
+    validation = ordered if has_direction else ordered[:N_VALIDATION_NODES]
     error_weights = np.zeros((len(validation), len(coordinates)))
     for row, node in enumerate(validation):
         remaining = np.delete(np.arange(len(coordinates)), node)

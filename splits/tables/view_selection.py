@@ -183,7 +183,7 @@ def _interpolate(
     for name in axes:
         nodes = pair[0][name].values
         angle = direction.polar if name == POLAR else direction.azimuth
-        one = compute_axis_weights(name, nodes, angle)
+        one = compute_axis_weights(name, nodes, angle, has_direction=True)
         rows = np.union1d(one.nodes, np.flatnonzero(one.error_weights.any(axis=0)))
         weights.append(one.restrict_to(rows))
         needed[name] = rows

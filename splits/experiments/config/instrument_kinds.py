@@ -18,6 +18,7 @@ from splits.experiments.config.instrument import (
     Rays,
     SpectralInstrument,
 )
+from splits.experiments.config.sections import check_different
 from splits.experiments.config.surface_instruments import Lens, SurfaceMap
 from splits.instruments.angular_bins import DEFAULT_N_BINS
 from splits.instruments.angular_solver import find_angular_obstacle

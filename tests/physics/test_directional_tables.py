@@ -1,0 +1,179 @@
+"""Tables with directions: energy, reciprocity, both solvers, errors of anisotropy factors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+from chi2 import NEEDS_JIT, judge_z
+
+import splits
+
+WAVELENGTHS = [600.0, 1030.0, 1500.0]
+ZENITHS = [0.0, 20.0, 40.0, 60.0]
+AZIMUTHS = [0.0, 45.0, 90.0, 135.0, 180.0]
+SIZES = [60.0, 200.0]
+DIRECTIONAL = ("reflectance_factor", "anisotropy_factor")
+ALL = ("reflectance", *DIRECTIONAL, "diffuse_reflectance", "diffuse_reflectance_factor",
+       "diffuse_anisotropy_factor")  # fmt: skip
+
+
+def make_snow(optical_radius_um: float = 100.0, **more) -> splits.Snow:
+    return splits.Snow.natural(optical_radius_um=optical_radius_um, **more)
+
+
+def build(solver: str, max_stderr: float, seed: int = 1, **changes) -> xr.Dataset:
+    """Return a table of two sizes of deep snow."""
+    grid = {
+        "optical_radius_um": SIZES, "incidence_deg": ZENITHS, "polar_deg": ZENITHS,
+        "azimuth_deg": AZIMUTHS,
+    }  # fmt: skip
+    return splits.build_table(
+        make_snow, grid | changes, WAVELENGTHS, max_stderr=max_stderr, seed=seed, solver=solver,
+        quantities=ALL,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def solved() -> xr.Dataset:
+    return build("discrete_ordinates", 0.005)
+
+
+@pytest.fixture(scope="module")
+def traced() -> xr.Dataset:
+    return build("monte_carlo", 0.02)
+
+
+def integrate(factor: xr.DataArray) -> xr.DataArray:
+    """Return the hemispherical integral of reflectance factors, from Gaussian polar angles."""
+    nodes, weights = np.polynomial.legendre.leggauss(factor.sizes["polar_deg"])
+    # Gaussian in the square of the cosine, whose differential is the projected solid angle.
+    assert np.allclose(np.cos(np.radians(factor.polar_deg)) ** 2, 0.5 * (1.0 - nodes))
+    mean = factor.integrate("azimuth_deg") / 180.0
+    return (mean * xr.DataArray(0.5 * weights, dims="polar_deg")).sum("polar_deg")
+
+
+@NEEDS_JIT
+@pytest.mark.parametrize("solver", ["discrete_ordinates", "monte_carlo"])
+def test_hemispherical_integral_is_the_reflectance(solver):
+    """Of the same table, and within errors of an independent table of reflectances."""
+    nodes, _ = np.polynomial.legendre.leggauss(16)
+    views = {
+        "polar_deg": np.degrees(np.arccos(np.sqrt(0.5 * (1.0 - nodes)))),
+        "azimuth_deg": np.arange(0.0, 181.0, 7.5),
+    }
+    table = build(solver, 0.01 if solver == "discrete_ordinates" else 0.03, **views)
+    integral = integrate(table.reflectance_factor)
+    np.testing.assert_allclose(integral, table.reflectance, rtol=1e-3, atol=5e-5)
+    np.testing.assert_allclose(integrate(table.anisotropy_factor), 1.0, atol=4e-3)
+    beams = {"optical_radius_um": SIZES, "incidence_deg": ZENITHS}
+    other = splits.build_table(
+        make_snow, beams, WAVELENGTHS, max_stderr=0.003, seed=3, solver="monte_carlo"
+    )
+    stderr = np.hypot(table.reflectance_stderr, other.reflectance_stderr)
+    z = (integral - other.reflectance) / stderr
+    judge_z(z.values, "integral", independent=4, bound_added=True)
+
+
+@NEEDS_JIT
+def test_both_solvers_agree(solved, traced):
+    for name in ALL:
+        stderr = np.hypot(solved[f"{name}_stderr"], traced[f"{name}_stderr"])
+        z = (solved[name] - traced[name]) / stderr
+        # Directions of one beam and of all wavelengths share paths.
+        judge_z(z.values, name, independent=4, bound_added=True)
+
+
+@NEEDS_JIT
+def test_reflectance_factors_are_reciprocal(solved, traced):
+    def exchange(values: xr.DataArray) -> xr.DataArray:
+        swapped = {"incidence_deg": "polar_deg", "polar_deg": "incidence_deg"}
+        return values.rename(swapped).transpose(*values.dims)
+
+    factor = solved.reflectance_factor
+    np.testing.assert_allclose(factor, exchange(factor), rtol=1e-6)
+    factor, stderr = traced.reflectance_factor, traced.reflectance_factor_stderr
+    z = (factor - exchange(factor)) / np.hypot(stderr, exchange(stderr))
+    upper = z.values[:, *np.triu_indices(len(ZENITHS), 1)]
+    judge_z(upper, "reciprocity", independent=4, bound_added=True)
+
+
+@NEEDS_JIT
+def test_isotropic_light_agrees_with_the_integral_over_beams(solved):
+    """By reciprocity, the factor under isotropic light is the reflectance of a beam."""
+    reflectance = solved.reflectance.rename(incidence_deg="polar_deg")
+    factor = solved.diffuse_reflectance_factor
+    np.testing.assert_allclose(factor, reflectance.transpose(*factor.dims), rtol=1e-4, atol=1e-6)
+    anisotropy = factor / solved.diffuse_reflectance
+    np.testing.assert_allclose(solved.diffuse_anisotropy_factor, anisotropy, rtol=1e-5)
+
+
+@NEEDS_JIT
+def test_anisotropy_factor_is_the_quotient(solved, traced):
+    for table in (solved, traced):
+        quotient = table.reflectance_factor / table.reflectance
+        np.testing.assert_allclose(table.anisotropy_factor, quotient, rtol=1e-4)
+        # Its error is not larger than that of independent errors of both.
+        independent = quotient * np.hypot(
+            table.reflectance_factor_stderr / table.reflectance_factor,
+            table.reflectance_stderr / table.reflectance,
+        )
+        gain = (independent / table.anisotropy_factor_stderr).values
+        print(f"{table.attrs['solver']}: median gain {np.median(gain):.2f}, most {gain.max():.2f}")
+        assert np.median(gain) >= 1.0
+
+
+@NEEDS_JIT
+@pytest.mark.slow
+@pytest.mark.long
+def test_errors_of_anisotropy_factors_agree_with_the_scatter_of_seeds():
+    """About the solution of the equation, as errors include those of truncated polynomials."""
+    snow = make_snow(depth_m=0.05)
+    wavelengths = [600.0, 1030.0, 1300.0]
+    views = {"polar_deg": ZENITHS, "azimuth_deg": AZIMUTHS}
+    exact = splits.goniophotometer(
+        snow, wavelengths, 40.0, solver="discrete_ordinates", relative_stderr=0.001, **views
+    )
+    runs = [
+        splits.goniophotometer(
+            snow, wavelengths, 40.0, rays=60_000, seed=seed, solver="monte_carlo", **views
+        )
+        for seed in range(40)
+    ]
+    for name in DIRECTIONAL:
+        values, stated = (
+            np.stack([run[key].values for run in runs]) for key in (name, f"{name}_stderr")
+        )
+        z = (values - exact[name].values) / np.hypot(stated, exact[f"{name}_stderr"].values)
+        rms = float(np.sqrt((z**2).mean()))
+        print(f"{name}: deviations of 40 seeds over stated errors, rms {rms:.2f}")
+        assert 0.85 < rms < 1.15
+
+
+@NEEDS_JIT
+def test_errors_of_interpolation_agree_with_nodes_left_out():
+    """Of every second zenith angle, 5° apart, and of every second azimuth, 15° apart."""
+    zeniths, wavelengths = np.arange(0.0, 76.0, 5.0), [450.0, 860.0, 1030.0, 1240.0, 1500.0, 2200.0]
+    grid = {
+        "optical_radius_um": SIZES, "incidence_deg": zeniths, "polar_deg": zeniths,
+        "azimuth_deg": np.arange(0.0, 181.0, 15.0),
+    }  # fmt: skip
+    full = splits.build_table(
+        make_snow, grid, wavelengths, max_stderr=0.005, solver="discrete_ordinates"
+    )
+    random = np.random.default_rng(1)
+    z: dict[str, list[np.ndarray]] = {name: [] for name in DIRECTIONAL}
+    for axis in ("incidence_deg", "polar_deg", "azimuth_deg"):
+        table = splits.Table(full.isel({axis: slice(None, None, 2)}))
+        for _ in range(100):
+            position = {name: int(random.integers(full.sizes[name])) for name in grid}
+            position[axis] = 2 * int(random.integers((full.sizes[axis] - 1) // 2)) + 1
+            exact = full.isel(position)
+            found = table.interp(**{name: float(exact[name]) for name in grid})
+            for name, rows in z.items():
+                stderr = np.hypot(found[f"{name}_stderr"], exact[f"{name}_stderr"])
+                rows.append(((found[name] - exact[name]) / stderr).values)
+    for name, rows in z.items():
+        rms = float(np.sqrt(np.mean(np.square(rows))))
+        print(f"{name}: {np.size(rows)} values, rms z {rms:.2f}, largest {np.abs(rows).max():.1f}")
+        assert 0.8 < rms < 1.2

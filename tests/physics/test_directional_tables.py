@@ -177,3 +177,40 @@ def test_errors_of_interpolation_agree_with_nodes_left_out():
         rms = float(np.sqrt(np.mean(np.square(rows))))
         print(f"{name}: {np.size(rows)} values, rms z {rms:.2f}, largest {np.abs(rows).max():.1f}")
         assert 0.8 < rms < 1.2
+
+
+@NEEDS_JIT
+def test_thin_layers_agree_with_discrete_ordinates_of_others():
+    """Radiances of PythonicDISORT for layers of Henyey-Greenstein particles."""
+    pydisort = pytest.importorskip("PythonicDISORT").pydisort
+    asymmetry, streams, zeniths = 0.6, 48, [10.0, 55.0]
+    azimuths = np.array([0.0, 60.0, 180.0])
+    nodes, _ = np.polynomial.legendre.leggauss(streams // 2)
+    polar = np.sort(np.degrees(np.arccos(0.5 * (1.0 + nodes))))
+    polar = polar[polar < 75.0][::4]
+    grid = {
+        "optical_thickness": [0.1, 0.5], "single_scattering_albedo": [0.9, 0.9999],
+        "incidence_deg": zeniths, "polar_deg": polar, "azimuth_deg": azimuths,
+    }  # fmt: skip
+
+    def make_layer(**point) -> splits.ParticleLayer:
+        return splits.ParticleLayer(
+            asymmetry=asymmetry, refractive_index=1.0, bottom_albedo=None, **point
+        )
+
+    table = splits.build_table(make_layer, grid, [550.0], max_stderr=0.002)
+    expected = xr.full_like(table.reflectance_factor, np.nan)
+    moments = asymmetry ** np.arange(streams + 1)
+    for thickness, albedo, zenith in np.ndindex(2, 2, 2):
+        mu = float(np.cos(np.radians(zeniths[zenith])))
+        cosines, *_, radiance = pydisort(
+            grid["optical_thickness"][thickness],
+            grid["single_scattering_albedo"][albedo],
+            streams, moments[np.newaxis], mu, 1.0 / mu, 0.0, f_arr=moments[streams], NT_cor=True,
+        )  # fmt: skip
+        upward = cosines[: streams // 2]
+        rows = [int(np.abs(upward - np.cos(np.radians(angle))).argmin()) for angle in polar]
+        values = np.pi * radiance(0.0, np.radians(azimuths))[rows]
+        expected[thickness, albedo, zenith, :, :, 0] = values
+    z = (table.reflectance_factor - expected) / table.reflectance_factor_stderr
+    judge_z(z.values, "PythonicDISORT", independent=4, bound_added=True)

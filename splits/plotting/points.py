@@ -35,6 +35,7 @@ from splits.plotting.style import (
     pick_colours,
     use_style,
 )
+from splits.tables.views import VIEW_AXES
 
 _SERIES_SPREAD = 0.6
 """Fraction of a row over which the series are spread."""
@@ -173,16 +174,19 @@ def draw_summary(
         Output of `splits.build_table`.
     quantity : sequence of str
     select : mapping
-        Nodes at which axes are fixed.  Remaining axes are fixed at their middle node.
+        Nodes at which axes are fixed.  Remaining axes, and directions of observation, are fixed at
+        their middle node.
     legend : str, optional
         Title of the legend.
     """
-    axes = [str(d) for d in dataset[quantity[0]].dims if d != "wavelength"]
-    # Batch deviations are not shown.
-    part = dataset.drop_dims("batch", errors="ignore").sel(dict(select))
+    largest = max((dataset[name] for name in quantity), key=lambda one: one.ndim)
+    axes = [str(d) for d in largest.dims if d != "wavelength"]
+    part = dataset[[f"{name}{suffix}" for name in quantity for suffix in ("", "_stderr")]]
+    part = part.sel(dict(select))
     free = sorted((n for n in axes if n not in select), key=lambda n: -dataset.sizes[n])
-    free = [name for name in free if dataset.sizes[name] > 1]
-    lines, panel_dims, rest = free[:1], free[1:3], free[3:]
+    views = [name for name in free if name in VIEW_AXES and dataset.sizes[name] > 1]
+    free = [name for name in free if name not in VIEW_AXES and dataset.sizes[name] > 1]
+    lines, panel_dims, rest = free[:1], free[1:3], free[3:] + views
     single = [n for n in axes if n not in select and dataset.sizes[n] == 1]
     part = part.isel({n: (dataset.sizes[n] - 1) // 2 for n in (*rest, *single)})
     part = part.isel({n: _select_evenly(dataset.sizes[n], MAX_SUMMARY_LINES) for n in lines})

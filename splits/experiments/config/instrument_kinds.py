@@ -187,7 +187,7 @@ class TableInstrument(OpticalInstrument):
     """Table of spectra over a grid, for interpolation and retrieval."""
 
     FIGURES: ClassVar = ("summary",)
-    QUANTITIES: ClassVar = ("reflectance", "transmittance")
+    QUANTITIES: ClassVar = get_args(TableQuantity)
     ALLOWS_SEMI_INFINITE: ClassVar = True
 
     kind: Literal["table"]

@@ -160,7 +160,7 @@ class Table:
         for name in VIEW_AXES:
             nodes = self.dataset[name].values
             if name not in at and nodes.size > 1:
-                raise invalid(f"{prefix}{name}", None, "given", "an axis of the table")
+                raise invalid(f"{prefix}{name}", None, "given", "a direction is never free")
             view[name] = at.pop(name, nodes[0])
         with key_prefix(prefix.rstrip(".")):
             return self.at_view(**view), at

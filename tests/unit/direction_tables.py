@@ -19,6 +19,7 @@ DIMS = {
     "anisotropy_factor": tuple(AXES),
     "diffuse_reflectance": (SIZE, "wavelength"),
     "diffuse_reflectance_factor": (SIZE, "polar_deg", "wavelength"),
+    "diffuse_anisotropy_factor": (SIZE, "polar_deg", "wavelength"),
 }
 """Axes of each quantity of a table of directions."""
 
@@ -57,6 +58,9 @@ def make_direction_dataset(**changes):
         "diffuse_reflectance": evaluate_amplitude(size, w) * (1.0 - 0.8 / 9.0),
         "diffuse_reflectance_factor": evaluate_reflectance(size, polar, w),
     }
+    values["diffuse_anisotropy_factor"] = (
+        values["diffuse_reflectance_factor"] / values["diffuse_reflectance"]
+    )
     variables = {}
     for name, dims in DIMS.items():
         quantity = values[name].transpose(*dims).astype(np.float32)

@@ -79,6 +79,7 @@ benchmarks: $(VENV)/dev
 	$(BIN)/python benchmarks/truncation_depth.py
 	$(BIN)/python benchmarks/stopping.py
 	$(BIN)/python benchmarks/goniophotometer.py
+	$(BIN)/python benchmarks/directional_table.py
 	$(BIN)/python benchmarks/grain_shape.py
 	$(BIN)/python benchmarks/reciprocity.py
 	$(BIN)/python benchmarks/exact_layers.py

@@ -71,6 +71,12 @@ CASES = {
     "grid: {optical_radius_um: {geomspace: [50, 400, 3]}, ground: [0.2, 0.8],"
     " impurities_ng_g.black_carbon: [0, 100]}\n"
     "figure: {select: {ground: 0.2}, quantity: [reflectance, transmittance]}\n",
+    "trip_views": "medium: {kind: natural_snow}\n"
+    "instrument: {kind: table, wavelength_nm: [500, 1030], polar_deg: [0, 30],"
+    " azimuth_deg: [0, 180], quantities: [reflectance, reflectance_factor,"
+    " diffuse_anisotropy_factor]}\n"
+    "grid: {optical_radius_um: [50, 200], incidence_deg: [0, 60]}\n"
+    "figure: {quantity: [reflectance, reflectance_factor]}\n",
     "trip_ground_plane": SNOW + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
     "grid: {ground: [0.2, 0.8]}\n",
     "trip_ground_spread": SNOW + "instrument: {kind: beam_spread, wavelength_nm: [600], rays: 5000,"

@@ -67,6 +67,38 @@ def test_interpolation_from_the_file_is_identical(tables, monkeypatch):
     assert not table.dataset.reflectance.variable._in_memory
 
 
+@pytest.mark.parametrize("solver", ["monte_carlo", "discrete_ordinates"])
+def test_tables_with_directions_are_written_block_by_block(tmp_path, monkeypatch, solver):
+    experiment = SimulationConfig.model_validate(
+        {
+            "name": "some",
+            "medium": {"kind": "natural_snow"},
+            "instrument": {
+                "kind": "table", "wavelength_nm": [500, 1000], "solver": solver,
+                "polar_deg": [0, 40], "azimuth_deg": [0, 90, 180],
+                "quantities": ["reflectance", "anisotropy_factor", "diffuse_reflectance_factor"],
+            },
+            "grid": {"optical_radius_um": [50.0, 200.0], "incidence_deg": [0.0, 60.0]},
+        }
+    )  # fmt: skip
+    accuracy = Accuracy(max_stderr=0.2, relative_stderr=0.3)
+    in_memory, blockwise = tmp_path / "usual.nc", tmp_path / "large.nc"
+    for part in range(2):
+        module.run_part(experiment, accuracy, 1, tmp_path, part)
+    module.write_table(experiment, accuracy, 1, tmp_path, in_memory)
+    monkeypatch.setattr(module, "MAX_BYTES_IN_MEMORY", 0)
+    module.write_table(experiment, accuracy, 1, tmp_path, blockwise)
+    usual, large = splits.load(in_memory), splits.load(blockwise)
+    xr.testing.assert_equal(usual, large)
+    assert usual.reflectance.dims == ("optical_radius_um", "incidence_deg", "wavelength")
+    assert usual.diffuse_reflectance_factor.dims == ("optical_radius_um", "polar_deg", "wavelength")
+    assert not usual.isnull().to_array().any()
+    monkeypatch.setattr(table_module, "MAX_BYTES_IN_MEMORY", 0)
+    view = splits.open_table(blockwise).at_view(20.0, 120.0)
+    found = view.interp(optical_radius_um=100.0, incidence_deg=30.0)
+    assert (found.anisotropy_factor_stderr > 0.0).all()
+
+
 def test_damage_is_detected(tables, tmp_path):
     _, _, _, blockwise = tables
     content = bytearray(blockwise.read_bytes())

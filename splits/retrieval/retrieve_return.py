@@ -1,0 +1,130 @@
+"""Retrieval of medium parameters from the measured return of a light pulse."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.core.keywords import reject_unknown_arguments
+from splits.core.validation import check_integer
+from splits.instruments.delay_record import Pulse
+from splits.retrieval.forward_model import get_table_ranges
+from splits.retrieval.result import RetrievalResult, make_result
+from splits.retrieval.retrieve import solve_for_known_noise
+from splits.retrieval.return_model import (
+    QUANTITY,
+    ReturnForwardModel,
+    make_channel_table,
+    make_return_measurement,
+    make_return_operator,
+    read_return,
+)
+from splits.retrieval.settings import TABLE_SOLVER, describe_model, describe_parameters
+from splits.retrieval.state_vector import StateVector
+
+UNITS = "s-1"
+
+
+@reject_unknown_arguments
+def retrieve_return(
+    measured: Any,
+    table: xr.Dataset,
+    free: Any,
+    noise: Any,
+    *,
+    pulse: Any = None,
+    fixed: Mapping[str, Any] | None = None,
+    prior: Mapping[str, Any] | None = None,
+    seed: int = 1,
+) -> RetrievalResult:
+    """Retrieve parameters from the measured return of a light pulse, with their errors.
+
+    The method is that of `splits.retrieve`.  Errors include the noise of the measurement, the
+    errors of the table and those of interpolation in it, over parameters and delays.
+
+    Parameters
+    ----------
+    measured : pair of array_like
+        (delays between bins, light per time): delays (s) from the centroid of the pulse at the
+        surface, and the fraction of the incident light per time (s⁻¹) in each bin, also over the
+        wavelengths of the table if it has several.
+    table : xarray.Dataset
+        Result of `splits.build_return_table`, or a part of it.
+    free : sequence of str or mapping
+        Free axes of the table, or their (low, high) by name.  ``scale`` is a factor of the
+        modelled return, for light or a receiver of unknown power.
+    noise : float or array_like
+        Standard errors (s⁻¹) of the values, one or as many as values.
+    pulse : float or mapping, optional
+        As for `splits.time_of_flight`.
+    fixed, prior : mapping, optional
+        As for `splits.retrieve`.
+    seed : int
+        Seed of the draws.
+
+    Returns
+    -------
+    RetrievalResult
+        As of `splits.retrieve`, with ``measured`` and ``fitted`` over ``wavelength`` and ``delay``.
+
+    Raises
+    ------
+    ValueError
+        For gaps, noise of 0, delays that the table does not contain, or invalid ranges.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import splits
+    >>> delays = np.array([0, 2e-11, 5e-11, 1e-10, 2e-10, 5e-10])
+    >>> table = splits.build_return_table(
+    ...     splits.Snow.natural,
+    ...     {"specific_surface_area_m2_kg": [5, 10, 20, 40]},
+    ...     1064,
+    ...     rays=2000,
+    ...     delay_s=delays,
+    ... )
+    >>> light = table.return_rate.sel(specific_surface_area_m2_kg=10).squeeze()
+    >>> found = splits.retrieve_return(
+    ...     (delays, light), table, ["specific_surface_area_m2_kg"], 0.02 * light
+    ... )
+    >>> found.constrained
+    {'specific_surface_area_m2_kg': True}
+    """
+    seed = check_integer("seed", seed, 0)
+    channels = make_channel_table(table)
+    edges, rates = read_return(measured, table.sizes["wavelength"])
+    measurement = make_return_measurement(rates, noise)
+    record_pulse = Pulse.from_argument(pulse)
+    state_vector = StateVector.from_ranges(free, prior, get_table_ranges(channels))
+    forward_model = ReturnForwardModel(
+        make_return_operator(table, edges, record_pulse), channels, measurement, state_vector,
+        fixed, QUANTITY,
+    )  # fmt: skip
+    solution = solve_for_known_noise(forward_model, measurement, seed)
+    settings = describe_model(channels, TABLE_SOLVER) | {"quantity": QUANTITY}
+    settings |= describe_parameters(state_vector, forward_model.list_fixed_values(), prior, seed)
+    result = make_result(state_vector, measurement, solution, settings)
+    return RetrievalResult(_split_channels(result.dataset, table, edges))
+
+
+def _split_channels(dataset: xr.Dataset, table: xr.Dataset, edges: np.ndarray) -> xr.Dataset:
+    """Return the dataset of a result with wavelengths and delays instead of channels."""
+    names = [name for name in dataset.data_vars if "wavelength" in dataset[name].dims]
+    shape = table.sizes["wavelength"], edges.size - 1
+    variables = {
+        name: (
+            ("wavelength", "delay"), dataset[name].values.reshape(shape),
+            {**dataset[name].attrs, "units": UNITS},
+        )
+        for name in names
+    }  # fmt: skip
+    bounds = np.column_stack([edges[:-1], edges[1:]])
+    delay = ("delay", bounds.mean(axis=1), table.delay.attrs)
+    coordinates = {
+        "wavelength": table.wavelength, "delay": delay, "delay_bounds": (("delay", "bounds"), bounds),
+    }  # fmt: skip
+    return dataset.drop_dims("wavelength").assign(variables).assign_coords(coordinates)

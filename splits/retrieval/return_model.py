@@ -1,0 +1,189 @@
+"""Measured returns of a light pulse, and the forward model that interpolates a table of returns.
+
+The bins of all wavelengths follow each other as channels, which take the place of the wavelengths
+of a spectrum.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.core.arrays import as_1d_array, as_float_array, check_increasing, check_no_gaps
+from splits.core.validation import ROUNDING_TOLERANCE, invalid
+from splits.instruments.delay_record import Pulse
+from splits.retrieval.forward_model import MeasurementOperator, TableForwardModel
+from splits.retrieval.measurement import Measurement
+from splits.tables.return_table import TITLE
+from splits.tables.table import Table
+
+QUANTITY = "return_rate"
+
+
+class ReturnForwardModel(TableForwardModel):
+    """Forward model that interpolates a table of returns over channels, see `make_channel_table`.
+
+    Parameters
+    ----------
+    table, measurement, state_vector, fixed, quantity
+        See `TableForwardModel`.
+    operator : MeasurementOperator
+        From the channels of the table to those of the measurement.
+    """
+
+    def __init__(self, operator: MeasurementOperator, *arguments: Any, **keywords: Any) -> None:
+        self._return_operator = operator
+        super().__init__(*arguments, **keywords)
+
+    def make_operator(self, measurement: Measurement, table: Table) -> MeasurementOperator:
+        """Return the operator from the channels of a table to a measurement."""
+        return self._return_operator
+
+    def compute_node_covariance(
+        self, node_stderr: np.ndarray, axis_values: dict[str, Any]
+    ) -> np.ndarray:
+        """Return the covariance of the errors of nodes: rays in different bins are independent."""
+        scaled = self.operator.matrix * node_stderr
+        covariance: np.ndarray = scaled @ scaled.T
+        return covariance
+
+
+def make_channel_table(table: Any) -> Table:
+    """Return a table of returns with its wavelengths and bins as one axis, after checking it.
+
+    Raises
+    ------
+    ValueError
+        If the dataset is not from `splits.build_return_table`, or incomplete.
+    """
+    allowed = "what splits.build_return_table returned"
+    if not isinstance(table, xr.Dataset) or table.attrs.get("title") != TITLE:
+        found = table.attrs.get("title") if isinstance(table, xr.Dataset) else None
+        raise invalid("table", found or type(table).__name__, allowed)
+    names = [QUANTITY, f"{QUANTITY}_stderr"]
+    for name in (*names, "delay_bounds"):
+        if name not in table:
+            raise invalid(f"table.{name}", None, "given", allowed)
+    for dimension in ("wavelength", "delay"):
+        if dimension not in table[QUANTITY].dims:
+            hint = f"select a list: isel({dimension}=[0]), which keeps the axis"
+            raise invalid("table", f"without an axis {dimension}", allowed, hint)
+    check_no_gaps("table", table[names])
+    stacked = table[names].stack(channel=("wavelength", "delay"), create_index=False)
+    channels = stacked.drop_vars(["wavelength", "delay", "range"], errors="ignore")
+    channels = channels.rename(channel="wavelength")
+    channels = channels.assign_coords(wavelength=np.arange(channels.sizes["wavelength"]) + 1.0)
+    return Table(channels.assign_attrs(path_sharing_axes="none"))
+
+
+def read_return(measured: Any, n_wavelengths: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the delays between bins (s) and the light per time, after checking them.
+
+    Returns
+    -------
+    edges : float, shape (bins + 1,)
+    rates : float, shape (wavelengths, bins)
+    """
+    if not isinstance(measured, tuple | list) or len(measured) != 2:
+        allowed = "(delays between bins in s, light per time in s⁻¹)"
+        raise invalid("measured", type(measured).__name__, allowed)
+    edges = as_1d_array("measured (delays)", measured[0], "numbers in seconds")
+    check_increasing("measured (delays)", edges)
+    rates = as_float_array("measured", measured[1], "numbers in s⁻¹, without gaps")
+    shape = n_wavelengths, max(edges.size - 1, 0)
+    if edges.size < 2 or rates.shape not in (shape, (rates.size,)) or rates.size != np.prod(shape):
+        allowed = f"{shape[1]} values for each of the {n_wavelengths} wavelengths of the table"
+        raise invalid("measured", f"of shape {rates.shape}", allowed, "one fewer than delays")
+    return edges, rates.reshape(shape)
+
+
+def make_return_measurement(rates: np.ndarray, noise: Any) -> Measurement:
+    """Return the measurement of all channels.
+
+    Parameters
+    ----------
+    rates : float, shape (wavelengths, bins)
+    noise : float or array_like
+        Standard errors (s⁻¹), one or as many as values.
+    """
+    allowed = f"standard errors above 0 in s⁻¹, one or {rates.size} of them"
+    if noise is None:
+        raise invalid("noise", None, allowed, "for n counted photons in a bin, √n as a rate")
+    stderr = as_float_array("noise", noise, allowed)
+    if stderr.size not in (1, rates.size) or stderr.ndim > 2:
+        raise invalid("noise", f"of shape {stderr.shape}", allowed)
+    if not (stderr > 0.0).all():
+        hint = "a bin without photons has an error of about one photon"
+        raise invalid("noise", float(stderr.min()), allowed, hint)
+    stderr = np.broadcast_to(stderr.ravel(), rates.size)
+    return Measurement(
+        rates.ravel(), np.arange(rates.size) + 1.0, np.diag(stderr**2), {}
+    )
+
+
+def make_return_operator(
+    table: xr.Dataset, edges: np.ndarray, pulse: Pulse
+) -> MeasurementOperator:
+    """Return the operator from the bins of a table to those of a measurement after a pulse.
+
+    Light is uniform within the bins of the table.  The effect of bins of twice the width, divided
+    by 3, is the estimate of the error: it is proportional to the square of the width.
+
+    Parameters
+    ----------
+    table : xarray.Dataset
+    edges : float, shape (bins + 1,)
+        Delays between the bins of the measurement (s).
+    pulse : Pulse
+
+    Raises
+    ------
+    ValueError
+        For bins of the measurement that need light outside the record of the table.
+    """
+    bounds = table.delay_bounds.values
+    own_edges = np.append(bounds[:, 0], bounds[-1, 1])
+    n_wavelengths, tolerance = table.sizes["wavelength"], ROUNDING_TOLERANCE * own_edges[-1]
+    latest = own_edges[-1] + float(pulse.delay_s[0])
+    earliest = own_edges[0] + (float(pulse.delay_s[-1]) if own_edges[0] > 0.0 else -np.inf)
+    if edges[-1] > latest + tolerance or edges[0] < earliest - tolerance:
+        allowed = f"up to {latest:.4g} s" if edges[-1] > latest else f"from {earliest:.4g} s"
+        found = edges[-1] if edges[-1] > latest else edges[0]
+        hint = "as far as the table goes, minus the length of the pulse"
+        raise invalid("measured (delays)", float(found), allowed, hint)
+    matrix = _redistribute(own_edges, edges, pulse)
+    coarse_edges = np.union1d(own_edges[::2], own_edges[-1:])
+    pair = np.minimum(np.arange(own_edges.size - 1) // 2, coarse_edges.size - 2)
+    width_fraction = np.diff(own_edges) / np.diff(coarse_edges)[pair]
+    coarse = _redistribute(coarse_edges, edges, pulse)[:, pair] * width_fraction
+    identity = np.eye(n_wavelengths)
+    return MeasurementOperator(np.kron(identity, matrix), np.kron(identity, (matrix - coarse) / 3.0))
+
+
+def _redistribute(bins: np.ndarray, edges: np.ndarray, pulse: Pulse) -> np.ndarray:
+    """Return the weights of rates that are uniform in bins in mean rates between other delays.
+
+    Light from a bin [a, b] at delay u arrives before t with the probability E(t − u), where E is
+    the part of the pulse that has been emitted.  Its integral over the bin is G(t − a) − G(t − b),
+    with G the integral of E.
+
+    Returns
+    -------
+    float, shape (other bins, bins)
+    """
+    delay, emitted = pulse.delay_s, pulse.emitted
+    integral = np.zeros(delay.size)
+    if delay.size > 1:
+        integral[1:] = np.cumsum(0.5 * (emitted[1:] + emitted[:-1]) * np.diff(delay))
+
+    def integrate(time: np.ndarray) -> np.ndarray:
+        inside: np.ndarray = np.interp(time, delay, integral)
+        return inside + np.maximum(time - delay[-1], 0.0)
+
+    arrived = integrate(edges[:, np.newaxis] - bins[:-1]) - integrate(
+        edges[:, np.newaxis] - bins[1:]
+    )
+    weights: np.ndarray = np.diff(arrived, axis=0) / np.diff(edges)[:, np.newaxis]
+    return weights

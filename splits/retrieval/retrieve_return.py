@@ -16,7 +16,9 @@ from splits.retrieval.result import RetrievalResult, make_result
 from splits.retrieval.retrieve import solve_for_known_noise
 from splits.retrieval.return_model import (
     QUANTITY,
+    PhotonNoise,
     ReturnForwardModel,
+    check_return_noise,
     make_channel_table,
     make_return_measurement,
     make_return_operator,
@@ -26,6 +28,10 @@ from splits.retrieval.settings import TABLE_SOLVER, describe_model, describe_par
 from splits.retrieval.state_vector import StateVector
 
 UNITS = "s-1"
+N_NOISE_UPDATES = 3
+"""Number of solutions with the noise of the photons that the previous one predicts."""
+MIN_COUNT, MIN_EXPECTED_COUNT = 1.0, 0.1
+"""Smallest numbers of counted and of predicted photons of a bin from which errors follow."""
 
 
 @reject_unknown_arguments
@@ -56,8 +62,11 @@ def retrieve_return(
     free : sequence of str or mapping
         Free axes of the table, or their (low, high) by name.  ``scale`` is a factor of the
         modelled return, for light or a receiver of unknown power.
-    noise : float or array_like
-        Standard errors (s⁻¹) of the values, one or as many as values.
+    noise : float, array_like or mapping
+        Standard errors (s⁻¹) of the values, one or as many as values.  For counted photons,
+        ``{"photons": N}``, where n photons in a bin of the width w have the value n/(N w); errors
+        follow from the number of photons that the result predicts.  Errors from the counted numbers
+        would give more weight to bins in which few photons were counted by chance.
     pulse : float or mapping, optional
         As for `splits.time_of_flight`.
     fixed, prior : mapping, optional
@@ -97,14 +106,18 @@ def retrieve_return(
     seed = check_integer("seed", seed, 0)
     channels = make_channel_table(table)
     edges, rates = read_return(measured, table.sizes["wavelength"])
-    measurement = make_return_measurement(rates, noise)
+    return_noise = check_return_noise(noise, edges, rates.shape)
     record_pulse = Pulse.from_argument(pulse)
     state_vector = StateVector.from_ranges(free, prior, get_table_ranges(channels))
-    forward_model = ReturnForwardModel(
-        make_return_operator(table, edges, record_pulse), channels, measurement, state_vector,
-        fixed, QUANTITY,
-    )  # fmt: skip
-    solution = solve_for_known_noise(forward_model, measurement, seed)
+    operator = make_return_operator(table, edges, record_pulse)
+    expected, min_count = rates.ravel(), MIN_COUNT
+    for _ in range(N_NOISE_UPDATES if isinstance(return_noise, PhotonNoise) else 1):
+        measurement = make_return_measurement(expected, rates, return_noise, min_count)
+        forward_model = ReturnForwardModel(
+            operator, channels, measurement, state_vector, fixed, QUANTITY
+        )
+        solution = solve_for_known_noise(forward_model, measurement, seed)
+        expected, min_count = solution.estimates[0].modelled, MIN_EXPECTED_COUNT
     settings = describe_model(channels, TABLE_SOLVER) | {"quantity": QUANTITY}
     settings |= describe_parameters(state_vector, forward_model.list_fixed_values(), prior, seed)
     result = make_result(state_vector, measurement, solution, settings)
@@ -125,6 +138,8 @@ def _split_channels(dataset: xr.Dataset, table: xr.Dataset, edges: np.ndarray) -
     bounds = np.column_stack([edges[:-1], edges[1:]])
     delay = ("delay", bounds.mean(axis=1), table.delay.attrs)
     coordinates = {
-        "wavelength": table.wavelength, "delay": delay, "delay_bounds": (("delay", "bounds"), bounds),
-    }  # fmt: skip
+        "wavelength": table.wavelength,
+        "delay": delay,
+        "delay_bounds": (("delay", "bounds"), bounds),
+    }
     return dataset.drop_dims("wavelength").assign(variables).assign_coords(coordinates)

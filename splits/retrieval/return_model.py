@@ -6,13 +6,15 @@ of a spectrum.
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from splits.core.arrays import as_1d_array, as_float_array, check_increasing, check_no_gaps
-from splits.core.validation import ROUNDING_TOLERANCE, invalid
+from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid
 from splits.instruments.delay_record import Pulse
 from splits.retrieval.forward_model import MeasurementOperator, TableForwardModel
 from splits.retrieval.measurement import Measurement
@@ -99,33 +101,79 @@ def read_return(measured: Any, n_wavelengths: int) -> tuple[np.ndarray, np.ndarr
     return edges, rates.reshape(shape)
 
 
-def make_return_measurement(rates: np.ndarray, noise: Any) -> Measurement:
+class PhotonNoise(NamedTuple):
+    """Noise of counted photons.
+
+    Attributes
+    ----------
+    count_rate : float, shape (n,)
+        Rate (s⁻¹) of one counted photon in each channel.
+    """
+
+    count_rate: np.ndarray
+
+    def compute_stderr(self, rates: np.ndarray, min_count: float) -> np.ndarray:
+        """Return the standard errors of expected rates (s⁻¹), of at least some photons."""
+        count = np.maximum(rates / self.count_rate, min_count)
+        stderr: np.ndarray = np.sqrt(count) * self.count_rate
+        return stderr
+
+
+def check_return_noise(
+    noise: Any, edges: np.ndarray, shape: tuple[int, ...]
+) -> PhotonNoise | np.ndarray:
+    """Return the noise of a measured return: a `PhotonNoise`, or standard errors (s⁻¹).
+
+    Parameters
+    ----------
+    noise : float, array_like or mapping
+        See `splits.retrieve_return`.
+    edges : float, shape (bins + 1,)
+        Delays between bins (s).
+    shape : tuple of int
+        Wavelengths and bins.
+    """
+    n_values = int(np.prod(shape))
+    allowed = f"standard errors above 0 in s⁻¹, one or {n_values} of them, or {{'photons': …}}"
+    if noise is None:
+        raise invalid("noise", None, allowed)
+    if isinstance(noise, Mapping):
+        if set(noise) != {"photons"}:
+            raise invalid("noise", sorted(map(str, noise)), allowed)
+        photons = check_range("noise.photons", noise["photons"], 0.0, math.inf, open_low=True)
+        return PhotonNoise(np.tile(1.0 / (photons * np.diff(edges)), shape[0]))
+    stderr = as_float_array("noise", noise, allowed)
+    if stderr.shape not in ((), shape, (n_values,)):
+        raise invalid("noise", f"of shape {stderr.shape}", allowed)
+    if not (stderr > 0.0).all():
+        hint = "noise={'photons': …} also applies to bins without photons"
+        raise invalid("noise", float(stderr.min()), allowed, hint)
+    return np.broadcast_to(stderr.ravel(), n_values)
+
+
+def make_return_measurement(
+    expected: np.ndarray, rates: np.ndarray, noise: PhotonNoise | np.ndarray, min_count: float
+) -> Measurement:
     """Return the measurement of all channels.
 
     Parameters
     ----------
+    expected : float, shape (n,)
+        Rates (s⁻¹) from which errors of counted photons follow.
     rates : float, shape (wavelengths, bins)
-    noise : float or array_like
-        Standard errors (s⁻¹), one or as many as values.
+        Measured rates (s⁻¹).
+    noise : PhotonNoise or float, shape (n,)
+        See `check_return_noise`.
+    min_count : float
+        Smallest number of photons from which errors follow.
     """
-    allowed = f"standard errors above 0 in s⁻¹, one or {rates.size} of them"
-    if noise is None:
-        raise invalid("noise", None, allowed, "for n counted photons in a bin, √n as a rate")
-    stderr = as_float_array("noise", noise, allowed)
-    if stderr.size not in (1, rates.size) or stderr.ndim > 2:
-        raise invalid("noise", f"of shape {stderr.shape}", allowed)
-    if not (stderr > 0.0).all():
-        hint = "a bin without photons has an error of about one photon"
-        raise invalid("noise", float(stderr.min()), allowed, hint)
-    stderr = np.broadcast_to(stderr.ravel(), rates.size)
-    return Measurement(
-        rates.ravel(), np.arange(rates.size) + 1.0, np.diag(stderr**2), {}
-    )
+    channels = np.arange(rates.size) + 1.0
+    if isinstance(noise, PhotonNoise):
+        noise = noise.compute_stderr(expected, min_count)
+    return Measurement(rates.ravel(), channels, np.diag(noise**2), {})
 
 
-def make_return_operator(
-    table: xr.Dataset, edges: np.ndarray, pulse: Pulse
-) -> MeasurementOperator:
+def make_return_operator(table: xr.Dataset, edges: np.ndarray, pulse: Pulse) -> MeasurementOperator:
     """Return the operator from the bins of a table to those of a measurement after a pulse.
 
     Light is uniform within the bins of the table.  The effect of bins of twice the width, divided
@@ -159,7 +207,9 @@ def make_return_operator(
     width_fraction = np.diff(own_edges) / np.diff(coarse_edges)[pair]
     coarse = _redistribute(coarse_edges, edges, pulse)[:, pair] * width_fraction
     identity = np.eye(n_wavelengths)
-    return MeasurementOperator(np.kron(identity, matrix), np.kron(identity, (matrix - coarse) / 3.0))
+    return MeasurementOperator(
+        np.kron(identity, matrix), np.kron(identity, (matrix - coarse) / 3.0)
+    )
 
 
 def _redistribute(bins: np.ndarray, edges: np.ndarray, pulse: Pulse) -> np.ndarray:

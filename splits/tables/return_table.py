@@ -11,7 +11,12 @@ import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.validation import check_integer, invalid
-from splits.instruments.delay_record import Pulse, check_granular_layers, check_record, make_receiver
+from splits.instruments.delay_record import (
+    Pulse,
+    check_granular_layers,
+    check_record,
+    make_receiver,
+)
 from splits.instruments.time_of_flight import DelayRequest, simulate_delays
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.media.checks import check_medium

@@ -151,7 +151,8 @@ def time_of_flight(
         ``late_fraction``, the fraction of the incident light that is reflected after the record:
         all reflected light as of `splits.spectrophotometer`, minus that in the record; it is left
         out where that instrument does not apply.  Moments and path lengths are NaN where light is
-        in fewer than eight of 64 batches of rays, as for a ``fraction`` of 0.
+        in fewer than eight of 64 batches of rays, as for a ``fraction`` of 0; ``moments_flag`` is 1
+        there.
 
         All have standard errors ``…_stderr``.  Those of fractions include the error of
         interpolation between refractive indices, which the attribute ``interpolation_error_bound``

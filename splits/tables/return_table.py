@@ -11,6 +11,7 @@ import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.validation import check_integer, invalid
+from splits.instruments.delay_dataset import FLAG_NAME
 from splits.instruments.delay_record import (
     Pulse,
     check_granular_layers,
@@ -72,7 +73,8 @@ def build_return_table(
     xarray.Dataset
         Over the axes of the grid and ``wavelength``, of reflected light: ``return_rate`` (s⁻¹) over
         ``delay``, and of the light within the record ``fraction`` and ``mean_delay`` (s), as of
-        `splits.time_of_flight`, with standard errors ``…_stderr``.
+        `splits.time_of_flight`, with standard errors ``…_stderr``.  ``mean_delay`` is NaN where
+        ``moments_flag`` is 1.
 
     Raises
     ------
@@ -152,6 +154,7 @@ def _simulate_point(
         own_run = run._replace(seed=(run.seed + number * SEED_STEP) % 2**63)
         dataset = simulate_delays(medium, np.array([wavelength]), request, own_run)
         names = [f"{name}{suffix}" for name in RETURN_QUANTITIES for suffix in ("", "_stderr")]
+        names.append(FLAG_NAME)
         spectra.append(dataset[names].sel(side="reflected", drop=True))
     combined = xr.concat(spectra, "wavelength", data_vars="minimal").drop_attrs(deep=False)
     return combined.assign_coords(delay_bounds=dataset.delay_bounds)

@@ -22,6 +22,8 @@ from splits.plotting.style import (
     use_style,
 )
 
+MAX_TICKS = 8
+"""Largest number of values of a parameter that are all labelled."""
 HALF_SPEED_MM_PER_NS = 0.5e-6 * SPEED_OF_LIGHT
 """Apparent depth per delay."""
 
@@ -114,6 +116,10 @@ def draw_range_bias(
             yscale="log", xlabel=format_parameter(axis), ylabel="range bias (mm)",
             xscale="log" if x.min() > 0.0 else "linear",
         )  # fmt: skip
+        axes.yaxis.set_major_formatter("{x:g}")
+        if x.size <= MAX_TICKS:
+            axes.set_xticks(x, [f"{value:g}" for value in x])
+            axes.minorticks_off()
         axes.spines[["top", "right"]].set_visible(False)
         lines.add_legend(figure, [axes], legend)
         return annotate_figure(figure, [axes], describe_conditions(dataset, select, "bars"))

@@ -119,7 +119,7 @@ def draw_range_bias(
         axes.yaxis.set_major_formatter("{x:g}")
         if x.size <= MAX_TICKS:
             axes.set_xticks(x, [f"{value:g}" for value in x])
-            axes.minorticks_off()
+            axes.tick_params(axis="x", which="minor", bottom=False, labelbottom=False)
         axes.spines[["top", "right"]].set_visible(False)
         lines.add_legend(figure, [axes], legend)
         return annotate_figure(figure, [axes], describe_conditions(dataset, select, "bars"))

@@ -110,6 +110,12 @@ RESULTS = {
     ),
     "beam_spread": lambda: splits.beam_spread(make_layer(), PAIR, rays=1000, half_width_m=1.0),
     "time_of_flight": lambda: splits.time_of_flight(make_snow(), PAIR, rays=1000, depths_m=[0.01]),
+    "time_of_flight of infinite depth": lambda: splits.time_of_flight(
+        splits.Snow.natural(optical_radius_um=100, depth_m=float("inf")),
+        PAIR,
+        rays=1000,
+        delay_s=[0.0, 1e-10],
+    ),
     "irradiance_profile": lambda: splits.irradiance_profile(
         make_snow(), PAIR, [0.01], max_stderr=0.1
     ),

@@ -189,7 +189,7 @@ def add_moment_flag(
     for _, _, attributes in variables.values():
         own = attributes.get(ANCILLARY_ATTRIBUTE, "")
         attributes[ANCILLARY_ATTRIBUTE] = f"{own} {name}".strip()
-    flag_attributes = {
+    flag_attributes: dict[str, Any] = {
         "long_name": "quality of the moments of the delay",
         "flag_values": np.array([0, 1], dtype=np.int8),
         "flag_meanings": "known too_little_light",

@@ -6,7 +6,6 @@ of a spectrum.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -22,6 +21,7 @@ from splits.tables.return_table import TITLE
 from splits.tables.table import Table
 
 QUANTITY = "return_rate"
+MAX_PHOTONS = 1e30
 
 
 class ReturnForwardModel(TableForwardModel):
@@ -73,6 +73,10 @@ def make_channel_table(table: Any) -> Table:
             hint = f"select a list: isel({dimension}=[0]), which keeps the axis"
             raise invalid("table", f"without an axis {dimension}", allowed, hint)
     check_no_gaps("table", table[names])
+    bounds = table.delay_bounds.values
+    if not np.allclose(bounds[1:, 0], bounds[:-1, 1], rtol=ROUNDING_TOLERANCE, atol=0.0):
+        hint = "select a slice of the record"
+        raise invalid("table.delay", "with gaps", "bins that follow each other", hint)
     stacked = table[names].stack(channel=("wavelength", "delay"), create_index=False)
     channels = stacked.drop_vars(["wavelength", "delay", "range"], errors="ignore")
     channels = channels.rename(channel="wavelength")
@@ -140,7 +144,7 @@ def check_return_noise(
     if isinstance(noise, Mapping):
         if set(noise) != {"photons"}:
             raise invalid("noise", sorted(map(str, noise)), allowed)
-        photons = check_range("noise.photons", noise["photons"], 0.0, math.inf, open_low=True)
+        photons = check_range("noise.photons", noise["photons"], 0.0, MAX_PHOTONS, open_low=True)
         return PhotonNoise(np.tile(1.0 / (photons * np.diff(edges)), shape[0]))
     stderr = as_float_array("noise", noise, allowed)
     if stderr.shape not in ((), shape, (n_values,)):

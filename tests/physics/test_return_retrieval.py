@@ -182,6 +182,7 @@ def test_the_incidence_may_be_an_axis():
         ({"noise": [1.0, 2.0, 3.0]}, "noise = 'of shape"),
         ({"noise": {"count": 3}}, r"noise = \['count'\]"),
         ({"noise": {"photons": 0}}, "noise.photons = 0"),
+        ({"noise": {"photons": math.inf}}, "noise.photons = inf"),
         ({"table": 3}, "table = 'int': must be what splits.build_return_table returned"),
         ({"free": ["density"]}, "free.density"),
         ({"free": ["scale"]}, "fixed.specific_surface_area_m2_kg = None: must be given"),
@@ -193,6 +194,24 @@ def test_mistakes_in_measurements_have_one_message(table, keywords, message):
     with pytest.raises(ValueError, match=message) as caught:
         splits.retrieve_return(**{**arguments, **keywords})
     assert "\n" not in str(caught.value)
+
+
+def test_tables_may_be_parts_but_have_no_gaps(table):
+    arguments = ([0.0, 4e-10], [1e9]), [AREA], 1e8
+    part = table.sel({AREA: [15.0, 22.0]}).isel(delay=slice(30)).transpose(..., AREA)
+    whole, found = (
+        splits.retrieve_return(arguments[0], one, {AREA: (15.0, 22.0)}, arguments[2]).dataset
+        for one in (table, part)
+    )
+    np.testing.assert_allclose(found.measured, whole.measured)
+    for wrong, message in (
+        (table.isel(delay=[0, 1, 5]), "table.delay = 'with gaps'"),
+        (table.isel(wavelength=0), "without an axis wavelength"),
+        (table.drop_vars("delay_bounds"), "table.delay_bounds = None"),
+        (table.where(table.delay > 1e-10), "table = 'gaps in return_rate'"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            splits.retrieve_return(arguments[0], wrong, *arguments[1:])
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,9 @@ import numpy as np
 import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
-from splits.core.validation import check_integer
+from splits.core.validation import as_scalar, check_integer
 from splits.instruments.delay_record import Pulse
+from splits.materials.csv_table import to_columns
 from splits.retrieval.forward_model import get_table_ranges
 from splits.retrieval.result import RetrievalResult, make_result
 from splits.retrieval.retrieve import solve_for_known_noise
@@ -119,9 +120,18 @@ def retrieve_return(
         solution = solve_for_known_noise(forward_model, measurement, seed)
         expected, min_count = solution.estimates[0].modelled, MIN_EXPECTED_COUNT
     settings = describe_model(channels, TABLE_SOLVER) | {"quantity": QUANTITY}
+    settings |= _describe_pulse(pulse)
     settings |= describe_parameters(state_vector, forward_model.list_fixed_values(), prior, seed)
     result = make_result(state_vector, measurement, solution, settings)
     return RetrievalResult(_split_channels(result.dataset, table, edges))
+
+
+def _describe_pulse(pulse: Any) -> dict[str, Any]:
+    """Return the attributes of a pulse: its width (s), or the columns ``delay_s`` and ``power``."""
+    columns = to_columns(pulse)
+    if isinstance(columns, Mapping):
+        return {f"pulse_{name}": np.asarray(values) for name, values in columns.items()}
+    return {} if columns is None else {"pulse_s": float(as_scalar(columns))}
 
 
 def _split_channels(dataset: xr.Dataset, table: xr.Dataset, edges: np.ndarray) -> xr.Dataset:

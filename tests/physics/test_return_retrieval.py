@@ -111,6 +111,7 @@ def test_specific_surface_area_follows_from_a_return(table):
     assert found.stderr[AREA] < 0.25 * 18.0
     dataset = found.dataset
     assert dataset.measured.dims == dataset.fitted.dims == ("wavelength", "delay")
+    assert dataset.attrs["pulse_s"] == PULSE_S
     np.testing.assert_array_equal(dataset.measured.values.ravel(), rates)
     np.testing.assert_allclose(dataset.delay_bounds.values[:, 1], SHORT_BINS[1:])
     # Errors of bins follow from the photons that the result predicts.

@@ -19,6 +19,7 @@ from splits.instruments.beam_spread_tally import SIDES, divide_or_zero
 from splits.instruments.delay_record import SPEED_OF_LIGHT
 from splits.instruments.delay_tally import DelayTally
 from splits.instruments.slowness import Slowness
+from splits.io.netcdf import ANCILLARY_ATTRIBUTE
 from splits.media.medium import Medium
 from splits.simulation.interpolation_bounds import bound_fraction_error
 from splits.simulation.rare_light import allow_for_unseen_rays
@@ -28,6 +29,8 @@ MIN_BATCHES = 8
 """Least number of batches with light for moments to have known errors."""
 ROUNDING = 1e-12
 """Rounding error of a variance, relative to the mean square."""
+FLAG_NAME = "moments_flag"
+"""Flag of moments and path lengths that are not known."""
 MOMENT_LABELS = {
     "mean_delay": ("mean delay", "s"),
     "delay_spread": ("standard deviation of the delay", "s"),
@@ -140,7 +143,8 @@ def _make_moment_variables(
     mean, error = _compute_fractions(moments[..., 0], rays)
     error = np.hypot(error, bound_fraction_error(rays.interpolation_bound, mean))
     label = "fraction of the incident light that returns within the record"
-    variables = make_variable(f"fraction{suffix}", dims, mean, error, label)
+    fraction = make_variable(f"fraction{suffix}", dims, mean, error, label)
+    variables: dict[str, Variable] = {}
     is_known = (moments[..., 0] > 0.0).sum(axis=0) >= MIN_BATCHES
     for name, (label, units) in MOMENT_LABELS.items():
         values = np.where(is_known, getattr(estimate, name), np.nan)
@@ -148,7 +152,7 @@ def _make_moment_variables(
         if units == "s":
             error = np.hypot(error, index_error * values)
         variables |= make_variable(f"{name}{suffix}", dims, values, error, label, units)
-    return variables
+    return fraction | add_moment_flag(variables, f"{FLAG_NAME}{suffix}", dims, is_known)
 
 
 def _make_length_variables(fractions: np.ndarray, lengths: np.ndarray) -> dict[str, Variable]:
@@ -159,10 +163,38 @@ def _make_length_variables(fractions: np.ndarray, lengths: np.ndarray) -> dict[s
     mean, error = (
         np.where(is_known, one, np.nan) for one in (mean, compute_jackknife_stderr(jackknife))
     )
-    return make_variable(
+    variables = make_variable(
         "path_length", ("side", "wavelength", "material"), mean, error,
         "mean length of the path in a material", "m",
     )  # fmt: skip
+    return add_moment_flag(variables, FLAG_NAME, ("side", "wavelength"), is_known[..., 0])
+
+
+def add_moment_flag(
+    variables: dict[str, Variable], name: str, dims: tuple[str, ...], is_known: np.ndarray
+) -> dict[str, Variable]:
+    """Return variables with a flag of moments, which are NaN where it is not 0.
+
+    Parameters
+    ----------
+    variables : dict
+        Moments and their errors.
+    name : str
+        Name of the flag.
+    dims : tuple of str
+        Dimensions of the flag.
+    is_known : bool, shape (...)
+        Whether the moments are known.
+    """
+    for _, _, attributes in variables.values():
+        own = attributes.get(ANCILLARY_ATTRIBUTE, "")
+        attributes[ANCILLARY_ATTRIBUTE] = f"{own} {name}".strip()
+    flag_attributes: dict[str, Any] = {
+        "long_name": "quality of the moments of the delay",
+        "flag_values": np.array([0, 1], dtype=np.int8),
+        "flag_meanings": "known too_little_light",
+    }
+    return {**variables, name: (dims, (~is_known).astype(np.int8), flag_attributes)}
 
 
 def _make_coordinates(

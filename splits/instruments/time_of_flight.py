@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -26,7 +26,7 @@ from splits.instruments.delay_record import (
 from splits.instruments.delay_tally import DelayTally
 from splits.instruments.slowness import compute_slowness
 from splits.instruments.spectrophotometer import spectrophotometer
-from splits.kernels.tallies.delays import DelayRecord
+from splits.kernels.tallies.delays import DelayRecord, Receiver
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
 from splits.simulation.arguments import check_incidence, check_wavelengths
@@ -48,6 +48,33 @@ LATE_LIGHT_ERRORS = (1e-4, 0.05)
 """Limits of the requested error of all reflected light."""
 _INTERPOLATION_TOLERANCE = 0.001
 """Bound on the error of a reflectance from interpolation between refractive indices."""
+
+NO_DEPTHS = np.zeros(0)
+"""Depths of records that do not divide light by the largest depth reached."""
+
+
+class DelayRequest(NamedTuple):
+    """Validated settings of a record of delays.
+
+    Attributes
+    ----------
+    incidence : float or "diffuse"
+        Degrees.
+    rays : int
+    receiver : Receiver
+    edges : float, shape (bins + 1,)
+        Delays between bins (s).
+    end_s : float
+        End of the record (s).
+    pulse : Pulse
+    """
+
+    incidence: float | str
+    rays: int
+    receiver: Receiver
+    edges: np.ndarray
+    end_s: float
+    pulse: Pulse
 
 
 @reject_unknown_arguments
@@ -124,7 +151,8 @@ def time_of_flight(
         ``late_fraction``, the fraction of the incident light that is reflected after the record:
         all reflected light as of `splits.spectrophotometer`, minus that in the record; it is left
         out where that instrument does not apply.  Moments and path lengths are NaN where light is
-        in fewer than eight of 64 batches of rays, as for a ``fraction`` of 0.
+        in fewer than eight of 64 batches of rays, as for a ``fraction`` of 0; ``moments_flag`` is 1
+        there.
 
         All have standard errors ``…_stderr``.  Those of fractions include the error of
         interpolation between refractive indices, which the attribute ``interpolation_error_bound``
@@ -146,36 +174,57 @@ def time_of_flight(
     check_granular_layers(medium)
     wavelengths = check_wavelengths(wavelength_nm)
     incidence = check_incidence(incidence_deg)
-    check_integer("rays", rays, 1)
+    rays = check_integer("rays", rays, 1)
     run = RunOptions.from_arguments(seed, threads, kernel, progress)
     record_pulse = Pulse.from_argument(pulse)
     edges, end = check_record(delay_s, end_s, record_pulse)
     receiver = make_receiver(incidence, acceptance_deg, footprint_radius_m)
-    depths = check_depths(depths_m, medium)
-    last_s = end - float(record_pulse.delay_s[0])
-    traced = _limit_depth(medium, last_s, float(depths.max(initial=0.0)))
-    slowness = compute_slowness(traced, wavelengths)
-    index, absorption = compute_optical_constants(traced, wavelengths)
-    nodes = choose_nodes(index, traced.list_interfaces(), _INTERPOLATION_TOLERANCE)
-    scene = build_scene(traced, incidence, False)
-    max_order = compute_max_order(traced, scene.layers, receiver, last_s)
-    if depths.size:
-        scene = add_recording_planes(scene, depths.tolist())
-    interval = np.searchsorted(depths, -scene.layers.boundaries, side="right")
-    record = DelayRecord(receiver, edges, end, np.stack(record_pulse), interval)
-    tally = DelayTally(nodes, absorption, slowness.value, record, max_order)
-    evaluation = simulate(scene, tally, StoppingRule(0.0, rays, fixed=True), run)
-    attributes = {
-        **run.make_attributes("Time of flight", "time_of_flight", medium),
-        "incidence_deg": incidence,
-        **tally.describe_run(evaluation.stop_reason),
-    }
-    dataset = make_delay_dataset(tally, medium, wavelengths, slowness, depths, attributes)
+    request = DelayRequest(incidence, rays, receiver, edges, end, record_pulse)
+    dataset = simulate_delays(medium, wavelengths, request, run, check_depths(depths_m, medium))
     if acceptance_deg is None and footprint_radius_m is None and math.isfinite(end):
         # Some semi-infinite media have no solution without an end of the record.
         with suppress(InvalidValue):
             return dataset.assign(_compute_late_light(dataset, medium, incidence, run))
     return dataset
+
+
+def simulate_delays(
+    medium: Medium, wavelengths: np.ndarray, request: DelayRequest, run: RunOptions,
+    depths_m: np.ndarray = NO_DEPTHS,
+) -> xr.Dataset:  # fmt: skip
+    """Return the dataset of `time_of_flight` without later light, from validated arguments.
+
+    Parameters
+    ----------
+    medium : Medium
+    wavelengths : float, shape (wavelengths,)
+        nm.
+    request : DelayRequest
+    run : RunOptions
+    depths_m : float, shape (depths,)
+        Increasing depths (m) that divide light by the largest depth reached.
+    """
+    last_s = request.end_s - float(request.pulse.delay_s[0])
+    traced = _limit_depth(medium, last_s, float(depths_m.max(initial=0.0)))
+    slowness = compute_slowness(traced, wavelengths)
+    index, absorption = compute_optical_constants(traced, wavelengths)
+    nodes = choose_nodes(index, traced.list_interfaces(), _INTERPOLATION_TOLERANCE)
+    scene = build_scene(traced, request.incidence, False)
+    max_order = compute_max_order(traced, scene.layers, request.receiver, last_s)
+    if depths_m.size:
+        scene = add_recording_planes(scene, depths_m.tolist())
+    interval = np.searchsorted(depths_m, -scene.layers.boundaries, side="right")
+    record = DelayRecord(
+        request.receiver, request.edges, request.end_s, np.stack(request.pulse), interval
+    )
+    tally = DelayTally(nodes, absorption, slowness.value, record, max_order)
+    evaluation = simulate(scene, tally, StoppingRule(0.0, request.rays, fixed=True), run)
+    attributes = {
+        **run.make_attributes("Time of flight", "time_of_flight", medium),
+        "incidence_deg": request.incidence,
+        **tally.describe_run(evaluation.stop_reason),
+    }
+    return make_delay_dataset(tally, medium, wavelengths, slowness, depths_m, attributes)
 
 
 def _compute_late_light(

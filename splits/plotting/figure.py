@@ -24,7 +24,7 @@ from splits.plotting.sand_fit import draw_fits
 from splits.plotting.season import draw_season
 from splits.plotting.spectra import draw_refractive_indices, draw_spectra
 from splits.plotting.style import use_style
-from splits.plotting.time_of_flight import draw_returns
+from splits.plotting.time_of_flight import draw_range_bias, draw_returns
 
 SINGLE_POINT_FUNCTIONS = {
     "lobes": draw_lobes,
@@ -76,6 +76,8 @@ def _draw_kind(
         return draw_fits(dataset, section["select"], section["legend"])
     if section["kind"] == "return":
         return draw_returns(dataset, section["select"], section["legend"])
+    if section["kind"] == "range_bias":
+        return draw_range_bias(dataset, section["select"], section["legend"])
     if section["kind"] == "season":
         return draw_season(dataset, section["quantity"])
     if section["kind"] == "swatches":

@@ -1,4 +1,4 @@
-"""Figure of the return of a pulse over time."""
+"""Figures of the return of a pulse over time, and of the range bias."""
 
 from __future__ import annotations
 
@@ -13,8 +13,17 @@ from splits.io.netcdf import select_points
 from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.beam_spread import MAX_RELATIVE_ERROR
 from splits.plotting.lines import PlotLines
-from splits.plotting.style import BAND_SIGMA, TWO_COLUMNS_INCHES, make_subplots, use_style
+from splits.plotting.style import (
+    BAND_SIGMA,
+    ONE_COLUMN_INCHES,
+    TWO_COLUMNS_INCHES,
+    format_parameter,
+    make_subplots,
+    use_style,
+)
 
+MAX_TICKS = 8
+"""Largest number of values of a parameter that are all labelled."""
 HALF_SPEED_MM_PER_NS = 0.5e-6 * SPEED_OF_LIGHT
 """Apparent depth per delay."""
 
@@ -70,3 +79,47 @@ def draw_returns(
             depth.set_xlabel("apparent depth (mm)")
         lines.add_legend(figure, [left, right], legend)
         return annotate_figure(figure, [left, right], describe_conditions(dataset, select))
+
+
+def draw_range_bias(
+    dataset: xr.Dataset,
+    select: Mapping[str, float | str] | None = None,
+    legend: str | None = None,
+) -> Figure:
+    """Draw the range bias, half of the mean delay times the speed of light, over a parameter.
+
+    The horizontal axis is that of the parameter with the largest number of numeric values.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Output of an experiment with `splits.time_of_flight` over a grid.
+    select : mapping, optional
+        Grid labels to select.
+    legend : str, optional
+        Title of the legend; by default the parameters of the other lines.
+    """
+    dataset = select_points(dataset, select or {}).sel(side="reflected")
+    dims = [str(d) for d in dataset.mean_delay.dims if d != "wavelength"]
+    numeric = [d for d in dims if np.issubdtype(dataset[d].dtype, np.number)]
+    axis = max(numeric, key=lambda name: dataset.sizes[name])
+    lines = PlotLines(dataset, [*(d for d in dims if d != axis), "wavelength"])
+    x = dataset[axis].values.astype(float)
+    with use_style():
+        figure, axes = make_subplots(width=ONE_COLUMN_INCHES, height=2.9)
+        for grid_line in lines.lines:
+            line = dataset.sel(grid_line.labels)
+            bias = 1e9 * HALF_SPEED_MM_PER_NS * line.mean_delay.values
+            error = 1e9 * HALF_SPEED_MM_PER_NS * BAND_SIGMA * line.mean_delay_stderr.values
+            axes.errorbar(x, bias, error, **grid_line.to_plot_style(), marker="o", ms=2.5)
+        axes.set(
+            yscale="log", xlabel=format_parameter(axis), ylabel="range bias (mm)",
+            xscale="log" if x.min() > 0.0 else "linear",
+        )  # fmt: skip
+        axes.yaxis.set_major_formatter("{x:g}")
+        if x.size <= MAX_TICKS:
+            axes.set_xticks(x, [f"{value:g}" for value in x])
+            axes.tick_params(axis="x", which="minor", bottom=False, labelbottom=False)
+        axes.spines[["top", "right"]].set_visible(False)
+        lines.add_legend(figure, [axes], legend)
+        return annotate_figure(figure, [axes], describe_conditions(dataset, select, "bars"))

@@ -108,9 +108,7 @@ class TableForwardModel:
         self.state_vector, self.table, self.quantity = state_vector, table, quantity
         self.fixed = _check_fixed_axes(table, state_vector, fixed)
         self.measurement = measurement
-        self.operator = MeasurementOperator.from_measurement(
-            measurement, table.dataset.wavelength.values
-        )
+        self.operator = self.make_operator(measurement, table)
         self.axes = [name for name in state_vector.names if name != SCALE]
         if not self.axes:
             raise invalid("free", list(state_vector.names), "at least one axis of the table")
@@ -127,6 +125,10 @@ class TableForwardModel:
         ]
         self._axis_nodes = np.array([np.pad(row, (0, max_nodes - len(row))) for row in coordinates])
         self._n_nodes = np.array([len(row) for row in nodes], dtype=np.int64)
+
+    def make_operator(self, measurement: Measurement, table: Table) -> MeasurementOperator:
+        """Return the operator from the spectra of a table to a measurement."""
+        return MeasurementOperator.from_measurement(measurement, table.dataset.wavelength.values)
 
     def make_grid(self, node_values: np.ndarray) -> TableGrid:
         """Return the table over coordinates with other columns."""
@@ -195,22 +197,30 @@ class TableForwardModel:
         node_stderr = np.sqrt(
             np.maximum(interpolated[f"{q}_stderr"].values ** 2 - interpolation_error**2, 0.0)
         )
-        stderr = np.abs(self.operator.matrix) @ node_stderr
         axis_error = (
             self.table.interpolation_errors(q, **fixed, **free_values) @ self.operator.matrix.T
         )
         wavelength_error = self.operator.interpolation_error @ interpolated[q].values
         covariance = (
-            self._compute_node_covariance(stderr, {**fixed, **free_values})
+            self.compute_node_covariance(node_stderr, {**fixed, **free_values})
             + axis_error.T @ axis_error
             + np.diag(wavelength_error**2)
         )
         return float(self._compute_scale(state)) ** 2 * covariance
 
-    def _compute_node_covariance(
-        self, stderr: np.ndarray, axis_values: dict[str, Any]
+    def compute_node_covariance(
+        self, node_stderr: np.ndarray, axis_values: dict[str, Any]
     ) -> np.ndarray:
-        """Return the covariance of the errors of nodes from their standard errors."""
+        """Return the covariance, shape (n, n), of the errors of nodes from their standard errors.
+
+        Parameters
+        ----------
+        node_stderr : float, shape (wavelengths,)
+            Interpolated standard errors of nodes.
+        axis_values : dict
+            Values of all axes.
+        """
+        stderr = np.abs(self.operator.matrix) @ node_stderr
         if f"{self.quantity}_batches" not in self.table.dataset:
             wavelength = self.measurement.wavelength_nm
             correlation = np.exp(

@@ -163,7 +163,7 @@ def retrieve(
         if not measurement.noise_known:
             solution, measurement = retrieve_without_noise(forward_model, measurement, seed)
         else:
-            solution = _solve(forward_model, measurement, seed)
+            solution = solve_for_known_noise(forward_model, measurement, seed)
         settings |= describe_parameters(
             state_vector, view | forward_model.list_fixed_values(), prior, seed
         )
@@ -193,7 +193,7 @@ def _solve_from_medium(model: MediumForwardModel, measurement: Measurement, seed
     """Return the solution from a medium for known noise."""
     converged = model.find_minima()
     linear_model = LinearizedModel(model.state_vector, converged.linearize(measurement.covariance))
-    solution = _solve(linear_model, measurement, seed)
+    solution = solve_for_known_noise(linear_model, measurement, seed)
     noise = solution.variance_inflation * (measurement.covariance + converged.model_covariance)
     nonlinearity = estimate_nonlinearity(
         model.evaluate_state,
@@ -210,13 +210,13 @@ def _solve_from_medium(model: MediumForwardModel, measurement: Measurement, seed
             model.evaluate_state,
             linear_model,
             solution,
-            lambda interpolated: _solve(interpolated, measurement, seed),
+            lambda interpolated: solve_for_known_noise(interpolated, measurement, seed),
             alternatives,
         )
     return solution._replace(alternatives=alternatives)
 
 
-def _solve(
+def solve_for_known_noise(
     model: TableForwardModel | LinearizedModel, measurement: Measurement, seed: int
 ) -> Solution:
     """Return the solution: estimates, posterior and draws."""

@@ -56,6 +56,53 @@ def test_clear_slabs_have_the_mean_path_lengths_of_thermodynamics():
     judge_z(z, independent=3)
 
 
+def make_wet_slab(density, saturation):
+    """Return a clear wet slab of spheres, and the mean path lengths (m) of equilibrium."""
+    keywords = {"density_kg_m3": density, "depth_m": 0.01, "refractive_index": CLEAR, **SPHERES}
+    porosity = make_snow(**keywords).porosity
+    snow = make_snow(liquid_water_content=saturation * porosity * (1.0 - 1e-12), **keywords)
+    air, water = (1.0 - saturation) * porosity, saturation * porosity
+    return snow, 0.02 * np.array([air, 1.33**2 * water, 1.31**2 * (1.0 - porosity)])
+
+
+def test_saturated_slabs_have_the_mean_path_lengths_of_thermodynamics():
+    """2 H n² times the part of each material, as water does not reflect all light at any angle.
+
+    Light reaches directions of total reflection at the boundaries by scattering.
+    """
+    z = []
+    for density in (100.0, 350.0, 600.0):
+        snow, exact = make_wet_slab(density, saturation=1.0)
+        result = splits.time_of_flight(
+            snow, 532.0, "diffuse", rays=100_000, **UNLIMITED, seed=int(density)
+        )
+        length, stderr = sum_sides(result, "path_length")
+        z.append((length[1:] - exact[1:]) / stderr[1:])
+        assert length[0] == 0.0
+        assert (stderr[1:] < 0.015 * exact[1:]).all()
+    judge_z(z, independent=3)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("saturation", [0.05, 0.3, 0.7])
+def test_partly_wet_slabs_have_nearly_the_mean_path_lengths_of_equilibrium(saturation):
+    """A new pore after each reflection at a grain does not keep equilibrium exactly.
+
+    The rate of reflection from equilibrium, n² R in each kind of pore with the reflectance R of
+    grains, is nearly the same in water and in air.
+    """
+    z = []
+    for density in (100.0, 350.0, 600.0):
+        snow, exact = make_wet_slab(density, saturation)
+        result = splits.time_of_flight(
+            snow, 532.0, "diffuse", rays=200_000, **UNLIMITED, seed=int(density)
+        )
+        length, stderr = sum_sides(result, "path_length")
+        assert (stderr < 0.006 * exact).all()
+        z.append((length - exact) / np.hypot(stderr, 0.003 * exact))
+    judge_z(z, independent=3, bound_added=True)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("density", [100.0, 350.0, 600.0])
 def test_natural_snow_has_the_mean_path_of_its_grains(density):

@@ -15,6 +15,7 @@ from splits.analysis.theory.phase_function_export import to_eradiate
 from splits.materials import make_refractive_index
 from splits.retrieval.sand_fit import check_measured_reflectance
 from splits.tables.axes import ParameterGrid
+from splits.tables.return_table import TITLE
 
 NM = [400.0, 800.0, 1600.0]
 PARAMETERS = [0.25, 0.5, 0.125]
@@ -30,6 +31,7 @@ SEA = splits.ParticleLayer(
 )
 TABLE = make_snowlike_table()
 FEW_WAVELENGTHS = {"max_stderr": 0.5, "threads": 1}
+DELAYS, RATES = [0.0, 1.0, 2.0, 3.0], [0.75, 0.375, 0.25]
 MEASURED = evaluate_spectrum(200.0, 64.0).astype(np.float16).astype(float)
 
 
@@ -110,6 +112,25 @@ def make_labelled_sky(name, values):
         **{"name": "mine", "source": "me", "zenith_deg": 50.0} | SKY | {name: values}
     )
     return labelled.direct, labelled.diffuse
+
+
+def make_return_table():
+    """Return a table of returns that decay faster for small grains."""
+    delay, size = np.array([0.5, 1.5, 2.5]), np.geomspace(32.0, 512.0, 5)
+    rate = np.exp(-delay * (64.0 / size[:, np.newaxis]) ** 0.5)[:, np.newaxis]
+    dims = SIZE, "wavelength", "delay"
+    return xr.Dataset(
+        {"return_rate": (dims, rate), "return_rate_stderr": (dims, 1e-4 * rate)},
+        {
+            SIZE: size, "wavelength": [532.0], "delay": delay,
+            "delay_bounds": (("delay", "bounds"), [[0.0, 1.0], [1.0, 2.0], [2.0, 3.0]]),
+        },
+        {"title": TITLE},
+    )  # fmt: skip
+
+
+def retrieve_return(measured=(DELAYS, RATES), noise=0.0625):
+    return splits.retrieve_return(measured, make_return_table(), [SIZE], noise).dataset
 
 
 POLAR, TWO_NM = [0.0, 32.0, 64.0], [400.0, 800.0]
@@ -220,6 +241,13 @@ CASES = {
         lambda a: splits.build_table(lambda saturation: SNOW, {"saturation": [0.0]}, a,
                                      **FEW_WAVELENGTHS), NM,
         one=True, runs=True),
+    "build_return_table wavelength_nm": ArrayCase(
+        lambda a: splits.build_return_table(lambda saturation: SNOW, {"saturation": [0.0]}, a,
+                                            rays=2, threads=1), NM, one=True, runs=True),
+    "build_return_table delay_s": ArrayCase(
+        lambda a: splits.build_return_table(lambda saturation: SNOW, {"saturation": [0.0]}, 800.0,
+                                            rays=2, threads=1, delay_s=a),
+        [2.0**-14, 2.0**-13], runs=True),
     "build_table grid": ArrayCase(lambda a: ParameterGrid.from_mapping({"depth_m": a}).values,
                                   POLAR),
     "Table.interp": ArrayCase(
@@ -245,6 +273,10 @@ CASES = {
     "retrieve prior": ArrayCase(
         lambda a: retrieve_spectrum(prior={SIZE: a}), [128.0, 64.0],
         labels=["mean", "standard deviation"]),
+    "retrieve_return delays": ArrayCase(lambda a: retrieve_return((a, RATES)), DELAYS),
+    "retrieve_return values": ArrayCase(lambda a: retrieve_return((DELAYS, a)), RATES),
+    "retrieve_return noise": ArrayCase(
+        lambda a: retrieve_return(noise=a), [0.0625, 0.125, 0.25], one=True),
     "select_bands": ArrayCase(lambda a: select_bands(bands=a), [512.0, 1024.0]),
     "select_bands noise": ArrayCase(
         lambda a: select_bands(noise=a), [0.0625] * 5 + [0.125] * 6, True, W.tolist()),

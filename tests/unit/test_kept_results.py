@@ -61,6 +61,13 @@ def build_small_table(**keywords):
     return splits.build_table(make_medium, grid, PAIR, max_stderr=0.1, **keywords)
 
 
+def make_return_table():
+    """Return a table of the returns of snow of three grain sizes."""
+    delays = [0.0, 1e-10, 2e-10, 1e-9]
+    grid = {"optical_radius_um": [50.0, 100.0, 200.0]}
+    return splits.build_return_table(splits.Snow.natural, grid, 1030.0, rays=1000, delay_s=delays)
+
+
 def make_image():
     """Return an image of four pixels, one of which has a gap."""
     values = np.array(
@@ -103,6 +110,12 @@ RESULTS = {
     ),
     "beam_spread": lambda: splits.beam_spread(make_layer(), PAIR, rays=1000, half_width_m=1.0),
     "time_of_flight": lambda: splits.time_of_flight(make_snow(), PAIR, rays=1000, depths_m=[0.01]),
+    "time_of_flight of infinite depth": lambda: splits.time_of_flight(
+        splits.Snow.natural(optical_radius_um=100, depth_m=float("inf")),
+        PAIR,
+        rays=1000,
+        delay_s=[0.0, 1e-10],
+    ),
     "irradiance_profile": lambda: splits.irradiance_profile(
         make_snow(), PAIR, [0.01], max_stderr=0.1
     ),
@@ -113,6 +126,7 @@ RESULTS = {
     "phase_function": lambda: splits.phase_function(compute_grain_optics(), [0, 90, 180]),
     "build_table": build_small_table,
     "build_table, covariance": lambda: build_small_table(covariance=True),
+    "build_return_table": make_return_table,
     "Table": lambda: make_snowlike_table().dataset,
     "Table.interp": lambda: make_snowlike_table().interp(**make_point()),
     "Table.derivatives": lambda: make_snowlike_table().derivatives(FREE_PARAMETERS, **make_point()),
@@ -126,6 +140,11 @@ RESULTS = {
     ),
     "retrieve": lambda: (
         splits.retrieve(MEASURED, make_snowlike_table(), FREE_PARAMETERS, 0.01, fixed=FIXED).dataset
+    ),
+    "retrieve_return": lambda: (
+        splits.retrieve_return(
+            ([0.0, 1e-10, 1e-9], [2e9, 1e8]), make_return_table(), ["optical_radius_um"], 1e8
+        ).dataset
     ),
     "retrieve_map": lambda: splits.retrieve_map(
         make_image(), make_snowlike_table(), FREE_PARAMETERS, 0.01, fixed=FIXED

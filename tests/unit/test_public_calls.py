@@ -108,6 +108,8 @@ INVALID_CALLS = {
     "surface_map": lambda: splits.surface_map(LAYER, -1),
     "time_of_flight": lambda: splits.time_of_flight(SNOW, "x"),
     "build_table": lambda: splits.build_table(splits.Snow.natural, {"depth_m": [1, 2]}, "x"),
+    "build_return_table": lambda: splits.build_return_table(splits.Snow.natural, {}, 532),
+    "retrieve_return": lambda: splits.retrieve_return(([0, 1], [1]), EMPTY, ["depth_m"], 1),
     "with_diffraction": lambda: splits.with_diffraction(EMPTY, -1),
 }
 NO_INVALID_VALUES = {"Progress", "ProgressBar", "Sky", "list_media"}

@@ -62,6 +62,9 @@ CASES = {
     " half_width_m: 0.01}\n" + TWO_VALUES + SELECT_WET,
     "trip_snow_return": SNOW + "instrument: {kind: time_of_flight, wavelength_nm: [600, 1300],"
     " rays: 5000, pulse: 1.0e-10, delay_s: [0, 1.0e-11, 1.0e-10, 1.0e-9]}\n" + TWO_VALUES,
+    "trip_snow_range_bias": "medium: {kind: natural_snow, depth_m: .inf}\n"
+    "instrument: {kind: time_of_flight, wavelength_nm: [1064], rays: 5000, delay_s: [0, 1.0e-9]}\n"
+    "grid: {specific_surface_area_m2_kg: [20, 60]}\nfigure: {kind: range_bias}\n",
     "trip_snow_ground": SNOW + "instrument: {wavelength_nm: [500, 800]}\n"
     "grid: {ground: {open: open, black: black, soil: camborthid, white: 1}}\n"
     "figure: {select: {ground: soil}, quantity: [reflectance, transmittance]}\n",

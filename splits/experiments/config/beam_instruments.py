@@ -51,7 +51,7 @@ class PulseSection(FiniteSection):
 class TimeOfFlight(OpticalInstrument):
     """Return of a pulse over time."""
 
-    FIGURES: ClassVar = ("return",)
+    FIGURES: ClassVar = ("return", "range_bias")
     ALLOWS_SEMI_INFINITE: ClassVar = True
 
     kind: Literal["time_of_flight"]

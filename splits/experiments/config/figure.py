@@ -45,7 +45,7 @@ KINDS_OF_SETTING = {
     "measured": ("spectra",),
     "ylim": ("spectra", "principal_plane"),
     "legend": ("spectra", "points", "summary", "fit", "principal_plane", "hemisphere",
-               "polarization", "return"),
+               "polarization", "return", "range_bias"),
 }  # fmt: skip
 """Settings that only some kinds of figures have, with these kinds."""
 FIGURE_LIMITS = {
@@ -56,6 +56,7 @@ FIGURE_LIMITS = {
     "principal_plane": (MAX_LINES, "lines", MAX_LINES),
     "polarization": (MAX_LINES, "lines", MAX_LINES),
     "return": (MAX_LINES, "lines", MAX_LINES),
+    "range_bias": (MAX_LINES, "points", MAX_ROWS),
     "fit": (None, "lines", MAX_LINES),
 }
 """Largest number of wavelengths of kinds of figures, name of what they show, and its limit."""
@@ -66,7 +67,7 @@ QuantityName = Literal[
 FigureKind = Literal[
     "spectra", "points", "refractive_index", "swatches", "fit",
     "principal_plane", "hemisphere", "lobes", "bins", "spread", "surface", "lens",
-    "polarization", "return", "summary", "season", "none",
+    "polarization", "return", "range_bias", "summary", "season", "none",
 ]  # fmt: skip
 Formula = AfterValidator(check_mathematics)
 
@@ -200,6 +201,11 @@ def _check_grid(simulation: SimulationConfig, figure: FigureSection, kind: str) 
         allowed = f"with a value of {', '.join(sizes)} for a figure of kind {kind}"
         hint = "it shows one point of the grid; the dataset holds all"
         raise invalid("figure.select", select, allowed, hint)
+    if kind == "range_bias" and not any(
+        len(grid[name]) > 1 and to_coordinate_values(grid[name]).dtype.kind == "f" for name in sizes
+    ):
+        allowed = "a parameter with several numbers for figure.kind = 'range_bias'"
+        raise invalid("grid", list(grid), allowed)
     count, n_wavelengths = math.prod(sizes.values()), simulation.instrument.get_wavelengths().size
     if kind == "spectra":
         if choose_panel_parameters(sizes, len(figure.quantity), select) and figure.measured:

@@ -159,6 +159,9 @@ def test_invalid_media_of_a_grid_are_rejected(tmp_path, text, message):
         ("figure: {kind: swatches}\ngrid: {saturation: [0, 1]}\n"
          "instrument: {wavelength_nm: {start: 500, stop: 780, step: 10}}", "400 to 780 nm"),
         ("figure: {kind: swatches}", "one or two parameters"),
+        ("figure: {kind: range_bias}\ninstrument: {kind: time_of_flight}\n"
+         "grid: {medium: {a: {saturation: 0}, b: {saturation: 0.1}}}",
+         r"grid = \['medium'\]: must be a parameter with several numbers"),
         ("figure: {quantity: mean_grain_distance}", "points for mean_grain_distance"),
         ("medium: {kind: particle_layer}\nfigure: {kind: points, quantity: mean_grain_distance}\n"
          "instrument: {wavelength_nm: [550]}",

@@ -55,7 +55,8 @@ MISTAKES = [
      IN_SCHEMA),
     ("plan\n", "plane\n", "line 21: figure.kind = 'principal_plan': must be one of spectra, "
      "points, refractive_index, swatches, fit, principal_plane, hemisphere, lobes, bins, spread, "
-     "surface, lens, polarization, return, summary, season, none (did you mean principal_plane?)",
+     "surface, lens, polarization, return, range_bias, summary, season, none (did you mean "
+     "principal_plane?)",
      IN_SCHEMA),
     ("$x^$", "$x^2$", "line 23: figure.legend = '$x^$': must be text that matplotlib can typeset "
      "(write \\$ for a dollar sign)", NO_FORMULAS),

@@ -61,6 +61,22 @@ def make_beam_dataset():
     )  # fmt: skip
 
 
+def make_returns(grid):
+    """Return reflected light over delays, for a grid and two wavelengths."""
+    delay = np.geomspace(1e-11, 1e-8, 6)
+    dims, shape = (*grid, "side", "wavelength"), (*map(len, grid.values()), 2, 2)
+    moments = {"mean_delay": 1e-10, "mean_delay_stderr": 1e-12}
+    variables = {name: (dims, np.full(shape, value)) for name, value in moments.items()}
+    for name, value in {"return_rate": 1e8, "return_rate_stderr": 1e6}.items():
+        variables[name] = ((*dims, "delay"), np.full((*shape, 5), value))
+    bounds = np.column_stack([delay[:-1], delay[1:]])
+    return xr.Dataset(
+        variables,
+        {**grid, "side": ["reflected", "transmitted"], "wavelength": [532.0, 1064.0],
+         "delay": bounds.mean(axis=1), "delay_bounds": (("delay", "bounds"), bounds)},
+    )  # fmt: skip
+
+
 def make_many_bins_dataset():
     azimuth = np.arange(0.0, 360.0, 10.0)
     return make_directions(polar=BIN_CENTERS, estimator="bins", azimuth=azimuth)
@@ -146,6 +162,10 @@ FIGURES = {
     "bins": draw_kind("bins", make_many_bins_dataset),
     "polarization": draw_kind("polarization", make_directions),
     "spread": draw_kind("spread", make_beam_dataset),
+    "return": draw_kind("return", lambda: make_returns({"depth_m": [0.1, 0.2]})),
+    "range_bias": draw_kind(
+        "range_bias", lambda: make_returns({"density_kg_m3": [100.0, 200.0, 300.0],
+                                            "medium": ["dune", "beach"]})),
     "fit": lambda: draw_fits(make_surface_areas_table()),
     "measured": lambda: draw_measured_albedo(ALBEDO),
     "surface area": lambda: draw_fitted_spectra(make_surface_area_rows()),

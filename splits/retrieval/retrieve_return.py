@@ -1,0 +1,155 @@
+"""Retrieval of medium parameters from the measured return of a light pulse."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.core.keywords import reject_unknown_arguments
+from splits.core.validation import as_scalar, check_integer
+from splits.instruments.delay_record import Pulse
+from splits.materials.csv_table import to_columns
+from splits.retrieval.forward_model import get_table_ranges
+from splits.retrieval.result import RetrievalResult, make_result
+from splits.retrieval.retrieve import solve_for_known_noise
+from splits.retrieval.return_model import (
+    QUANTITY,
+    PhotonNoise,
+    ReturnForwardModel,
+    check_return_noise,
+    make_channel_table,
+    make_return_measurement,
+    make_return_operator,
+    read_return,
+)
+from splits.retrieval.settings import TABLE_SOLVER, describe_model, describe_parameters
+from splits.retrieval.state_vector import StateVector
+
+UNITS = "s-1"
+N_NOISE_UPDATES = 3
+"""Number of solutions with the noise of the photons that the previous one predicts."""
+MIN_COUNT, MIN_EXPECTED_COUNT = 1.0, 0.1
+"""Smallest numbers of counted and of predicted photons of a bin from which errors follow."""
+
+
+@reject_unknown_arguments
+def retrieve_return(
+    measured: Any,
+    table: xr.Dataset,
+    free: Any,
+    noise: Any,
+    *,
+    pulse: Any = None,
+    fixed: Mapping[str, Any] | None = None,
+    prior: Mapping[str, Any] | None = None,
+    seed: int = 1,
+) -> RetrievalResult:
+    """Retrieve parameters from the measured return of a light pulse, with their errors.
+
+    The method is that of `splits.retrieve`.  Errors include the noise of the measurement, the
+    errors of the table and those of interpolation in it, over parameters and delays.
+
+    Parameters
+    ----------
+    measured : pair of array_like
+        (delays between bins, light per time): delays (s) from the centroid of the pulse at the
+        surface, and the fraction of the incident light per time (s⁻¹) in each bin, also over the
+        wavelengths of the table if it has several.
+    table : xarray.Dataset
+        Result of `splits.build_return_table`, or a part of it.
+    free : sequence of str or mapping
+        Free axes of the table, or their (low, high) by name.  ``scale`` is a factor of the
+        modelled return, for light or a receiver of unknown power.
+    noise : float, array_like or mapping
+        Standard errors (s⁻¹) of the values, one or as many as values.  For counted photons,
+        ``{"photons": N}``, where n photons in a bin of the width w have the value n/(N w); errors
+        follow from the number of photons that the result predicts.  Errors from the counted numbers
+        would give more weight to bins in which few photons were counted by chance.
+    pulse : float or mapping, optional
+        As for `splits.time_of_flight`.
+    fixed, prior : mapping, optional
+        As for `splits.retrieve`.
+    seed : int
+        Seed of the draws.
+
+    Returns
+    -------
+    RetrievalResult
+        As of `splits.retrieve`, with ``measured`` and ``fitted`` over ``wavelength`` and ``delay``.
+
+    Raises
+    ------
+    ValueError
+        For gaps, noise of 0, delays that the table does not contain, or invalid ranges.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import splits
+    >>> delays = np.array([0, 2e-11, 5e-11, 1e-10, 2e-10, 5e-10])
+    >>> table = splits.build_return_table(
+    ...     splits.Snow.natural,
+    ...     {"specific_surface_area_m2_kg": [5, 10, 20, 40]},
+    ...     1064,
+    ...     rays=2000,
+    ...     delay_s=delays,
+    ... )
+    >>> light = table.return_rate.sel(specific_surface_area_m2_kg=10).squeeze()
+    >>> found = splits.retrieve_return(
+    ...     (delays, light), table, ["specific_surface_area_m2_kg"], 0.02 * light
+    ... )
+    >>> found.constrained
+    {'specific_surface_area_m2_kg': True}
+    """
+    seed = check_integer("seed", seed, 0)
+    channels = make_channel_table(table)
+    edges, rates = read_return(measured, table.sizes["wavelength"])
+    return_noise = check_return_noise(noise, edges, rates.shape)
+    record_pulse = Pulse.from_argument(pulse)
+    state_vector = StateVector.from_ranges(free, prior, get_table_ranges(channels))
+    operator = make_return_operator(table, edges, record_pulse)
+    expected, min_count = rates.ravel(), MIN_COUNT
+    for _ in range(N_NOISE_UPDATES if isinstance(return_noise, PhotonNoise) else 1):
+        measurement = make_return_measurement(expected, rates, return_noise, min_count)
+        forward_model = ReturnForwardModel(
+            operator, channels, measurement, state_vector, fixed, QUANTITY
+        )
+        solution = solve_for_known_noise(forward_model, measurement, seed)
+        expected, min_count = solution.estimates[0].modelled, MIN_EXPECTED_COUNT
+    settings = describe_model(channels, TABLE_SOLVER) | {"quantity": QUANTITY}
+    settings |= _describe_pulse(pulse)
+    settings |= describe_parameters(state_vector, forward_model.list_fixed_values(), prior, seed)
+    result = make_result(state_vector, measurement, solution, settings)
+    return RetrievalResult(_split_channels(result.dataset, table, edges))
+
+
+def _describe_pulse(pulse: Any) -> dict[str, Any]:
+    """Return the attributes of a pulse: its width (s), or the columns ``delay_s`` and ``power``."""
+    columns = to_columns(pulse)
+    if isinstance(columns, Mapping):
+        return {f"pulse_{name}": np.asarray(values) for name, values in columns.items()}
+    return {} if columns is None else {"pulse_s": float(as_scalar(columns))}
+
+
+def _split_channels(dataset: xr.Dataset, table: xr.Dataset, edges: np.ndarray) -> xr.Dataset:
+    """Return the dataset of a result with wavelengths and delays instead of channels."""
+    names = [name for name in dataset.data_vars if "wavelength" in dataset[name].dims]
+    shape = table.sizes["wavelength"], edges.size - 1
+    variables = {
+        name: (
+            ("wavelength", "delay"), dataset[name].values.reshape(shape),
+            {**dataset[name].attrs, "units": UNITS},
+        )
+        for name in names
+    }  # fmt: skip
+    bounds = np.column_stack([edges[:-1], edges[1:]])
+    delay = ("delay", bounds.mean(axis=1), table.delay.attrs)
+    coordinates = {
+        "wavelength": table.wavelength,
+        "delay": delay,
+        "delay_bounds": (("delay", "bounds"), bounds),
+    }
+    return dataset.drop_dims("wavelength").assign(variables).assign_coords(coordinates)

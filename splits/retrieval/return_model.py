@@ -1,0 +1,243 @@
+"""Measured returns of a light pulse, and the forward model that interpolates a table of returns.
+
+The bins of all wavelengths follow each other as channels, which take the place of the wavelengths
+of a spectrum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from splits.core.arrays import as_1d_array, as_float_array, check_increasing, check_no_gaps
+from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid
+from splits.instruments.delay_record import Pulse
+from splits.retrieval.forward_model import MeasurementOperator, TableForwardModel
+from splits.retrieval.measurement import Measurement
+from splits.tables.return_table import TITLE
+from splits.tables.table import Table
+
+QUANTITY = "return_rate"
+MAX_PHOTONS = 1e30
+
+
+class ReturnForwardModel(TableForwardModel):
+    """Forward model that interpolates a table of returns over channels, see `make_channel_table`.
+
+    Parameters
+    ----------
+    table, measurement, state_vector, fixed, quantity
+        See `TableForwardModel`.
+    operator : MeasurementOperator
+        From the channels of the table to those of the measurement.
+    """
+
+    def __init__(self, operator: MeasurementOperator, *arguments: Any, **keywords: Any) -> None:
+        self._return_operator = operator
+        super().__init__(*arguments, **keywords)
+
+    def make_operator(self, measurement: Measurement, table: Table) -> MeasurementOperator:
+        """Return the operator from the channels of a table to a measurement."""
+        return self._return_operator
+
+    def compute_node_covariance(
+        self, node_stderr: np.ndarray, axis_values: dict[str, Any]
+    ) -> np.ndarray:
+        """Return the covariance of the errors of nodes: rays in different bins are independent."""
+        scaled = self.operator.matrix * node_stderr
+        covariance: np.ndarray = scaled @ scaled.T
+        return covariance
+
+
+def make_channel_table(table: Any) -> Table:
+    """Return a table of returns with its wavelengths and bins as one axis, after checking it.
+
+    Raises
+    ------
+    ValueError
+        If the dataset is not from `splits.build_return_table`, or incomplete.
+    """
+    allowed = "what splits.build_return_table returned"
+    if not isinstance(table, xr.Dataset) or table.attrs.get("title") != TITLE:
+        found = table.attrs.get("title") if isinstance(table, xr.Dataset) else None
+        raise invalid("table", found or type(table).__name__, allowed)
+    names = [QUANTITY, f"{QUANTITY}_stderr"]
+    for name in (*names, "delay_bounds"):
+        if name not in table:
+            raise invalid(f"table.{name}", None, "given", allowed)
+    for dimension in ("wavelength", "delay"):
+        if dimension not in table[QUANTITY].dims:
+            hint = f"select a list: isel({dimension}=[0]), which keeps the axis"
+            raise invalid("table", f"without an axis {dimension}", allowed, hint)
+    check_no_gaps("table", table[names])
+    bounds = table.delay_bounds.values
+    if not np.allclose(bounds[1:, 0], bounds[:-1, 1], rtol=ROUNDING_TOLERANCE, atol=0.0):
+        hint = "select a slice of the record"
+        raise invalid("table.delay", "with gaps", "bins that follow each other", hint)
+    stacked = table[names].stack(channel=("wavelength", "delay"), create_index=False)
+    channels = stacked.drop_vars(["wavelength", "delay", "range"], errors="ignore")
+    channels = channels.rename(channel="wavelength")
+    channels = channels.assign_coords(wavelength=np.arange(channels.sizes["wavelength"]) + 1.0)
+    return Table(channels.assign_attrs(path_sharing_axes="none"))
+
+
+def read_return(measured: Any, n_wavelengths: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the delays between bins (s) and the light per time, after checking them.
+
+    Returns
+    -------
+    edges : float, shape (bins + 1,)
+    rates : float, shape (wavelengths, bins)
+    """
+    if not isinstance(measured, tuple | list) or len(measured) != 2:
+        allowed = "(delays between bins in s, light per time in s⁻¹)"
+        raise invalid("measured", type(measured).__name__, allowed)
+    edges = as_1d_array("measured (delays)", measured[0], "numbers in seconds")
+    check_increasing("measured (delays)", edges)
+    rates = as_float_array("measured", measured[1], "numbers in s⁻¹, without gaps")
+    shape = n_wavelengths, max(edges.size - 1, 0)
+    if edges.size < 2 or rates.shape not in (shape, (rates.size,)) or rates.size != np.prod(shape):
+        allowed = f"{shape[1]} values for each of the {n_wavelengths} wavelengths of the table"
+        raise invalid("measured", f"of shape {rates.shape}", allowed, "one fewer than delays")
+    return edges, rates.reshape(shape)
+
+
+class PhotonNoise(NamedTuple):
+    """Noise of counted photons.
+
+    Attributes
+    ----------
+    count_rate : float, shape (n,)
+        Rate (s⁻¹) of one counted photon in each channel.
+    """
+
+    count_rate: np.ndarray
+
+    def compute_stderr(self, rates: np.ndarray, min_count: float) -> np.ndarray:
+        """Return the standard errors of expected rates (s⁻¹), of at least some photons."""
+        count = np.maximum(rates / self.count_rate, min_count)
+        stderr: np.ndarray = np.sqrt(count) * self.count_rate
+        return stderr
+
+
+def check_return_noise(
+    noise: Any, edges: np.ndarray, shape: tuple[int, ...]
+) -> PhotonNoise | np.ndarray:
+    """Return the noise of a measured return: a `PhotonNoise`, or standard errors (s⁻¹).
+
+    Parameters
+    ----------
+    noise : float, array_like or mapping
+        See `splits.retrieve_return`.
+    edges : float, shape (bins + 1,)
+        Delays between bins (s).
+    shape : tuple of int
+        Wavelengths and bins.
+    """
+    n_values = int(np.prod(shape))
+    allowed = f"standard errors above 0 in s⁻¹, one or {n_values} of them, or {{'photons': …}}"
+    if noise is None:
+        raise invalid("noise", None, allowed)
+    if isinstance(noise, Mapping):
+        if set(noise) != {"photons"}:
+            raise invalid("noise", sorted(map(str, noise)), allowed)
+        photons = check_range("noise.photons", noise["photons"], 0.0, MAX_PHOTONS, open_low=True)
+        return PhotonNoise(np.tile(1.0 / (photons * np.diff(edges)), shape[0]))
+    stderr = as_float_array("noise", noise, allowed)
+    if stderr.shape not in ((), shape, (n_values,)):
+        raise invalid("noise", f"of shape {stderr.shape}", allowed)
+    if not (stderr > 0.0).all():
+        hint = "noise={'photons': …} also applies to bins without photons"
+        raise invalid("noise", float(stderr.min()), allowed, hint)
+    return np.broadcast_to(stderr.ravel(), n_values)
+
+
+def make_return_measurement(
+    expected: np.ndarray, rates: np.ndarray, noise: PhotonNoise | np.ndarray, min_count: float
+) -> Measurement:
+    """Return the measurement of all channels.
+
+    Parameters
+    ----------
+    expected : float, shape (n,)
+        Rates (s⁻¹) from which errors of counted photons follow.
+    rates : float, shape (wavelengths, bins)
+        Measured rates (s⁻¹).
+    noise : PhotonNoise or float, shape (n,)
+        See `check_return_noise`.
+    min_count : float
+        Smallest number of photons from which errors follow.
+    """
+    channels = np.arange(rates.size) + 1.0
+    if isinstance(noise, PhotonNoise):
+        noise = noise.compute_stderr(expected, min_count)
+    return Measurement(rates.ravel(), channels, np.diag(noise**2), {})
+
+
+def make_return_operator(table: xr.Dataset, edges: np.ndarray, pulse: Pulse) -> MeasurementOperator:
+    """Return the operator from the bins of a table to those of a measurement after a pulse.
+
+    Light is uniform within the bins of the table.  The effect of bins of twice the width, divided
+    by 3, is the estimate of the error: it is proportional to the square of the width.
+
+    Parameters
+    ----------
+    table : xarray.Dataset
+    edges : float, shape (bins + 1,)
+        Delays between the bins of the measurement (s).
+    pulse : Pulse
+
+    Raises
+    ------
+    ValueError
+        For bins of the measurement that need light outside the record of the table.
+    """
+    bounds = table.delay_bounds.values
+    own_edges = np.append(bounds[:, 0], bounds[-1, 1])
+    n_wavelengths, tolerance = table.sizes["wavelength"], ROUNDING_TOLERANCE * own_edges[-1]
+    latest = own_edges[-1] + float(pulse.delay_s[0])
+    earliest = own_edges[0] + (float(pulse.delay_s[-1]) if own_edges[0] > 0.0 else -np.inf)
+    if edges[-1] > latest + tolerance or edges[0] < earliest - tolerance:
+        allowed = f"up to {latest:.4g} s" if edges[-1] > latest else f"from {earliest:.4g} s"
+        found = edges[-1] if edges[-1] > latest else edges[0]
+        hint = "as far as the table goes, minus the length of the pulse"
+        raise invalid("measured (delays)", float(found), allowed, hint)
+    matrix = _redistribute(own_edges, edges, pulse)
+    coarse_edges = np.union1d(own_edges[::2], own_edges[-1:])
+    pair = np.minimum(np.arange(own_edges.size - 1) // 2, coarse_edges.size - 2)
+    width_fraction = np.diff(own_edges) / np.diff(coarse_edges)[pair]
+    coarse = _redistribute(coarse_edges, edges, pulse)[:, pair] * width_fraction
+    identity = np.eye(n_wavelengths)
+    return MeasurementOperator(
+        np.kron(identity, matrix), np.kron(identity, (matrix - coarse) / 3.0)
+    )
+
+
+def _redistribute(bins: np.ndarray, edges: np.ndarray, pulse: Pulse) -> np.ndarray:
+    """Return the weights of rates that are uniform in bins in mean rates between other delays.
+
+    Light from a bin [a, b] at delay u arrives before t with the probability E(t − u), where E is
+    the part of the pulse that has been emitted.  Its integral over the bin is G(t − a) − G(t − b),
+    with G the integral of E.
+
+    Returns
+    -------
+    float, shape (other bins, bins)
+    """
+    delay, emitted = pulse.delay_s, pulse.emitted
+    integral = np.zeros(delay.size)
+    if delay.size > 1:
+        integral[1:] = np.cumsum(0.5 * (emitted[1:] + emitted[:-1]) * np.diff(delay))
+
+    def integrate(time: np.ndarray) -> np.ndarray:
+        inside: np.ndarray = np.interp(time, delay, integral)
+        return inside + np.maximum(time - delay[-1], 0.0)
+
+    arrived = integrate(edges[:, np.newaxis] - bins[:-1]) - integrate(
+        edges[:, np.newaxis] - bins[1:]
+    )
+    weights: np.ndarray = np.diff(arrived, axis=0) / np.diff(edges)[:, np.newaxis]
+    return weights

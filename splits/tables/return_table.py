@@ -1,0 +1,170 @@
+"""Computation of tables of the return of a light pulse over a grid of parameters."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.core.keywords import reject_unknown_arguments
+from splits.core.validation import check_integer, invalid
+from splits.instruments.delay_dataset import FLAG_NAME
+from splits.instruments.delay_record import (
+    Pulse,
+    check_granular_layers,
+    check_record,
+    make_receiver,
+)
+from splits.instruments.time_of_flight import DelayRequest, simulate_delays
+from splits.io.netcdf import make_provenance, to_netcdf_attributes
+from splits.media.checks import check_medium
+from splits.media.medium import Medium
+from splits.simulation.arguments import check_incidence, check_wavelengths
+from splits.simulation.run_options import RunOptions
+from splits.tables.axes import INCIDENCE, ParameterGrid
+
+RETURN_QUANTITIES = ("return_rate", "fraction", "mean_delay")
+"""Quantities of a table of returns."""
+SEED_STEP = 2**32
+"""Difference between the seeds of successive wavelengths."""
+TITLE = "Table of returns"
+
+
+@reject_unknown_arguments
+def build_return_table(
+    make: Callable[..., Medium],
+    grid: Mapping[str, Any],
+    wavelength_nm: Any,
+    incidence_deg: float | str = 0.0,
+    rays: int = 100_000,
+    seed: int = 1,
+    *,
+    delay_s: Any = None,
+    acceptance_deg: float | None = None,
+    footprint_radius_m: float | None = None,
+    threads: int | None = None,
+    kernel: str = "auto",
+) -> xr.Dataset:
+    """Compute the return of an instantaneous pulse of light over a grid of parameters.
+
+    All points of the grid use the same random numbers, so that the table is a smooth function of
+    the parameters; each wavelength has paths of its own.
+
+    Parameters
+    ----------
+    make : callable
+        Function that returns the medium of a point for its parameters as keywords, such as
+        `splits.Snow.natural` or a user's function.
+    grid : mapping
+        Increasing numbers by parameter.  ``incidence_deg`` may be one of the parameters.
+    wavelength_nm, incidence_deg, delay_s, acceptance_deg, footprint_radius_m, threads, kernel
+        As for `splits.time_of_flight`.  For `splits.retrieve_return`, bins should be narrower than
+        the pulse and the bins of the measurement.
+    rays : int
+        Number of rays at each point and wavelength.
+    seed : int
+        Non-negative; a table and synthetic measurements must have different seeds.
+
+    Returns
+    -------
+    xarray.Dataset
+        Over the axes of the grid and ``wavelength``, of reflected light: ``return_rate`` (s⁻¹) over
+        ``delay``, and of the light within the record ``fraction`` and ``mean_delay`` (s), as of
+        `splits.time_of_flight`, with standard errors ``…_stderr``.  ``mean_delay`` is NaN where
+        ``moments_flag`` is 1.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range; the message names the point of the grid.
+
+    Examples
+    --------
+    >>> import splits
+    >>> table = splits.build_return_table(
+    ...     splits.Snow.natural,
+    ...     {"specific_surface_area_m2_kg": [10, 20, 40], "density_kg_m3": [200, 400]},
+    ...     1064,
+    ...     rays=1000,
+    ...     delay_s=[0, 2e-11, 5e-11, 1e-10, 2e-10, 1e-9],
+    ... )
+    >>> dict(table.return_rate.sizes)
+    {'specific_surface_area_m2_kg': 3, 'density_kg_m3': 2, 'wavelength': 1, 'delay': 5}
+    """
+    start_time = time.perf_counter()
+    axes = ParameterGrid.from_mapping(grid)
+    wavelengths = check_wavelengths(wavelength_nm)
+    rays = check_integer("rays", rays, 1)
+    run = RunOptions.from_arguments(seed, threads, kernel)
+    edges, end = check_record(delay_s, None, Pulse.from_argument(None))
+    if INCIDENCE in axes.names and incidence_deg != 0.0:
+        allowed = f"left out, because grid.{INCIDENCE} sets it"
+        raise invalid(INCIDENCE, incidence_deg, allowed)
+    points = []
+    for parameters in axes.iterate_points():
+        incidence = check_incidence(parameters.get(INCIDENCE, incidence_deg))
+        receiver = make_receiver(incidence, acceptance_deg, footprint_radius_m)
+        request = DelayRequest(incidence, rays, receiver, edges, end, Pulse.from_argument(None))
+        points.append((_make_medium(make, parameters), request))
+    spectra = [_simulate_point(medium, wavelengths, request, run) for medium, request in points]
+    table = _stack_points(spectra, axes)
+    receiver_settings = {
+        key: value
+        for key, value in (
+            ("acceptance_deg", acceptance_deg), ("footprint_radius_m", footprint_radius_m),
+        )
+        if value is not None
+    }  # fmt: skip
+    attributes = {
+        "title": TITLE,
+        "medium": points[0][0].kind,
+        **({} if INCIDENCE in axes.names else {INCIDENCE: incidence_deg}),
+        **receiver_settings,
+        "rays": rays,
+        "seed": run.seed,
+        "threads": run.threads,
+        "wall_time_s": round(time.perf_counter() - start_time, 3),
+        **make_provenance("build_return_table"),
+    }
+    return table.assign_attrs(to_netcdf_attributes(attributes))
+
+
+def _make_medium(make: Callable[..., Any], parameters: Mapping[str, Any]) -> Medium:
+    """Return the medium of a point of the grid; errors name the point."""
+    keywords = {name: value for name, value in parameters.items() if name != INCIDENCE}
+    try:
+        medium: Medium = make(**keywords)
+        check_medium(medium, allow_semi_infinite=True)
+        check_granular_layers(medium)
+    except (ValueError, TypeError) as error:
+        point = ", ".join(f"{name} = {value!r}" for name, value in parameters.items())
+        raise invalid("grid", point, "a medium of layers of grains", str(error)) from None
+    return medium
+
+
+def _simulate_point(
+    medium: Medium, wavelengths: np.ndarray, request: DelayRequest, run: RunOptions
+) -> xr.Dataset:
+    """Return the reflected light of a point of the grid, without attributes."""
+    spectra = []
+    for number, wavelength in enumerate(wavelengths):
+        own_run = run._replace(seed=(run.seed + number * SEED_STEP) % 2**63)
+        dataset = simulate_delays(medium, np.array([wavelength]), request, own_run)
+        names = [f"{name}{suffix}" for name in RETURN_QUANTITIES for suffix in ("", "_stderr")]
+        names.append(FLAG_NAME)
+        spectra.append(dataset[names].sel(side="reflected", drop=True))
+    combined = xr.concat(spectra, "wavelength", data_vars="minimal").drop_attrs(deep=False)
+    return combined.assign_coords(delay_bounds=dataset.delay_bounds)
+
+
+def _stack_points(spectra: list[xr.Dataset], axes: ParameterGrid) -> xr.Dataset:
+    """Return the values of all points over the axes of the grid."""
+    first, variables = spectra[0], {}
+    for name, variable in first.data_vars.items():
+        values = np.stack([dataset[name].values for dataset in spectra])
+        values = values.reshape(*axes.shape, *variable.shape)
+        variables[name] = ((*axes.names, *variable.dims), values, variable.attrs)
+    return xr.Dataset(variables, {**axes.to_coordinates(), **first.coords})

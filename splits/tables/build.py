@@ -199,11 +199,7 @@ def iterate_blocks(
         block = None if folder is None else load_block(folder, path_group.number, digest)
         if block is None:
             n_left = len(path_groups) - number - 1
-            block_progress = (
-                _report_whole_table(progress, start_time, n_done, n_left)
-                if callable(progress)
-                else None
-            )
+            block_progress = report_whole_table(progress, start_time, n_done, n_left)
             block = compute_block(path_group, request, caches, digest, block_progress)
             n_done += 1
             if folder is not None:
@@ -211,10 +207,12 @@ def iterate_blocks(
         yield block
 
 
-def _report_whole_table(
-    report: Callable[[Progress], None], start_time: float, n_done: int, n_left: int
-) -> Callable[[Progress], None]:
-    """Return a callback for one ensemble that reports the progress of the whole table."""
+def report_whole_table(
+    report: ProgressCallback, start_time: float, n_done: int, n_left: int
+) -> ProgressCallback:
+    """Return a callback for one ensemble that reports the progress of the whole table, if any."""
+    if not callable(report):
+        return None
 
     def show(state: Progress) -> None:
         elapsed_s = time.perf_counter() - start_time

@@ -94,7 +94,7 @@ class TablePlan(NamedTuple):
             allowed = f"left out, because grid.{INCIDENCE} sets it"
             raise invalid(INCIDENCE, incidence_deg, allowed)
         media_axes = grid.drop(INCIDENCE)
-        media = [_make_medium(make_medium, point) for point in media_axes.iterate_points()]
+        media = [make_point_medium(make_medium, point) for point in media_axes.iterate_points()]
         beams = [check_incidence(angle) for angle in grid.get_values(INCIDENCE, incidence_deg)]
         if with_diffuse and DIFFUSE in beams:
             raise invalid(INCIDENCE, DIFFUSE, "angles with quantities under isotropic light")
@@ -162,11 +162,15 @@ def choose_table_solver(
     return choose_solver(solver, media, wavelengths, obstacle, max_stderr=max_stderr)
 
 
-def _make_medium(make_medium: Callable[..., Any], point: dict[str, Any]) -> Any:
-    """Return the medium of a point of the grid; errors name the point."""
+def make_point_medium(
+    make_medium: Callable[..., Any], point: dict[str, Any],
+    check: Callable[[Any], None] = lambda medium: None,
+) -> Medium:  # fmt: skip
+    """Return the medium of a point of the grid, after a further check; errors name the point."""
     try:
-        medium = make_medium(**point)
+        medium: Medium = make_medium(**point)
         check_medium(medium, allow_semi_infinite=True)
+        check(medium)
     except (ValueError, TypeError) as error:
         point_text = ", ".join(f"{name} = {value!r}" for name, value in point.items())
         raise invalid("grid", point_text, "a medium", str(error)) from None

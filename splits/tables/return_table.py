@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
+from splits.core.progress import ProgressCallback
 from splits.core.validation import check_integer, invalid
 from splits.instruments.delay_dataset import FLAG_NAME
 from splits.instruments.delay_record import (
@@ -20,11 +21,12 @@ from splits.instruments.delay_record import (
 )
 from splits.instruments.time_of_flight import DelayRequest, simulate_delays
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
-from splits.media.checks import check_medium
 from splits.media.medium import Medium
 from splits.simulation.arguments import check_incidence, check_wavelengths
 from splits.simulation.run_options import RunOptions
 from splits.tables.axes import INCIDENCE, ParameterGrid
+from splits.tables.build import report_whole_table
+from splits.tables.plan import make_point_medium
 
 RETURN_QUANTITIES = ("return_rate", "fraction", "mean_delay")
 """Quantities of a table of returns."""
@@ -47,6 +49,7 @@ def build_return_table(
     footprint_radius_m: float | None = None,
     threads: int | None = None,
     kernel: str = "auto",
+    progress: ProgressCallback = None,
 ) -> xr.Dataset:
     """Compute the return of an instantaneous pulse of light over a grid of parameters.
 
@@ -63,6 +66,8 @@ def build_return_table(
     wavelength_nm, incidence_deg, delay_s, acceptance_deg, footprint_radius_m, threads, kernel
         As for `splits.time_of_flight`.  For `splits.retrieve_return`, bins should be narrower than
         the pulse and the bins of the measurement.
+    progress : callable or bool, optional
+        As for `splits.build_table`.
     rays : int
         Number of rays at each point and wavelength.
     seed : int
@@ -108,8 +113,13 @@ def build_return_table(
         incidence = check_incidence(parameters.get(INCIDENCE, incidence_deg))
         receiver = make_receiver(incidence, acceptance_deg, footprint_radius_m)
         request = DelayRequest(incidence, rays, receiver, edges, end, Pulse.from_argument(None))
-        points.append((_make_medium(make, parameters), request))
-    spectra = [_simulate_point(medium, wavelengths, request, run) for medium, request in points]
+        keywords = {name: value for name, value in parameters.items() if name != INCIDENCE}
+        points.append((make_point_medium(make, keywords, check_granular_layers), request))
+    spectra = []
+    for number, (medium, request) in enumerate(points):
+        show = report_whole_table(progress, start_time, number, len(points) - number - 1)
+        one_run = run._replace(progress=show)
+        spectra.append(_simulate_point(medium, wavelengths, request, one_run))
     table = _stack_points(spectra, axes)
     receiver_settings = {
         key: value
@@ -130,19 +140,6 @@ def build_return_table(
         **make_provenance("build_return_table"),
     }
     return table.assign_attrs(to_netcdf_attributes(attributes))
-
-
-def _make_medium(make: Callable[..., Any], parameters: Mapping[str, Any]) -> Medium:
-    """Return the medium of a point of the grid; errors name the point."""
-    keywords = {name: value for name, value in parameters.items() if name != INCIDENCE}
-    try:
-        medium: Medium = make(**keywords)
-        check_medium(medium, allow_semi_infinite=True)
-        check_granular_layers(medium)
-    except (ValueError, TypeError) as error:
-        point = ", ".join(f"{name} = {value!r}" for name, value in parameters.items())
-        raise invalid("grid", point, "a medium of layers of grains", str(error)) from None
-    return medium
 
 
 def _simulate_point(

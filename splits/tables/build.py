@@ -82,7 +82,8 @@ def build_table(
         "reflectance", "reflectance_factor" (π·BRDF) and "anisotropy_factor" (the quotient of both),
         all three by default and from the same paths or solution, and "diffuse_reflectance",
         "diffuse_reflectance_factor" and "diffuse_anisotropy_factor", the same under isotropic
-        light, which have no axes of incidence and azimuth.
+        light, which have no axes of incidence and azimuth.  Reflectances include light that a
+        smooth surface reflects; the factors are those of scattered light.
     covariance : bool
         Whether to store ``…_batches``, 32 deviations by batch of rays for each value.  Sums of
         products over batches are the covariances of values that share paths.

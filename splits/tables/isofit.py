@@ -113,6 +113,11 @@ def _select_diffuse_factor(
     if angle == POLAR:
         values: np.ndarray = subset.values
         return values
+    limits = subset[INCIDENCE].values[[0, -1]]
+    if polar_deg[0] < limits[0] or polar_deg[-1] > limits[1]:
+        allowed = f"from {limits[0]:g} to {limits[1]:g}, as far as {INCIDENCE} goes"
+        hint = f"or a table with {DIFFUSE_REFLECTANCE_FACTOR}"
+        raise invalid(POLAR, polar_deg.tolist(), allowed, hint)
     weights = [
         compute_interpolation_weights(INCIDENCE, subset[INCIDENCE].values, x) for x in polar_deg
     ]

@@ -233,7 +233,7 @@ def test_unsuitable_tables_are_rejected(name, conversion, tmp_path):
             lambda ds, _: convert_to_isofit(
                 ds.drop_vars("diffuse_reflectance_factor").isel(incidence_deg=[0, 1, 2])
             ),
-            "must be from 0 to 40, as far as incidence_deg goes",
+            r"polar_deg = \[0.0, .*: must be from 0 to 40, as far as incidence_deg goes",
         ),
         (lambda ds, _: convert_to_eradiate(ds, 500.0), "optical_radius_um = None: must be given"),
         (lambda ds, _: convert_to_eradiate(ds, **COARSE), "wavelength = None: must be one of"),

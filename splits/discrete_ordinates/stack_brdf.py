@@ -62,8 +62,8 @@ class BidirectionalSolution(NamedTuple):
     values, truncation, optics_error : float, shape (2, wavelengths, beams, views, azimuths)
         1/sr, reflected and transmitted; errors due to the number of streams, and due to the table
         of the grains.
-    anisotropy_error : float, shape (wavelengths, beams, views, azimuths)
-        Error of the anisotropy factor times the reflectance of scattered light / π (1/sr).
+    anisotropy, anisotropy_error : float, shape (wavelengths, beams, views, azimuths)
+        Anisotropy factor, with the reflectance of the same solution, and its error.
     n_streams : int
     spectrum : SpectrumSolution
         Hemispherical values.
@@ -74,6 +74,7 @@ class BidirectionalSolution(NamedTuple):
     values: np.ndarray
     truncation: np.ndarray
     optics_error: np.ndarray
+    anisotropy: np.ndarray
     anisotropy_error: np.ndarray
     n_streams: int
     spectrum: SpectrumSolution
@@ -126,11 +127,11 @@ def solve_bidirectional(
     truncation = np.maximum(values, floor) * np.moveaxis(by_direction, -1, 1)
     by_total = _compute_relative_errors(snowpack, geometry, spectrum, totals)
     once = _compute_single_scattering_error(snowpack, geometry, n_streams)
-    sensitivity = _compute_sensitivity(snowpack, geometry, n_streams, values[0], unscattered[0])
+    scale, sensitivity = _compute_anisotropy_scale(snowpack, geometry, n_streams, values[0])
     own = np.hypot(truncation[0], once[0])
     return BidirectionalSolution(
-        values, truncation, np.hypot(values * by_total, once),
-        np.hypot(own, sensitivity * values[0] * by_total[0]), n_streams, spectrum, direct,
+        values, truncation, np.hypot(values * by_total, once), scale * values[0],
+        scale * np.hypot(own, sensitivity * values[0] * by_total[0]), n_streams, spectrum, direct,
     )  # fmt: skip
 
 
@@ -154,16 +155,14 @@ def _compute_relative_errors(
     return relative[..., np.newaxis, np.newaxis]
 
 
-def _compute_sensitivity(
-    snowpack: GranularStack,
-    geometry: Geometry,
-    n_streams: int,
-    brdf: np.ndarray,
-    unscattered: np.ndarray,
-) -> np.ndarray:
-    """Return the relative change of the anisotropy factor over that of the reflectance.
+def _compute_anisotropy_scale(
+    snowpack: GranularStack, geometry: Geometry, n_streams: int, brdf: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ratio of the anisotropy factor to the BRDF, and its relative sensitivity.
 
-    Errors of single scattering change both as a little absorption does.
+    The reflectance is that of the same equation and number of streams as the BRDF.  Errors of
+    single scattering change both as a little absorption does: the sensitivity is the relative
+    change of the anisotropy factor over that of the reflectance.
 
     Parameters
     ----------
@@ -171,23 +170,27 @@ def _compute_sensitivity(
     geometry : Geometry
     n_streams : int
     brdf : float, shape (wavelengths, beams, views, azimuths)
-    unscattered : float, shape (wavelengths, beams)
-        Reflectance without scattering.
+
+    Returns
+    -------
+    float, shape (wavelengths, beams, 1, 1), and float, as the BRDF
     """
-    darker = snowpack._replace(layers=[
+    in_air = snowpack._replace(equilibrium=AIR)
+    darker = in_air._replace(layers=[
         layer._replace(
             pore_absorption=layer.pore_absorption + ADDED_ABSORPTION * layer.collisions_per_m
         )
         for layer in snowpack.layers
     ])  # fmt: skip
     reflectance, less = (
-        one.solve(geometry.beams, n_streams).reflectance[..., :-1] - unscattered
-        for one in (snowpack, darker)
+        one.solve(geometry.beams, n_streams).reflectance[..., :-1, np.newaxis, np.newaxis]
+        for one in (in_air, darker)
     )
-    change = (less / np.maximum(reflectance, TINY))[..., np.newaxis, np.newaxis] - 1.0
+    change = less / np.maximum(reflectance, TINY) - 1.0
     brdf_change = _solve(darker, geometry, n_streams)[0] / np.maximum(brdf, TINY) - 1.0
     ratio = np.divide(brdf_change, change, out=np.ones_like(brdf), where=change < 0.0)
-    return np.minimum(np.abs(ratio - 1.0), MAX_SENSITIVITY)
+    scale = np.divide(np.pi, reflectance, out=np.zeros_like(reflectance), where=reflectance > 0.0)
+    return scale, np.minimum(np.abs(ratio - 1.0), MAX_SENSITIVITY)
 
 
 def solve_relative_spectrum(

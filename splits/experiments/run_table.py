@@ -57,7 +57,7 @@ def prepare_table(
     quantities = check_quantities(instrument.quantities, views, has_covariance)
     plan = TablePlan.from_grid(
         experiment.make_medium, drop_view_axes(axes), wavelengths, incidence,
-        with_diffuse=has_diffuse(quantities),
+        has_views=views is not None, with_diffuse=has_diffuse(quantities),
     )  # fmt: skip
     error, rays = instrument.scale_stderr(accuracy.max_stderr), accuracy.max_rays or MAX_RAYS
     run = RunOptions.from_arguments(instrument.get_seed(seed), threads)

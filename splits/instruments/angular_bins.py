@@ -12,6 +12,7 @@ from splits.instruments.angular_estimate import (
     AngularEstimate,
     AngularTally,
     add_interpolation_error,
+    compute_anisotropy,
 )
 from splits.kernels.tallies.angular import AngularSums, tally_angular_bins
 from splits.kernels.tallies.exits import EXIT_LENGTH, N_STOKES_COLUMNS
@@ -92,7 +93,7 @@ class AngularBinTally(AngularTally, ExitTally):
         )
         estimate = AngularEstimate(
             mean, stderr, stderr, hemispherical, np.zeros((2, n_rows), dtype=int),
-            np.zeros_like(mean), stderr[0],
+            np.zeros_like(mean), *compute_anisotropy(mean[0], stderr[0], hemispherical[0, 0]),
         )  # fmt: skip
         return add_interpolation_error(estimate, self.nodes.interpolation_bound)
 

@@ -62,10 +62,6 @@ def make_angular_dataset(
     polar, azimuth = angles
     grid = ("wavelength", "polar", "azimuth")
     shape = (len(wavelengths), len(polar), len(azimuth))
-    scattered = estimate.compute_scattered()[0][:, np.newaxis]
-    anisotropy_scale = np.divide(
-        np.pi, scattered, out=np.zeros_like(scattered), where=scattered > 0.0
-    )
     is_diffuse = attributes["incidence_deg"] == "diffuse"
     distributions: dict[str, tuple[str, str, int, Any]] = {
         **(DIFFUSE_DISTRIBUTIONS if is_diffuse else BEAM_DISTRIBUTIONS),
@@ -75,10 +71,7 @@ def make_angular_dataset(
         mean = (factor * estimate.mean[side]).reshape(shape)
         stderr = (factor * estimate.stderr[side]).reshape(shape)
         variables |= make_variable(name, grid, mean, stderr, long_name, units)
-    mean, stderr = (
-        (anisotropy_scale * one).reshape(shape)
-        for one in (estimate.mean[0], estimate.anisotropy_stderr)
-    )
+    mean, stderr = (one.reshape(shape) for one in (estimate.anisotropy, estimate.anisotropy_stderr))
     variables |= make_variable("anisotropy_factor", grid, mean, stderr, "anisotropy factor")
     for name, (values, error) in stokes.items():
         label = f"Stokes {name[-1].upper()} of the light of the {name[:4].upper()}"

@@ -57,9 +57,9 @@ class AngularEstimate(NamedTuple):
         Largest degree of a polynomial that was kept.
     truncation_error : float, shape (2, wavelengths, directions)
         Part of the standard errors due to detail finer than the polynomials (1/sr).
-    anisotropy_stderr : float, shape (wavelengths, directions)
-        Error of the anisotropy factor times the reflectance of scattered light / π (1/sr), from
-        what BRDF and reflectance have in common where that is known.
+    anisotropy, anisotropy_stderr : float, shape (wavelengths, directions)
+        Anisotropy factor, and its error without what BRDF and reflectance have in common, where
+        that is known.
     """
 
     mean: np.ndarray
@@ -68,6 +68,7 @@ class AngularEstimate(NamedTuple):
     hemispherical: np.ndarray
     degree: np.ndarray
     truncation_error: np.ndarray
+    anisotropy: np.ndarray
     anisotropy_stderr: np.ndarray
 
     def compute_scattered(self) -> np.ndarray:
@@ -117,7 +118,7 @@ class AngularEstimate(NamedTuple):
 
 WAVELENGTH_AXES = {
     "mean": 1, "stderr": 1, "stopping_error": 1, "hemispherical": 2, "degree": 1,
-    "truncation_error": 1, "anisotropy_stderr": 0,
+    "truncation_error": 1, "anisotropy": 0, "anisotropy_stderr": 0,
 }  # fmt: skip
 """Axis of the wavelengths in the arrays of an estimate."""
 
@@ -184,7 +185,11 @@ def estimate_row(
     scattered = total[..., 0].sum(axis=1) / directions.basis.norms[0]
     hemispherical, sparse, unsampled = _compute_hemispherical(scattered, unscattered, n_rays)
     detail = np.sqrt(np.maximum(stderr[0] ** 2 - noise[0] ** 2, 0.0) + (sparse[0] / np.pi) ** 2)
-    relative = _compute_relative_noise(values[:, 0], scattered[:, 0])
+    reflectance = scattered[:, 0] + unscattered[:, 0]
+    common = _compute_relative_noise(values[:, 0], reflectance)
+    anisotropy, anisotropy_stderr = compute_anisotropy(
+        values[:, 0].mean(axis=0), np.hypot(common, detail), reflectance.mean()
+    )
     estimate = AngularEstimate(
         values.mean(axis=0),
         np.hypot(stderr, sparse[:, np.newaxis] / np.pi),
@@ -192,7 +197,8 @@ def estimate_row(
         hemispherical,
         np.where(keep, directions.basis.degrees, 0).max(axis=(0, -1)),
         truncation_error,
-        np.hypot(relative, detail),
+        anisotropy,
+        anisotropy_stderr,
     )
     return estimate, variances
 
@@ -234,8 +240,27 @@ def add_interpolation_error(
         stderr=np.hypot(estimate.stderr, error),
         stopping_error=np.hypot(estimate.stopping_error, error),
         hemispherical=hemispherical,
-        anisotropy_stderr=np.hypot(estimate.anisotropy_stderr, error[0]),
+        anisotropy_stderr=np.hypot(
+            estimate.anisotropy_stderr,
+            INTERPOLATION_FACTOR * interpolation_bound[:, np.newaxis] * estimate.anisotropy,
+        ),
     )
+
+
+def compute_anisotropy(
+    brdf: np.ndarray, stderr: np.ndarray, reflectance: Any
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return anisotropy factors and their errors, 0 without light.
+
+    Parameters
+    ----------
+    brdf, stderr : float, shape (..., directions)
+        BRDF and its error relative to the reflectance (1/sr).
+    reflectance : float, shape (...)
+    """
+    total = np.asarray(reflectance, dtype=float)[..., np.newaxis]
+    scale = np.divide(np.pi, total, out=np.zeros_like(total), where=total > 0.0)
+    return scale * brdf, scale * stderr
 
 
 def _compute_relative_noise(brdf: np.ndarray, reflectance: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from splits.discrete_ordinates.geometry import Geometry
 from splits.discrete_ordinates.granular_stack import REVERSED, GranularStack, SpectrumSolution
 from splits.discrete_ordinates.integrals import TINY
 from splits.discrete_ordinates.stack_brdf import solve_bidirectional, solve_relative_spectrum
-from splits.instruments.angular_estimate import AngularEstimate
+from splits.instruments.angular_estimate import AngularEstimate, compute_anisotropy
 from splits.media.medium import Medium
 from splits.simulation.threads import limit_blas_threads
 
@@ -144,8 +144,9 @@ def _solve_diffuse(snowpack: GranularStack, request: AngularRequest) -> AngularR
     )
     totals = _select_totals(spectrum, -1)
     relative = spectrum.bound_errors(totals)[0] / np.maximum(totals[0], TINY)
-    anisotropy_stderr = np.hypot(stderr[0], mean[0] * relative[:, np.newaxis])
-    estimate = _make_estimate([mean, stderr, anisotropy_stderr], spectrum, -1, 0.0)
+    independent = np.hypot(stderr[0], mean[0] * relative[:, np.newaxis])
+    anisotropy = compute_anisotropy(mean[0], independent, totals[0])
+    estimate = _make_estimate([mean, stderr, *anisotropy], spectrum, -1, 0.0)
     n_streams = max(one.n_streams for one in (spectrum, above, below))
     return _make_result(estimate, request, spectrum, n_streams)
 
@@ -169,7 +170,12 @@ def _solve_beams(
     for beam in range(cosines.size):
         by_direction = [
             values[..., beam, :, :][..., columns.ravel()].reshape(*values.shape[:-3], -1)
-            for values in (solution.values, solution.error, solution.anisotropy_error)
+            for values in (
+                solution.values,
+                solution.error,
+                solution.anisotropy,
+                solution.anisotropy_error,
+            )
         ]
         direct = np.stack([
             solution.direct.reflected[..., beam], solution.direct.transmitted[..., beam]
@@ -194,16 +200,15 @@ def _make_estimate(
 
     Parameters
     ----------
-    by_direction : float, shapes (2, wavelengths, directions) twice, and (wavelengths, directions)
-        Values, reflected and transmitted, their errors, and that of the anisotropy factor as in
-        `AngularEstimate` (1/sr).
+    by_direction : float, shapes (2, wavelengths, directions) and (wavelengths, directions)
+        Values (1/sr), reflected and transmitted, and their errors; anisotropy factors and theirs.
     spectrum : SpectrumSolution
     column : int
         Number of the beam, −1 for diffuse light.
     direct : float, shape (2, wavelengths)
         Reflectance and transmittance without scattering.
     """
-    mean, stderr, anisotropy_stderr = by_direction
+    mean, stderr, anisotropy, anisotropy_stderr = by_direction
     totals = _select_totals(spectrum, column)
     hemispherical = np.zeros((4, *totals.shape))
     hemispherical[0] = totals
@@ -211,7 +216,7 @@ def _make_estimate(
     hemispherical[2] = direct
     return AngularEstimate(
         np.maximum(mean, 0.0), stderr, stderr, hemispherical, np.zeros(totals.shape, dtype=int),
-        np.zeros_like(mean), anisotropy_stderr,
+        np.zeros_like(mean), np.maximum(anisotropy, 0.0), anisotropy_stderr,
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from splits.core.validation import invalid
 from splits.instruments.angular_bins import STOKES_NAMES
-from splits.instruments.angular_estimate import AngularEstimate, AngularTally
+from splits.instruments.angular_estimate import AngularEstimate, AngularTally, compute_anisotropy
 from splits.kernels.base.scene import Scene
 from splits.kernels.transport.history import trace_to_detectors
 from splits.kernels.transport.next_event import Detectors
@@ -142,10 +142,10 @@ class DetectorTally(AngularTally):
         mean, stderr, stopping_error = (
             np.broadcast_to(one[:, np.newaxis, :, 0], shape) for one in detectors
         )
+        totals = np.repeat(hemispherical.reshape(4, 2, 1), self.n_wavelengths, axis=2)
         return AngularEstimate(
-            mean, stderr, stopping_error,
-            np.repeat(hemispherical.reshape(4, 2, 1), self.n_wavelengths, axis=2),
-            np.zeros(shape[:2], dtype=int), np.zeros(shape), stderr[0],
+            mean, stderr, stopping_error, totals, np.zeros(shape[:2], dtype=int), np.zeros(shape),
+            *compute_anisotropy(mean[0], stderr[0], totals[0, 0]),
         )  # fmt: skip
 
     def make_stokes(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:

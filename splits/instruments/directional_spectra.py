@@ -10,7 +10,7 @@ from splits.instruments.angular_estimate import AngularEstimate, ErrorTarget
 from splits.instruments.angular_truncation import make_direction_grid
 from splits.instruments.expansion_tally import MAX_DEGREE, ExpansionTally
 from splits.instruments.goniophotometer import INTERPOLATION_FRACTION, make_direction_mask
-from splits.instruments.spectral_run import SpectralRequest
+from splits.instruments.spectral_run import MAX_ATTEMPTS, SpectralRequest
 from splits.kernels.tallies.angular import make_basis
 from splits.simulation.engine import simulate
 from splits.simulation.scene import build_scene
@@ -65,22 +65,25 @@ def simulate_directions(
     """
     traced = path_sharing if truncation is None else truncation.path_sharing
     rows = SpectralRows.from_media(traced, request.wavelengths)
-    above_truncation = (1.0 - ERROR_BUDGET_FRACTION**2) ** 0.5
+    above_truncation = (1.0 - (MAX_ESCAPE_FACTOR * ERROR_BUDGET_FRACTION) ** 2) ** 0.5
     max_error = request.max_stderr * (1.0 if truncation is None else above_truncation)
-    nodes = choose_nodes(rows.index, rows.interfaces, INTERPOLATION_FRACTION * max_error)
-    target = ErrorTarget(
-        make_direction_grid(polar_deg, azimuth_deg, make_basis(MAX_DEGREE)),
-        request.incidence in (0.0, "diffuse"),
-        0,
-        make_direction_mask(polar_deg, azimuth_deg),
-        absolute=True,
-    )
-    tally = ExpansionTally(nodes, rows.absorption, target, request.incidence != "diffuse")
+    directions = make_direction_grid(polar_deg, azimuth_deg, make_basis(MAX_DEGREE))
+    is_axisymmetric = request.incidence in (0.0, "diffuse")
+    mask = make_direction_mask(polar_deg, azimuth_deg)
+    target = ErrorTarget(directions, is_axisymmetric, 0, mask, absolute=True)
     scene = build_scene(traced.media[0], request.incidence, False)
-    evaluation = simulate(scene, tally, StoppingRule(max_error, request.max_rays), request.run)
-    estimate: AngularEstimate = evaluation.estimate
-    if truncation is not None:
+    for _ in range(MAX_ATTEMPTS):
+        nodes = choose_nodes(rows.index, rows.interfaces, INTERPOLATION_FRACTION * max_error)
+        tally = ExpansionTally(nodes, rows.absorption, target, request.incidence != "diffuse")
+        evaluation = simulate(scene, tally, StoppingRule(max_error, request.max_rays), request.run)
+        estimate: AngularEstimate = evaluation.estimate
+        if truncation is None:
+            break
         estimate = _add_truncation_error(estimate, truncation)
+        reached = estimate.compute_max_error(0, mask, absolute=True)
+        if reached <= request.max_stderr or evaluation.stop_reason != "converged":
+            break
+        max_error *= 0.5
     return DirectionalSimulation(estimate, tally.n_rays, evaluation.stop_reason)
 
 
@@ -96,8 +99,11 @@ def _add_truncation_error(
     by_direction = MAX_ESCAPE_FACTOR / np.pi * error[:, np.newaxis]
     stderr = estimate.stderr.copy()
     stderr[0] = np.hypot(stderr[0], by_direction)
+    # Missing light changes the reflectance of the anisotropy factor, too.
+    relative = (error / np.maximum(hemispherical[0, 0], np.finfo(float).tiny))[:, np.newaxis]
+    change = np.maximum(MAX_ESCAPE_FACTOR, estimate.anisotropy) * np.minimum(relative, 1.0)
     return estimate._replace(
         stderr=stderr,
         hemispherical=hemispherical,
-        anisotropy_stderr=np.hypot(estimate.anisotropy_stderr, by_direction),
+        anisotropy_stderr=np.hypot(estimate.anisotropy_stderr, change),
     )

@@ -142,7 +142,7 @@ def goniophotometer(
     xarray.Dataset
         Over ``wavelength``, ``polar`` and ``azimuth``: ``brdf`` and ``btdf`` (1/sr) of scattered
         light; the ``reflectance_factor`` π·BRDF; the ``anisotropy_factor``, π·BRDF divided by the
-        reflectance of scattered light, 0 without such light.  Its error allows for what both have
+        reflectance, 0 without light.  Its error allows for what both have
         in common, except for bins and next-event estimation, where it is that of the BRDF.
         Over ``wavelength``: ``reflectance`` and ``transmittance`` of all light, and their
         unscattered parts, which leave as collimated beams: ``specular_reflectance`` and

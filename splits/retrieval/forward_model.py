@@ -14,11 +14,14 @@ from splits.retrieval.map_minimization import TableGrid
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.state_vector import SCALE, ParameterRange, StateVector
 from splits.tables.axes import INCIDENCE, ParameterGrid, check_axis_values
+from splits.tables.axis_order import load_selection
 from splits.tables.export import compute_response_weights
 from splits.tables.interpolation import compute_interpolation_weights, transform_axis
-from splits.tables.table import Table, load_selection
+from splits.tables.table import Table
 from splits.tables.views import VIEW_AXES
 
+FIXED_ATTRIBUTES = (INCIDENCE, *VIEW_AXES, "field_of_view_deg", "diffuse_fraction")
+"""Attributes of a table that are conditions of a measurement."""
 ERROR_CORRELATION_NM = 400.0
 """Correlation length (nm) assumed for errors of table nodes."""
 SCALE_RANGE = (0.2, 5.0)
@@ -49,8 +52,8 @@ class MeasurementOperator(NamedTuple):
     Attributes
     ----------
     matrix : float, shape (n, wavelengths)
-    interpolation_error : float, shape (n, wavelengths)
-        Weights that bound the error of interpolation between wavelengths.
+    interpolation_error : float, shape (estimates, n, wavelengths)
+        Weights of estimates of the error of interpolation between wavelengths, whose squares add.
     """
 
     matrix: np.ndarray
@@ -66,7 +69,7 @@ class MeasurementOperator(NamedTuple):
                 compute_response_weights(name, band, wavelengths)
                 for name, band in measurement.bands.items()
             ]
-            return cls(np.stack(rows), np.zeros((len(rows), wavelengths.size)))
+            return cls(np.stack(rows), np.zeros((0, len(rows), wavelengths.size)))
         matrix, interpolation_error = np.zeros((2, measurement.values.size, wavelengths.size))
         for row, error_row, wavelength in zip(
             matrix, interpolation_error, measurement.wavelength_nm, strict=True
@@ -80,7 +83,7 @@ class MeasurementOperator(NamedTuple):
                     interpolation.error_weights,
                     key=lambda error_weights: float((error_weights**2).sum()),
                 )
-        return cls(matrix, interpolation_error)
+        return cls(matrix, interpolation_error[np.newaxis])
 
 
 class TableForwardModel:
@@ -138,7 +141,7 @@ class TableForwardModel:
         """Return the incidence and the values of all axes that are not free."""
         attributes = self.table.dataset.attrs
         nodes = {name: self.table.dataset[name].values for name in self.table.axes[:-1]}
-        return {name: attributes[name] for name in (INCIDENCE,) if name in attributes} | {
+        return {name: attributes[name] for name in FIXED_ATTRIBUTES if name in attributes} | {
             name: self.fixed.get(name, row[0].item())
             for name, row in nodes.items()
             if name not in self.axes
@@ -204,7 +207,7 @@ class TableForwardModel:
         covariance = (
             self.compute_node_covariance(node_stderr, {**fixed, **free_values})
             + axis_error.T @ axis_error
-            + np.diag(wavelength_error**2)
+            + np.diag((wavelength_error**2).sum(axis=0))
         )
         return float(self._compute_scale(state)) ** 2 * covariance
 

@@ -42,7 +42,6 @@ from splits.retrieval.solution import (
 )
 from splits.retrieval.state_vector import StateVector
 from splits.tables.table import Table
-from splits.tables.views import VIEW_AXES
 
 
 @reject_unknown_arguments
@@ -152,7 +151,6 @@ def retrieve(
             raise invalid("max_stderr", max_stderr, "left out", "a table has its own errors")
         if solver != AUTO:
             raise invalid("solver", solver, "left out", "a table has its own spectra")
-        view = {name: value for name, value in (fixed or {}).items() if name in VIEW_AXES}
         settings = describe_model(model, TABLE_SOLVER) | {"quantity": quantity}
         if model.has_views:
             model, fixed = model.fix_view(fixed or {}, "fixed.")
@@ -165,7 +163,7 @@ def retrieve(
         else:
             solution = solve_for_known_noise(forward_model, measurement, seed)
         settings |= describe_parameters(
-            state_vector, view | forward_model.list_fixed_values(), prior, seed
+            state_vector, forward_model.list_fixed_values(), prior, seed
         )
         return make_result(state_vector, measurement, solution, settings)
     if isinstance(model, str | Mapping) or not hasattr(model, "kind"):

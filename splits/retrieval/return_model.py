@@ -180,8 +180,10 @@ def make_return_measurement(
 def make_return_operator(table: xr.Dataset, edges: np.ndarray, pulse: Pulse) -> MeasurementOperator:
     """Return the operator from the bins of a table to those of a measurement after a pulse.
 
-    Light is uniform within the bins of the table.  The effect of bins of twice the width, divided
-    by 3, is the estimate of the error: it is proportional to the square of the width.
+    Light is uniform within the bins of the table.  The effects of both ways to join pairs of bins,
+    divided by 3, give the error, which is proportional to the square of the width.  It is
+    proportional to the width, and not divided, for bins of a measurement that are, with the pulse,
+    narrower than those of the table.
 
     Parameters
     ----------
@@ -206,14 +208,24 @@ def make_return_operator(table: xr.Dataset, edges: np.ndarray, pulse: Pulse) -> 
         hint = "as far as the table goes, minus the length of the pulse"
         raise invalid("measured (delays)", float(found), allowed, hint)
     matrix = _redistribute(own_edges, edges, pulse)
-    coarse_edges = np.union1d(own_edges[::2], own_edges[-1:])
-    pair = np.minimum(np.arange(own_edges.size - 1) // 2, coarse_edges.size - 2)
-    width_fraction = np.diff(own_edges) / np.diff(coarse_edges)[pair]
-    coarse = _redistribute(coarse_edges, edges, pulse)[:, pair] * width_fraction
+    largest = np.interp(edges, own_edges[1:], np.diff(own_edges))
+    resolved = np.diff(edges) + np.ptp(pulse.delay_s) >= np.maximum(largest[:-1], largest[1:])
+    divisor = np.where(resolved, 3.0, 1.0)[:, np.newaxis]
     identity = np.eye(n_wavelengths)
-    return MeasurementOperator(
-        np.kron(identity, matrix), np.kron(identity, (matrix - coarse) / 3.0)
-    )
+    errors = [
+        np.kron(identity, (matrix - _join_pairs(own_edges, edges, pulse, first)) / divisor)
+        for first in (0, 1)
+    ]
+    return MeasurementOperator(np.kron(identity, matrix), np.stack(errors))
+
+
+def _join_pairs(bins: np.ndarray, edges: np.ndarray, pulse: Pulse, first: int) -> np.ndarray:
+    """Return the weights of `_redistribute` if light is uniform in pairs of bins from the first."""
+    coarse = np.unique(np.concatenate([bins[:1], bins[first::2], bins[-1:]]))
+    pair = np.searchsorted(coarse, bins[:-1], side="right") - 1
+    fraction = np.diff(bins) / np.diff(coarse)[pair]
+    weights: np.ndarray = _redistribute(coarse, edges, pulse)[:, pair] * fraction
+    return weights
 
 
 def _redistribute(bins: np.ndarray, edges: np.ndarray, pulse: Pulse) -> np.ndarray:

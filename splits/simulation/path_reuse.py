@@ -52,19 +52,23 @@ class MediaGroup(NamedTuple):
     media_indices: np.ndarray
 
 
-def group_by_shared_paths(media: Sequence[Medium], wavelength_nm: np.ndarray) -> list[MediaGroup]:
+def group_by_shared_paths(
+    media: Sequence[Medium], wavelength_nm: np.ndarray, max_rows: int = MAX_SHARED_ROWS
+) -> list[MediaGroup]:
     """Return media in sets that share paths, each in order of size.
 
     Parameters
     ----------
     media : sequence of Medium
     wavelength_nm : float, shape (wavelengths,)
+    max_rows : int
+        Largest number of rows of one tally.
     """
     by_signature: dict[bytes, list[tuple[float, int]]] = {}
     for position, medium in enumerate(media):
         key, unit = compute_path_signature(medium)
         by_signature.setdefault(key, []).append((unit, position))
-    max_media = max(1, MAX_SHARED_ROWS // wavelength_nm.size)
+    max_media = max(1, max_rows // wavelength_nm.size)
     groups = []
     for members in by_signature.values():
         # Positions of each distinct medium, in order of size.

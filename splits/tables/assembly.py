@@ -16,7 +16,7 @@ from splits.simulation.run_options import make_wavelength_coordinate
 from splits.simulation.stopping_rule import STOP_REASONS
 from splits.tables.axes import INCIDENCE, ParameterGrid
 from splits.tables.block import TableRequest
-from splits.tables.plan import TablePlan
+from splits.tables.plan import DIFFUSE, TablePlan
 from splits.tables.views import DIFFUSE_PREFIX, VIEW_AXES, list_view_axes
 
 
@@ -104,7 +104,10 @@ def assemble_dataset(
     variables = {}
     for name, variable in list_variables(plan, request).items():
         quantity = variable.quantity
-        attrs = {"long_name": LABELS[quantity], "units": "1"}
+        label = LABELS[quantity]
+        if quantity == "reflectance_factor" and plan.path_groups[0].incidence == DIFFUSE:
+            label = LABELS[DIFFUSE_PREFIX + quantity]
+        attrs = {"long_name": label, "units": "1"}
         if name == quantity:
             attrs["ancillary_variables"] = f"{quantity}_stderr"
         else:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
 
+from splits.core.arrays import check_no_gaps
 from splits.core.validation import invalid
+from splits.io.integrity import NETCDF_LOCK
+from splits.tables.views import VIEW_AXES
+
+Part = TypeVar("Part", xr.Dataset, xr.DataArray)
 
 
 def sort_axes(dataset: Any) -> xr.Dataset:
@@ -26,16 +31,24 @@ def sort_axes(dataset: Any) -> xr.Dataset:
         raise invalid("table", type(dataset).__name__, allowed, hint)
     if "path_sharing_axes" not in dataset.attrs:
         raise invalid("table", dataset.attrs.get("title", "a dataset"), allowed)
-    errors = [name for name in dataset.data_vars if f"{name}_stderr" in dataset.data_vars]
-    if not errors:
+    if not any(f"{name}_stderr" in dataset for name in dataset.data_vars):
         raise invalid("table", list(map(str, dataset.data_vars)), "with a quantity and its error")
-    axes = [str(dimension) for dimension in max((dataset[n].dims for n in errors), key=len)]
+    axes = list_axes(dataset)
     if "wavelength" not in axes:
         hint = "select a list: sel(wavelength=[500]), which keeps the axis"
         raise invalid("table", f"over {', '.join(axes) or 'nothing'}", "over wavelength", hint)
     for name in axes:
         dataset = _sort_axis(dataset, name)
     return dataset.transpose(..., *(name for name in axes if name != "wavelength"), "wavelength")
+
+
+def list_axes(dataset: xr.Dataset) -> list[str]:
+    """Return the axes of the quantities of a table, the wavelength last where it is an axis."""
+    axes: list[str] = []
+    for name, variable in dataset.data_vars.items():
+        if f"{name}_stderr" in dataset.data_vars:
+            axes += [str(dim) for dim in variable.dims if dim not in axes]
+    return sorted(axes, key=lambda axis: (axis == "wavelength", axis in VIEW_AXES))
 
 
 def _sort_axis(dataset: xr.Dataset, name: str) -> xr.Dataset:
@@ -61,3 +74,12 @@ def check_complete(dataset: xr.Dataset) -> None:
         if variable.dtype.kind == "f" and not np.isfinite(variable).all():
             hint = "aligning or reindexing leaves gaps: select existing nodes"
             raise invalid(f"table.{name}", np.nan, "a number at every node", hint)
+
+
+def load_selection(selection: Part) -> Part:
+    """Load a part of a table into memory and check it for gaps."""
+    # The HDF5 library is not thread-safe.
+    with NETCDF_LOCK:
+        selection = selection.load()
+    check_no_gaps("table", selection)
+    return selection

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -66,11 +65,6 @@ class BlockCaches(NamedTuple):
     truncations: TruncationCache
     solutions: SolutionCache
     angular: AngularCache
-
-    @classmethod
-    def from_groups(cls, groups: Sequence[PathGroup]) -> BlockCaches:
-        """Return empty caches for the path groups of a table."""
-        return cls(TruncationCache(), SolutionCache(groups), AngularCache(groups))
 
 
 class TruncationCache:

@@ -18,16 +18,9 @@ from splits.tables.views import DIFFUSE_PREFIX, VIEW_AXES, ViewGrid, has_diffuse
 
 
 class AngularCache:
-    """Cache of solutions by discrete ordinates for all incidences of a table; see `get`.
+    """Cache of solutions by discrete ordinates for all incidences of the last media; see `get`."""
 
-    Parameters
-    ----------
-    groups : sequence of PathGroup
-        Groups of the table, of which those with the same media have several incidences.
-    """
-
-    def __init__(self, groups: Sequence[PathGroup]) -> None:
-        self._groups = groups
+    def __init__(self) -> None:
         self._media: Any = None
         self._results: dict[Any, list[AngularResult]] = {}
 
@@ -36,16 +29,15 @@ class AngularCache:
     ) -> list[AngularResult]:
         """Return the result of each medium of a group; all its incidences are solved together."""
         if self._media is not group.path_sharing:
-            same = [one for one in self._groups if one.path_sharing is group.path_sharing]
-            incidences = [one.incidence for one in same]
             mask = make_direction_mask(*views)
             one = AngularRequest(request.wavelengths, 0.0, *views, request.max_stderr, mask, 0)
             by_medium = [
-                solve_angular_results(medium, one, incidences, request.run.threads)
+                solve_angular_results(medium, one, group.incidences, request.run.threads)
                 for medium in group.path_sharing.media
             ]
             self._media = group.path_sharing
-            self._results = dict(zip(incidences, zip(*by_medium, strict=True), strict=True))
+            by_incidence = zip(*by_medium, strict=True)
+            self._results = dict(zip(group.incidences, by_incidence, strict=True))
         return list(self._results[group.incidence])
 
 
@@ -78,8 +70,11 @@ def trace_directions(
 ) -> tuple[AngularEstimate, dict[str, Any]]:
     """Return the estimate of a path group by Monte Carlo, as `solve_directions`."""
     simulation = simulate_directions(group.path_sharing, truncation, request, *views)
+    # With enough rays, only light from below a truncation depth leaves a larger error.
+    converged = simulation.stop_reason == "converged"
+    otherwise = "interpolation_bound" if converged else simulation.stop_reason
     attributes = {"rays": simulation.rays} | _describe_error(
-        simulation.estimate, request.max_stderr, views, simulation.stop_reason
+        simulation.estimate, request.max_stderr, views, otherwise
     )
     return simulation.estimate, attributes
 
@@ -107,14 +102,10 @@ def make_view_variables(
     quantities: Sequence[str],
 ) -> dict[str, Any]:
     """Return the variables of a block with their errors, over ``point``, views and wavelength."""
-    scattered = estimate.compute_scattered()[0]
-    scale = np.divide(np.pi, scattered, out=np.zeros_like(scattered), where=scattered > 0.0)
     values = {
         "reflectance": (estimate.hemispherical[0, 0], estimate.hemispherical[1, 0]),
         "reflectance_factor": (np.pi * estimate.mean[0], np.pi * estimate.stderr[0]),
-        "anisotropy_factor": tuple(
-            scale[:, np.newaxis] * one for one in (estimate.mean[0], estimate.anisotropy_stderr)
-        ),
+        "anisotropy_factor": (estimate.anisotropy, estimate.anisotropy_stderr),
     }
     is_diffuse = group.incidence == DIFFUSE and has_diffuse(quantities)
     prefix = DIFFUSE_PREFIX if is_diffuse else ""

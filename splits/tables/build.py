@@ -26,10 +26,13 @@ from splits.tables.axes import ParameterGrid
 from splits.tables.block import (
     BlockCaches,
     TableRequest,
+    TruncationCache,
     compute_block,
     load_block,
     save_block,
 )
+from splits.tables.block_directions import AngularCache
+from splits.tables.ordinates import SolutionCache
 from splits.tables.plan import PathGroup, TablePlan, choose_table_solver
 from splits.tables.views import ViewGrid, check_quantities, drop_view_axes, has_diffuse
 
@@ -127,6 +130,7 @@ def build_table(
         drop_view_axes(axes),
         spectral_request.wavelengths,
         incidence_deg,
+        has_views=views is not None,
         with_diffuse=has_diffuse(selected),
     )
     chosen = choose_table_solver(
@@ -152,9 +156,12 @@ def compute_block_digest(path_group: PathGroup, request: TableRequest) -> str:
     digest = hashlib.sha256(hash_physics_sources().encode())
     spectral_request = request.spectral_request
     run = spectral_request.run
-    inputs = [path_group.incidence, spectral_request.max_stderr, request.solver]
+    inputs: list[Any] = [path_group.incidence, spectral_request.max_stderr, request.solver]
     if request.solver == MONTE_CARLO:
         inputs += [spectral_request.max_rays, run.seed, run.kernel]
+    else:
+        # All incidences determine the number of streams.
+        inputs.append(path_group.incidences)
     digest.update(repr(inputs).encode())
     digest.update(repr([request.quantities, request.covariance]).encode())
     for angles in request.views or ():
@@ -194,7 +201,7 @@ def iterate_blocks(
     if folder is not None:
         check_writable(folder / "block.nc")
     start_time, n_done = time.perf_counter(), 0
-    caches = BlockCaches.from_groups(path_groups)
+    caches = BlockCaches(TruncationCache(), SolutionCache(), AngularCache())
     for number, path_group in enumerate(path_groups):
         digest = compute_block_digest(path_group, request)
         block = None if folder is None else load_block(folder, path_group.number, digest)

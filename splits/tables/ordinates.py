@@ -18,16 +18,9 @@ from splits.tables.plan import PathGroup
 
 
 class SolutionCache:
-    """Cache of the solutions of media for all incidences of a table; the last media are kept.
+    """Cache of the solutions of media for all incidences of a table; the last media are kept."""
 
-    Parameters
-    ----------
-    groups : sequence of PathGroup
-        Groups of the table, of which those with the same media have several incidences.
-    """
-
-    def __init__(self, groups: Sequence[PathGroup]) -> None:
-        self._groups = groups
+    def __init__(self) -> None:
         self._last: _Solutions | None = None
 
     def get(
@@ -45,11 +38,7 @@ class SolutionCache:
         """
         last = self._last
         if last is None or last.group.path_sharing is not group.path_sharing:
-            angles = [
-                float(one.incidence)
-                for one in self._groups
-                if one.path_sharing is group.path_sharing and one.incidence != "diffuse"
-            ]
+            angles = [float(one) for one in group.incidences if one != "diffuse"]
             cosines = np.cos(np.radians(angles))
             media = group.path_sharing.media
             solutions = _solve_media(media, wavelength_nm, cosines, max_stderr, threads)

@@ -13,11 +13,13 @@ from splits.instruments.solver import DISCRETE_ORDINATES, choose_solver
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
 from splits.simulation.arguments import check_incidence
-from splits.simulation.path_reuse import MediaGroup, group_by_shared_paths
+from splits.simulation.path_reuse import MAX_SHARED_ROWS, MediaGroup, group_by_shared_paths
 from splits.simulation.spectral_rows import PathSharingMedia
 from splits.tables.axes import INCIDENCE, ParameterGrid
 
 DIFFUSE = "diffuse"
+MAX_VIEW_ROWS = 1000
+"""Largest number of rows of one tally of directions, which needs up to 2 GB."""
 
 
 class PathGroup(NamedTuple):
@@ -28,6 +30,8 @@ class PathGroup(NamedTuple):
     number : int
         Number of the ensemble in the table.
     incidence : float or "diffuse"
+    incidences : tuple
+        All incidences of the media in the table.
     path_sharing : PathSharingMedia
         Distinct media of the points.
     positions : int, shape (points,)
@@ -39,6 +43,7 @@ class PathGroup(NamedTuple):
 
     number: int
     incidence: float | str
+    incidences: tuple[float | str, ...]
     path_sharing: PathSharingMedia
     positions: np.ndarray
     media_indices: np.ndarray
@@ -70,6 +75,7 @@ class TablePlan(NamedTuple):
         wavelengths: np.ndarray,
         incidence_deg: float | str = 0.0,
         *,
+        has_views: bool = False,
         with_diffuse: bool = False,
     ) -> TablePlan:
         """Return the plan of a table.
@@ -82,6 +88,8 @@ class TablePlan(NamedTuple):
         wavelengths : float, shape (wavelengths,)
         incidence_deg : float or "diffuse"
             Incidence, unless it is an axis of the grid.
+        has_views : bool
+            Whether the table has directions of observation, which need more memory for each row.
         with_diffuse : bool
             Whether isotropic light is added.
 
@@ -98,13 +106,15 @@ class TablePlan(NamedTuple):
         beams = [check_incidence(angle) for angle in grid.get_values(INCIDENCE, incidence_deg)]
         if with_diffuse and DIFFUSE in beams:
             raise invalid(INCIDENCE, DIFFUSE, "angles with quantities under isotropic light")
-        media_groups = group_by_shared_paths(media, wavelengths)
+        max_rows = MAX_VIEW_ROWS if has_views else MAX_SHARED_ROWS
+        media_groups = group_by_shared_paths(media, wavelengths, max_rows)
+        incidences = (*beams, *([DIFFUSE] if with_diffuse else []))
         positions = np.arange(grid.size).reshape(grid.shape)
         if INCIDENCE in grid.names:
             positions = np.moveaxis(positions, grid.names.index(INCIDENCE), -1)
         positions = positions.reshape(len(media), len(beams))
         path_groups = [
-            PathGroup(0, beam, group.path_sharing, rows, group.media_indices)
+            PathGroup(0, beam, incidences, group.path_sharing, rows, group.media_indices)
             for group in media_groups
             for beam, rows in [
                 *zip(beams, positions[group.positions].T, strict=True),

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from splits.core.arrays import as_1d_array, check_no_gaps
+from splits.core.arrays import as_1d_array
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.paths import expand_path
 from splits.core.validation import invalid, key_prefix
-from splits.io.integrity import NETCDF_LOCK
 from splits.io.netcdf import load, open_lazily, to_netcdf_attributes
 from splits.tables.axes import check_axis_values
-from splits.tables.axis_order import check_complete, sort_axes
+from splits.tables.axis_order import check_complete, list_axes, load_selection, sort_axes
 from splits.tables.bird import write_bird
 from splits.tables.derivatives import (
     DerivativeEstimate,
@@ -42,8 +41,6 @@ from splits.tables.isofit import convert_to_isofit
 from splits.tables.storage import MAX_BYTES_IN_MEMORY
 from splits.tables.view_selection import ViewRequest, select_view
 from splits.tables.views import POLAR, VIEW_AXES, VIEW_QUANTITIES
-
-Part = TypeVar("Part", xr.Dataset, xr.DataArray)
 
 
 class Table:
@@ -88,8 +85,7 @@ class Table:
     @property
     def axes(self) -> list[str]:
         """Axes of the table, the wavelength last."""
-        largest = max((self.dataset[name] for name in self.quantities), key=lambda one: one.ndim)
-        return [str(dim) for dim in largest.dims]
+        return list_axes(self.dataset)
 
     @property
     def has_views(self) -> bool:
@@ -105,7 +101,7 @@ class Table:
     def at_view(
         self,
         polar_deg: float,
-        azimuth_deg: float = 0.0,
+        azimuth_deg: float | None = None,
         *,
         field_of_view_deg: float = 0.0,
         diffuse_fraction: Any = 0.0,
@@ -116,9 +112,9 @@ class Table:
         ----------
         polar_deg : float
             Angle from the normal (degrees), within the table.
-        azimuth_deg : float
+        azimuth_deg : float, optional
             Angle from the direction in which the beam travels (degrees), −360 to 360; 180 is the
-            side of the sun.
+            side of the sun.  It has no effect at the normal, and for a beam at the normal.
         field_of_view_deg : float
             Full angle of a conical field of view, 0 to 60 degrees, which must lie within the
             table.
@@ -156,12 +152,12 @@ class Table:
 
         Names in messages begin with the prefix.  Axes of a single angle may be omitted.
         """
-        at, view = dict(at), {}
-        for name in VIEW_AXES:
-            nodes = self.dataset[name].values
-            if name not in at and nodes.size > 1:
-                raise invalid(f"{prefix}{name}", None, "given", "a direction is never free")
-            view[name] = at.pop(name, nodes[0])
+        at = dict(at)
+        view = {name: at.pop(name, None) for name in VIEW_AXES}
+        nodes = self.dataset[POLAR].values
+        if view[POLAR] is None and nodes.size > 1:
+            raise invalid(f"{prefix}{POLAR}", None, "given", "a direction is never free")
+        view[POLAR] = nodes[0] if view[POLAR] is None else view[POLAR]
         with key_prefix(prefix.rstrip(".")):
             return self.at_view(**view), at
 
@@ -175,7 +171,7 @@ class Table:
             Position on each axis: a number within the axis, or one of its text values.
             ``wavelength`` may be a sequence of numbers; all wavelengths are returned if it is
             omitted.  Axes of a single value may be omitted.  ``sza`` is short for
-            ``incidence_deg``.
+            ``incidence_deg``.  ``polar_deg`` and ``azimuth_deg`` as for `at_view`.
 
         Returns
         -------
@@ -384,15 +380,6 @@ class Table:
 
     def _list_variables(self) -> list[str]:
         return [f"{q}{suffix}" for q in self.quantities for suffix in ("", "_stderr")]
-
-
-def load_selection(selection: Part) -> Part:
-    """Load a part of a table into memory and check it for gaps."""
-    # The HDF5 library is not thread-safe.
-    with NETCDF_LOCK:
-        selection = selection.load()
-    check_no_gaps("table", selection)
-    return selection
 
 
 @reject_unknown_arguments

@@ -15,14 +15,16 @@ import xarray as xr
 from splits.core.arrays import align_to_labels, check_array_range
 from splits.core.uncertainty import make_variable
 from splits.core.validation import check_range, invalid
+from splits.tables.axes import INCIDENCE
+from splits.tables.axis_order import load_selection
 from splits.tables.interpolated_spectra import (
     InterpolatedSpectra,
     compute_axis_weights,
     interpolate_first_axis,
 )
 from splits.tables.views import (
+    AZIMUTH,
     DIFFUSE_PREFIX,
-    DIFFUSE_QUANTITIES,
     POLAR,
     VIEW_AXES,
     VIEW_QUANTITIES,
@@ -33,6 +35,7 @@ from splits.tables.views import (
 N_RINGS, N_RING_DIRECTIONS = 3, 8
 """Numbers of rings of a field of view, and of directions in each."""
 MAX_FIELD_OF_VIEW_DEG = 60.0
+MIXED_QUANTITIES = ("reflectance", *VIEW_QUANTITIES)
 LABELS = {
     "reflectance": "reflectance",
     "reflectance_factor": "reflectance factor",
@@ -73,7 +76,7 @@ class ViewRequest(NamedTuple):
     ) -> ViewRequest:  # fmt: skip
         """Return the request of `splits.Table.at_view`, after checking all values."""
         polar = check_range("polar_deg", polar_deg, 0.0, 90.0, open_high=True)
-        azimuth = check_range("azimuth_deg", azimuth_deg, -360.0, 360.0)
+        azimuth = _choose_azimuth(dataset, polar, azimuth_deg)
         field = check_range("field_of_view_deg", field_of_view_deg, 0.0, MAX_FIELD_OF_VIEW_DEG)
         fraction = np.asarray(diffuse_fraction, dtype=float)
         if np.ndim(diffuse_fraction):
@@ -83,7 +86,7 @@ class ViewRequest(NamedTuple):
                 allowed = f"a number, or {wavelengths.size}, one for each wavelength"
                 raise invalid("diffuse_fraction", f"of shape {fraction.shape}", allowed)
         check_array_range("diffuse_fraction", np.atleast_1d(fraction), 0.0, 1.0)
-        missing = [name for name in DIFFUSE_QUANTITIES if name not in dataset]
+        missing = [name for name in _list_mixed(dataset) if name not in dataset]
         if fraction.any() and missing:
             hint = f"the table lacks {', '.join(missing)}, see quantities of splits.build_table"
             raise invalid("diffuse_fraction", diffuse_fraction, "0 for this table", hint)
@@ -113,6 +116,26 @@ class ViewRequest(NamedTuple):
         ]
 
 
+def _choose_azimuth(dataset: xr.Dataset, polar: float, azimuth_deg: Any) -> float:
+    """Return the azimuth (degrees), the first of the table where it has no effect."""
+    nodes = dataset[AZIMUTH].values if AZIMUTH in dataset.dims else np.zeros(1)
+    given = None if azimuth_deg is None else check_range("azimuth_deg", azimuth_deg, -360.0, 360.0)
+    incidence = np.ravel(dataset[INCIDENCE] if INCIDENCE in dataset else dataset.attrs[INCIDENCE])
+    if polar == 0.0 or AZIMUTH not in dataset.dims or (incidence == 0.0).all():
+        return float(nodes[0])
+    if given is None and nodes.size > 1:
+        raise invalid("azimuth_deg", None, "given", "an axis of the table")
+    return float(nodes[0]) if given is None else given
+
+
+def _list_mixed(dataset: xr.Dataset) -> list[str]:
+    """Return the quantities that a mixture of a beam and isotropic light needs."""
+    names = [name for name in MIXED_QUANTITIES if name in dataset]
+    if "anisotropy_factor" in names:
+        names = [*dict.fromkeys(("reflectance", *names))]
+    return [*names, *(DIFFUSE_PREFIX + name for name in names)]
+
+
 def select_view(dataset: xr.Dataset, request: ViewRequest) -> xr.Dataset:
     """Return a table of spectra for one request, with the interpolation error in its errors.
 
@@ -128,13 +151,14 @@ def select_view(dataset: xr.Dataset, request: ViewRequest) -> xr.Dataset:
         For directions outside the table.
     """
     directions = request.list_directions()
-    names = [n for n in ("reflectance", *VIEW_QUANTITIES) if n in dataset]
+    names = [name for name in MIXED_QUANTITIES if name in dataset]
+    if not names:
+        hint = "quantities under isotropic light alone have no beam"
+        allowed = f"with {' or '.join(MIXED_QUANTITIES)}"
+        raise invalid("table", list(map(str, dataset.data_vars)), allowed, hint)
     direct = {name: _average(dataset, name, directions) for name in names}
     if request.diffuse_fraction.any():
-        diffuse = {
-            name: _average(dataset, DIFFUSE_PREFIX + name, directions)
-            for name in ("reflectance", *VIEW_QUANTITIES)
-        }
+        diffuse = {name: _average(dataset, DIFFUSE_PREFIX + name, directions) for name in names}
         dims = ("wavelength",) * request.diffuse_fraction.ndim
         direct = _mix(direct, diffuse, xr.DataArray(request.diffuse_fraction, dims=dims))
     variables: dict[str, Any] = {}
@@ -163,7 +187,7 @@ def _average(dataset: xr.Dataset, name: str, directions: list[Direction]) -> Est
     axes = list_view_axes(name)
     pair = dataset[name], dataset[f"{name}_stderr"]
     if not axes:
-        return pair
+        return load_selection(pair[0]), load_selection(pair[1])
     other_dims = [dim for dim in pair[0].dims if dim not in axes]
     total: Any = 0.0
     # Errors of neighbouring directions are treated as fully correlated.
@@ -216,8 +240,11 @@ def _mix(
         )
         reflectance = direct["reflectance"], diffuse["reflectance"]
         first, second = (1.0 - fraction) * reflectance[0][0], fraction * reflectance[1][0]
-        share = first / (first + second)
-        relative = sum(error / value for value, error in reflectance)
+        # Without light, there is no share.
+        share = (first / (first + second).where(first + second > 0.0)).fillna(0.0)
+        relative = sum(
+            (error / value.where(value > 0.0)).fillna(0.0) for value, error in reflectance
+        )
         error = share * beam_error + (1.0 - share) * sky_error
         error = error + np.abs(beam - sky) * share * (1.0 - share) * relative
         mixed["anisotropy_factor"] = (share * beam + (1.0 - share) * sky, error)

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from splits.core.arrays import as_1d_array, check_increasing
 from splits.core.validation import invalid
 from splits.instruments.spectral_run import SIDE_QUANTITIES
 from splits.simulation.arguments import check_direction_angles
@@ -54,11 +55,10 @@ class ViewGrid(NamedTuple):
         for name in VIEW_AXES:
             if name not in given:
                 raise invalid(f"{prefix}{name}", None, "given", f"{given[0]} needs it")
-        polar, azimuth = (
-            check_direction_angles(f"{prefix}{name}", grid.get_values(name, 0.0), limit)
-            for name, limit in ((POLAR, 90.0), (AZIMUTH, 360.0))
-        )
-        if azimuth[-1] > 180.0:
+        polar = check_direction_angles(f"{prefix}{POLAR}", grid.get_values(POLAR, 0.0), 90.0)
+        azimuth = as_1d_array(f"{prefix}{AZIMUTH}", grid.get_values(AZIMUTH, 0.0), "numbers")
+        check_increasing(f"{prefix}{AZIMUTH}", azimuth)
+        if azimuth[0] < 0.0 or azimuth[-1] > 180.0:
             hint = "both sides of the plane of incidence are the same"
             raise invalid(f"{prefix}{AZIMUTH}", azimuth.tolist(), "0 to 180", hint)
         return cls(polar, azimuth)

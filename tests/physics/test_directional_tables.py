@@ -112,7 +112,9 @@ def test_isotropic_light_agrees_with_the_integral_over_beams(solved):
 def test_anisotropy_factor_is_the_quotient(solved, traced):
     for table in (solved, traced):
         quotient = table.reflectance_factor / table.reflectance
-        np.testing.assert_allclose(table.anisotropy_factor, quotient, rtol=1e-4)
+        # The reflectance of the quotient may be solved with more streams.
+        difference = np.abs(table.anisotropy_factor / quotient - 1.0)
+        assert (difference <= 1e-4 + table.reflectance_stderr / table.reflectance).all()
         # Its error is not larger than that of independent errors of both.
         independent = quotient * np.hypot(
             table.reflectance_factor_stderr / table.reflectance_factor,
@@ -214,3 +216,45 @@ def test_thin_layers_agree_with_discrete_ordinates_of_others():
         expected[thickness, albedo, zenith, :, :, 0] = values
     z = (table.reflectance_factor - expected) / table.reflectance_factor_stderr
     judge_z(z.values, "PythonicDISORT", independent=4, bound_added=True)
+
+
+@NEEDS_JIT
+@pytest.mark.parametrize("incidence", [20.0, 60.0])
+def test_anisotropy_factors_of_wet_snow_integrate_to_the_scattered_share(incidence):
+    """Their BRDFs assume another balance of wet and dry pores than the reflectance."""
+    nodes, _ = np.polynomial.legendre.leggauss(24)
+    polar = np.degrees(np.arccos(np.sqrt(0.5 * (1.0 - nodes))))
+    result = splits.goniophotometer(
+        make_snow(300.0, liquid_water_content=0.15), [860.0, 1240.0, 1640.0], incidence,
+        solver="discrete_ordinates", relative_stderr=0.01, polar_deg=polar,
+        azimuth_deg=np.arange(0.0, 181.0, 15.0),
+    )  # fmt: skip
+    renamed = result.rename(polar="polar_deg", azimuth="azimuth_deg")
+    integral, stderr = (
+        integrate(renamed[f"anisotropy_factor{suffix}"]).values for suffix in ("", "_stderr")
+    )
+    specular = (result.specular_reflectance / result.reflectance).values
+    relative = (result.reflectance_stderr / result.reflectance).values
+    print(integral - 1.0 + specular, stderr, relative, specular)
+    assert (np.abs(integral - 1.0 + specular) < 2e-3 + stderr + specular * relative).all()
+
+
+@NEEDS_JIT
+def test_skies_over_smooth_surfaces_give_the_quotient_of_factor_and_reflectance():
+    grid = {
+        "optical_thickness": [5.0], "incidence_deg": [20.0, 60.0], "polar_deg": [0.0, 30.0, 60.0],
+        "azimuth_deg": [0.0, 90.0, 180.0],
+    }  # fmt: skip
+
+    def make_layer(optical_thickness: float) -> splits.ParticleLayer:
+        return splits.ParticleLayer(
+            optical_thickness=optical_thickness, single_scattering_albedo=0.7, asymmetry=0.5,
+            refractive_index=1.5, bottom_albedo=0.0,
+        )  # fmt: skip
+
+    table = splits.Table(
+        splits.build_table(make_layer, grid, [550.0], max_stderr=0.02, quantities=ALL)
+    )
+    view = table.at_view(30.0, 90.0, diffuse_fraction=0.3).dataset
+    quotient = view.reflectance_factor / view.reflectance
+    np.testing.assert_allclose(view.anisotropy_factor, quotient, rtol=1e-5)

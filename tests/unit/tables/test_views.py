@@ -99,6 +99,39 @@ def test_axes_of_one_angle_may_be_omitted(table):
     np.testing.assert_allclose(single.interp(**AT).reflectance_factor, expected.reflectance_factor)
 
 
+def test_azimuths_without_effect_may_be_omitted(table):
+    assert table.at_view(0.0).dataset.equals(table.at_view(0.0, 120.0).dataset)
+    single = splits.Table(table.dataset.sel(azimuth_deg=[90.0]))
+    found = single.at_view(30.0).dataset.reflectance_factor
+    np.testing.assert_allclose(found, table.at_view(30.0, 90.0).dataset.reflectance_factor)
+    normal = splits.Table(table.dataset.sel(incidence_deg=[0.0], azimuth_deg=[0.0]))
+    assert normal.at_view(30.0, 90.0).axes == [SIZE, "incidence_deg", "wavelength"]
+    with pytest.raises(InvalidValue, match="azimuth_deg = None: must be given"):
+        table.at_view(30.0)
+
+
+def test_tables_of_some_quantities(table):
+    names = ["reflectance", "diffuse_reflectance", "diffuse_reflectance_factor"]
+    part = table.dataset[[f"{name}{end}" for name in names for end in ("", "_stderr")]]
+    some = splits.Table(part)
+    assert some.axes == [SIZE, "incidence_deg", "polar_deg", "wavelength"]
+    mixed = some.at_view(20.0, diffuse_fraction=0.3)
+    assert mixed.quantities == ["reflectance"]
+    with pytest.raises(InvalidValue, match="under isotropic light alone"):
+        splits.Table(part.drop_vars(["reflectance", "reflectance_stderr"])).at_view(20.0)
+    factors = splits.Table(table.dataset.drop_vars(["reflectance", "reflectance_stderr"]))
+    with pytest.raises(InvalidValue, match="the table lacks reflectance"):
+        factors.at_view(20.0, 90.0, diffuse_fraction=0.3)
+
+
+def test_media_without_light_have_no_anisotropy(table):
+    dark = splits.Table(0.0 * table.dataset.assign_attrs()).dataset.assign_attrs(
+        table.dataset.attrs
+    )
+    found = splits.Table(dark).at_view(30.0, 90.0, diffuse_fraction=0.5).interp(**AT)
+    assert (found.anisotropy_factor == 0.0).all() and (found.reflectance == 0.0).all()
+
+
 AT_VIEW_MISTAKES = {
     "polar_deg = 95.0: must be in [0, 90)": {"polar_deg": 95.0},
     "polar_deg = 80.0: must be from 0 to 75, as far as the table goes": {"polar_deg": 80.0},
@@ -114,7 +147,7 @@ AT_VIEW_MISTAKES = {
 @pytest.mark.parametrize("message", AT_VIEW_MISTAKES)
 def test_invalid_directions_are_rejected(table, message):
     with pytest.raises(InvalidValue) as error:
-        table.at_view(**AT_VIEW_MISTAKES[message])
+        table.at_view(**{"azimuth_deg": 0.0, **AT_VIEW_MISTAKES[message]})
     print(error.value)
     assert message in str(error.value)
 
@@ -122,9 +155,9 @@ def test_invalid_directions_are_rejected(table, message):
 def test_tables_without_the_quantities_are_rejected(table):
     without = splits.Table(table.dataset.drop_vars("diffuse_reflectance"))
     with pytest.raises(InvalidValue, match="the table lacks diffuse_reflectance"):
-        without.at_view(30.0, diffuse_fraction=0.5)
+        without.at_view(30.0, 0.0, diffuse_fraction=0.5)
     with pytest.raises(InvalidValue, match="left out for a table without directions"):
-        table.at_view(30.0).at_view(30.0)
+        table.at_view(30.0, 0.0).at_view(30.0)
     with pytest.raises(InvalidValue, match="azimuth_deg"):
         table.interp(**AT, polar_deg=30.0)
     with pytest.raises(InvalidValue, match=r"fixed\.polar_deg"):

@@ -10,7 +10,12 @@ import numpy as np
 import pandas as pd
 
 from _numbers.formatting import QuotedNumber, QuotedValue, select_cell
-from splits.analysis.anisotropy import ALL_DIRECTIONS, fit_proportional
+from splits.analysis.anisotropy import (
+    ALL_DIRECTIONS,
+    NADIR_RATIO,
+    REFLECTANCE_FACTOR,
+    fit_proportional,
+)
 
 WET_SAND_FILE, LETCHER_FILE = (
     "tables/retrieved_wet_sand_retrieved.csv",
@@ -20,6 +25,15 @@ WET_SAND_BY_VOLUME_FILE = "tables/retrieved_wet_sand_by_volume_retrieved.csv"
 DOZIER_FILE = "tables/retrieved_dozier_retrieved.csv"
 ANISOTROPY_FILE = "tables/wet_sand_anisotropy_by_angle.csv"
 PORE_MODELS = {"narrow": "narrow_pores", "whole": "whole_pores", "film": "film"}
+DIRECTIONAL_NUMBERS = {
+    "directions.{}.narrow": (NADIR_RATIO, "narrow pores", "rmse"),
+    "directions.{}.whole": (NADIR_RATIO, "whole pores", "rmse"),
+    "directions.{}.isotropic": (NADIR_RATIO, "whole pores", "isotropic_rmse"),
+    "level.{}.narrow": (REFLECTANCE_FACTOR, "narrow pores", "rmse"),
+    "level.{}.whole": (REFLECTANCE_FACTOR, "whole pores", "rmse"),
+    "level.{}.narrow_isotropic": (REFLECTANCE_FACTOR, "narrow pores", "isotropic_rmse"),
+    "level.{}.whole_isotropic": (REFLECTANCE_FACTOR, "whole pores", "isotropic_rmse"),
+}
 SAND_LABELS = {"algodones": "Algodones", "nevada": "Nevada"}
 SNOW_LABELS = {
     "natural": "natural grains",
@@ -67,12 +81,14 @@ def _select_misfit_ratio(model: str, sand: str, column: str) -> Selector:
     return select
 
 
-def _select_directional_rms(interpretation: str, saturation: float, column: str) -> Selector:
+def _select_directional_rms(
+    saturation: float, quantity: str, interpretation: str, column: str
+) -> Selector:
     """Return a selector of the root mean square over wavelengths for all directions."""
 
     def select(table: pd.DataFrame) -> QuotedValue:
         rows = table[(table.interpretation == interpretation) & (table.saturation == saturation)]
-        rows = rows[rows.polar_deg.astype(str) == ALL_DIRECTIONS]
+        rows = rows[(rows.quantity == quantity) & (rows.polar_deg.astype(str) == ALL_DIRECTIONS)]
         mean = np.average(rows[column] ** 2, weights=rows.directions)
         return float(np.sqrt(mean)), None, ""
 
@@ -113,12 +129,10 @@ def _list_retrieval_numbers() -> dict[str, QuotedNumber]:
             numbers[f"dozier.{key}.{short}.chi2"] = QuotedNumber(
                 DOZIER_FILE, select_cell("chi2", **where), ".0f"
             )
-    for saturation, key in ((0.0, "dry"), (0.412, "wet"), (0.962, "full")):
-        for interpretation, short in (("narrow pores", "narrow"), ("whole pores", "whole")):
-            rmse = _select_directional_rms(interpretation, saturation, "rmse")
-            numbers[f"directions.{key}.{short}"] = QuotedNumber(ANISOTROPY_FILE, rmse, ".3f")
-        spread = _select_directional_rms("whole pores", saturation, "spread")
-        numbers[f"directions.{key}.spread"] = QuotedNumber(ANISOTROPY_FILE, spread, ".3f")
+    for saturation, sample in ((0.0, "dry"), (0.412, "wet"), (0.962, "full")):
+        for key, arguments in DIRECTIONAL_NUMBERS.items():
+            rmse = _select_directional_rms(saturation, *arguments)
+            numbers[key.format(sample)] = QuotedNumber(ANISOTROPY_FILE, rmse, ".3f")
     return numbers
 
 

@@ -1,4 +1,4 @@
-"""Comparison of modelled and measured anisotropy factors, and proportional fits."""
+"""Comparison of modelled and measured reflectance by direction, and proportional fits."""
 
 from __future__ import annotations
 
@@ -10,31 +10,38 @@ import xarray as xr
 
 from splits.core.validation import invalid
 
-FACTOR_COLUMN = "anisotropy_factor"
-MEASURED_COLUMNS = ("wavelength_nm", "polar_deg", "azimuth_deg", FACTOR_COLUMN)
+REFLECTANCE_FACTOR, NADIR_RATIO = "reflectance_factor", "nadir_ratio"
+"""Quantities that are compared."""
+MEASURED_COLUMNS = ("wavelength_nm", "polar_deg", "azimuth_deg", REFLECTANCE_FACTOR)
 """Columns of a table of measured directions, besides those named like parameters of a grid."""
+VALUE_COLUMNS = ("measured", "modelled", "stderr", "isotropic")
 ALL_DIRECTIONS = "all"
 """Label of the rows over all directions, instead of an angle."""
 
 
-def compare_with_measured(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame:
-    """Return every measured anisotropy factor with the modelled one, for each model.
+def compare_with_measured(
+    dataset: xr.Dataset, measured: pd.DataFrame, scale: float = 1.0
+) -> pd.DataFrame:
+    """Return measured reflectance factors and ratios to the nadir with the modelled ones.
 
-    The anisotropy factor is the ratio of the BRDF in a direction to that at the nadir, so a scale
-    factor cancels.
+    A ratio to the nadir is that of the values in a direction and at the nadir of the same scan, a
+    plane through the nadir.  It does not depend on the scale, and is not defined at the nadir.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        BRDF over ``polar`` and ``azimuth`` (degrees), ``wavelength`` (nm) and a grid.  Axes without
-        a column in the table are models.
+        BRDF over ``polar`` and ``azimuth`` (degrees), ``wavelength`` (nm) and a grid, and
+        reflectance.  Axes without a column in the table are models.
     measured : pandas.DataFrame
         With `MEASURED_COLUMNS` and one column for each other axis, with values of the grid.
+    scale : float
+        Ratio of measured reflectance factors to true ones, by which they are divided.
 
     Returns
     -------
     pandas.DataFrame
-        The table's columns, one for each model's axis, ``modelled`` and ``stderr``.
+        One column for each model's axis, the table's columns, ``quantity`` and `VALUE_COLUMNS`;
+        ``isotropic`` is the value of an isotropic model of the same reflectance.
 
     Raises
     ------
@@ -44,33 +51,63 @@ def compare_with_measured(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.Dat
     if "brdf" not in dataset:
         raise invalid("dataset", dataset.attrs.get("title", "a dataset"), "with a BRDF")
     _check_columns(dataset, measured)
-    brdf, error = dataset.brdf, dataset.brdf_stderr
     parameters = [c for c in measured.columns if c not in MEASURED_COLUMNS]
-    models = [str(d) for d in brdf.dims if d not in ("wavelength", "polar", "azimuth", *parameters)]
+    fixed_dims = ("wavelength", "polar", "azimuth", *parameters)
+    models = [str(d) for d in dataset.brdf.dims if d not in fixed_dims]
     _check_directions(dataset, measured)
-    # The azimuth 360° is added for interpolation.
-    periodic = [xr.concat([v, v.isel(azimuth=[0]).assign_coords(azimuth=[360.0])], "azimuth")
-              for v in (brdf, error)]  # fmt: skip
-    angles = {
-        name: xr.DataArray(measured[column].to_numpy(dtype=float), dims="row")
-        for name, column in (("polar", "polar_deg"), ("azimuth", "azimuth_deg"))
-    }
+    factor, nadir, isotropic = _select_directions(dataset, measured, parameters)
+    ratio = factor.modelled / nadir.modelled
+    relative = np.hypot(factor.stderr / factor.modelled, nadir.stderr / nadir.modelled)
+    ratios = xr.Dataset({"modelled": ratio, "stderr": ratio * relative})
+    measured_ratio = _compute_nadir_ratio(measured, parameters)
+    parts = []
+    for quantity, modelled, level, values in (
+        (REFLECTANCE_FACTOR, factor, isotropic, measured[REFLECTANCE_FACTOR] / scale),
+        (NADIR_RATIO, ratios, xr.ones_like(isotropic), measured_ratio),
+    ):
+        frame = modelled.assign(isotropic=level).reset_coords(drop=True).to_dataframe()
+        frame = frame.reset_index().sort_values([*models, "row"], ignore_index=True)
+        index = frame["row"].to_numpy()
+        rows = measured.drop(columns=REFLECTANCE_FACTOR).iloc[index].reset_index(drop=True)
+        rows = rows.assign(quantity=quantity, measured=values.to_numpy()[index])
+        parts.append(pd.concat([frame[models], rows, frame[list(VALUE_COLUMNS[1:])]], axis=1))
+    return pd.concat(parts, ignore_index=True).dropna(subset="measured", ignore_index=True)
+
+
+def _select_directions(
+    dataset: xr.Dataset, measured: pd.DataFrame, parameters: list[str]
+) -> tuple[xr.Dataset, xr.Dataset, xr.DataArray]:
+    """Return reflectance factors in all directions and at the nadir, and the reflectance."""
     fixed = {
         name: xr.DataArray(_match_labels(dataset[name].values, measured[name]), dims="row")
         for name in parameters
     } | {"wavelength": xr.DataArray(measured.wavelength_nm.to_numpy(dtype=float), dims="row")}
-    viewed = [variable.sel(fixed).interp(angles) for variable in periodic]
-    nadir = [variable.sel(fixed).isel(polar=0).mean("azimuth") for variable in periodic]
-    factor = viewed[0] / nadir[0]
-    stderr = factor * np.hypot(viewed[1] / viewed[0], nadir[1] / nadir[0])
-    modelled = factor.to_dataset(name="modelled").assign(stderr=stderr).reset_coords(drop=True)
-    frame = modelled.to_dataframe().reset_index().sort_values([*models, "row"], ignore_index=True)
-    rows = measured.iloc[frame["row"].to_numpy()].reset_index(drop=True)
-    return pd.concat([frame[models], rows, frame[["modelled", "stderr"]]], axis=1)
+    factor = np.pi * dataset[["brdf", "brdf_stderr"]]
+    factor = factor.rename(brdf="modelled", brdf_stderr="stderr").sel(fixed)
+    # The azimuth 360° is added for interpolation.
+    last = factor.isel(azimuth=[0]).assign_coords(azimuth=[360.0])
+    angles = {
+        name: xr.DataArray(measured[f"{name}_deg"].to_numpy(dtype=float), dims="row")
+        for name in ("polar", "azimuth")
+    }
+    directions = xr.concat([factor, last], "azimuth").interp(angles)
+    nadir = factor.isel(polar=0).mean("azimuth")
+    return directions, nadir, dataset.reflectance.sel(fixed)
+
+
+def _compute_nadir_ratio(measured: pd.DataFrame, parameters: list[str]) -> pd.Series:
+    """Return the ratio to the mean of the nadir in the same scan, NaN at the nadir."""
+    factor, is_nadir = measured[REFLECTANCE_FACTOR], measured.polar_deg == 0.0
+    scan = measured.azimuth_deg.astype(float) % 180.0
+    keys = [measured[name] for name in (*parameters, "wavelength_nm")]
+    nadir = factor.where(is_nadir).groupby([*keys, scan]).transform("mean")
+    if nadir.isna().any():
+        raise invalid("directions.polar_deg", "a scan", "with the nadir, polar_deg 0")
+    return (factor / nadir).where(~is_nadir)
 
 
 def summarize_by_angle(table: pd.DataFrame) -> pd.DataFrame:
-    """Return root-mean-square differences of anisotropy factors by viewing angle.
+    """Return root-mean-square differences by viewing angle.
 
     Parameters
     ----------
@@ -80,11 +117,11 @@ def summarize_by_angle(table: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        A row for each model, point of the grid, wavelength and polar angle, and for
+        A row for each model, point of the grid, wavelength, quantity and polar angle, and for
         `ALL_DIRECTIONS`, with ``rmse``, the mean difference ``bias``, ``directions``, and
-        ``spread``, the root mean square of the measured factor minus 1.
+        ``isotropic_rmse``, the root-mean-square difference of an isotropic model.
     """
-    keys = [c for c in table if c not in ("azimuth_deg", FACTOR_COLUMN, "modelled", "stderr")]
+    keys = [c for c in table if c not in ("azimuth_deg", *VALUE_COLUMNS)]
     all_directions = table.assign(polar_deg=ALL_DIRECTIONS)
     rows = []
     for values, part in [
@@ -92,13 +129,13 @@ def summarize_by_angle(table: pd.DataFrame) -> pd.DataFrame:
         for rows_of in (table, all_directions)
         for pair in rows_of.groupby(keys, sort=False, dropna=False)
     ]:
-        difference = (part.modelled - part[FACTOR_COLUMN]).to_numpy()
+        difference = (part.modelled - part.measured).to_numpy()
         rows.append(
             dict(zip(keys, values, strict=True))
             | {
                 "rmse": float(np.sqrt((difference**2).mean())),
                 "bias": float(difference.mean()),
-                "spread": float(np.sqrt(((part[FACTOR_COLUMN] - 1.0) ** 2).mean())),
+                "isotropic_rmse": float(np.sqrt(((part.isotropic - part.measured) ** 2).mean())),
                 "model_stderr": float(np.sqrt((part.stderr**2).mean())),
                 "directions": len(part),
             }

@@ -1,4 +1,4 @@
-"""Figure of modelled and measured anisotropy factors."""
+"""Figure of modelled and measured ratios to the nadir."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from splits.analysis.anisotropy import ALL_DIRECTIONS, FACTOR_COLUMN
+from splits.analysis.anisotropy import ALL_DIRECTIONS, NADIR_RATIO
 from splits.analysis.directions import select_principal_plane
 from splits.plotting.annotations import annotate_figure
 from splits.plotting.style import (
@@ -47,6 +47,7 @@ def draw_anisotropy(
         Wavelength of the principal plane.
     """
     axis, sample = MODEL_AXIS, SAMPLE_AXIS
+    table, misfits = (one[one.quantity == NADIR_RATIO] for one in (table, misfits))
     samples, models = list(dict.fromkeys(table[sample])), list(map(str, dataset[axis].values))
     colours = dict(zip(models, pick_colours(len(models), "medium"), strict=True))
     with use_style():
@@ -72,8 +73,8 @@ def draw_anisotropy(
             )
             top.set_title(f"{format_parameter(sample)} {value:g}, {wavelength_nm:g} nm")
             _draw_all_directions(bottom, rows, misfits[misfits[sample] == value], axis, colours)
-        panels[0, 0].set_ylabel("anisotropy factor")
-        panels[1, 0].set_ylabel("anisotropy factor, modelled")
+        panels[0, 0].set_ylabel("ratio to the nadir")
+        panels[1, 0].set_ylabel("ratio to the nadir, modelled")
         note = (
             "Above: principal plane, forward to the right; bands are two standard errors of the "
             "model. Below: every direction and wavelength; markers show the viewing angle."
@@ -97,7 +98,7 @@ def _draw_plane(
     first = rows[rows[model_axis] == next(iter(colour_of))]
     inside = first[first.azimuth_deg.isin([0.0, 180.0])]
     x = np.where(inside.azimuth_deg == 0.0, 1.0, -1.0) * inside.polar_deg
-    axes.plot(x, inside[FACTOR_COLUMN], "o", color="black", ms=4, label="measured", zorder=3)
+    axes.plot(x, inside.measured, "o", color="black", ms=4, label="measured", zorder=3)
     axes.set_xlabel("viewing angle, forward positive (°)")
     axes.legend(frameon=False, fontsize=SMALL_FONT_PT)
     axes.spines[["top", "right"]].set_visible(False)
@@ -122,13 +123,13 @@ def _draw_all_directions(
                 if marker == ANGLE_MARKERS[0]
                 else None
             )
-            axes.plot(part[FACTOR_COLUMN], part.modelled, marker, color=colour, ms=2.2, alpha=0.6,
+            axes.plot(part.measured, part.modelled, marker, color=colour, ms=2.2, alpha=0.6,
                       label=label)  # fmt: skip
-    low, high = min(rows[FACTOR_COLUMN].min(), rows.modelled.min()), max(rows[FACTOR_COLUMN].max(),
+    low, high = min(rows.measured.min(), rows.modelled.min()), max(rows.measured.max(),
                                                                 rows.modelled.max())  # fmt: skip
     axes.plot([low, high], [low, high], color="black", lw=0.6)
     for marker, angle in zip(ANGLE_MARKERS, angles, strict=False):
         axes.plot([], [], marker, color="0.4", ms=2.5, label=f"seen from {angle:g}°")
-    axes.set_xlabel("anisotropy factor, measured")
+    axes.set_xlabel("ratio to the nadir, measured")
     axes.legend(frameon=False, fontsize=SMALL_FONT_PT, loc="upper left")
     axes.spines[["top", "right"]].set_visible(False)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
+from pydantic import Field
+
 from splits.analysis.anisotropy import MEASURED_COLUMNS
 from splits.experiments.studies.study import Files, Inputs, Study, StudyProduct, StudyRun
 from splits.experiments.studies.study_files import MEASURED_SPECTRA, MEASURED_VALUES
@@ -80,20 +82,21 @@ class SurfaceAreaStudy(Study):
 
 
 class AnisotropyStudy(Study):
-    """Modelled and measured ratios to the nadir of wet sand, by angle."""
+    """Modelled and measured reflectance of wet sand by direction."""
 
     PRODUCTS: ClassVar = {
         "table": StudyProduct(
             "{study}",
-            "Ratio to the nadir of wet sand by direction",
-            "Measured and modelled ratio to the nadir in each direction.",
+            "Reflectance of wet sand by direction",
+            "Measured and modelled reflectance factor and ratio to the nadir in each direction.",
         ),
         "misfits": StudyProduct(
             "{study}_by_angle",
             "Anisotropy of wet sand by angle",
-            "Root-mean-square differences for every water content, wavelength and viewing angle. "
-            "The spread is the difference between the measurement and an isotropic model, whose "
-            "ratio is 1.",
+            "Root-mean-square differences of reflectance factors and of ratios to the nadir, for "
+            "every water content, wavelength and viewing angle, also those of an isotropic model "
+            "of the same reflectance. Measured reflectance factors are divided by the factor of "
+            "the reference panel.",
         ),
         "figure": StudyProduct.make_figure(
             "{study}",
@@ -112,6 +115,9 @@ class AnisotropyStudy(Study):
     kind: Literal["anisotropy"]
     inputs: Inputs
     files: Files
+    scale: float = Field(
+        1.0, gt=0.0, le=10.0, description="ratio of measured reflectance factors to true ones"
+    )
 
     def make(self, run: StudyRun) -> None:
         """Make the tables and the figure."""
@@ -119,7 +125,7 @@ class AnisotropyStudy(Study):
         from splits.plotting.anisotropy import draw_anisotropy
 
         dataset = run.load(self.inputs["directions"])
-        table = compare_with_measured(dataset, run.read("directions"))
+        table = compare_with_measured(dataset, run.read("directions"), self.scale)
         misfits = summarize_by_angle(table)
         run.write_table("table", table)
         run.write_table("misfits", misfits)

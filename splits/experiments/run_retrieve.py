@@ -187,6 +187,7 @@ def combine_samples(retrievals: list[SampleRetrieval], experiment: str) -> xr.Da
     attributes = {
         "title": f"Retrievals of {experiment}",
         "experiment": experiment,
+        "quantity": final[0].result.dataset.attrs.get("quantity", "reflectance"),
         **make_provenance(f"retrievals of {experiment}"),
     }
     return joined.assign_attrs(to_netcdf_attributes(attributes))

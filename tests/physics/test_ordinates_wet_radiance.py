@@ -9,13 +9,13 @@ from test_ordinates_wet import WATER, N, Stack, make_optics
 from splits.discrete_ordinates.direct_light import trace_direct_light
 from splits.discrete_ordinates.geometry import Geometry, PlaneLayers
 from splits.discrete_ordinates.layer_optics import LayerOptics
-from splits.discrete_ordinates.pores import compute_reflectance
-from splits.discrete_ordinates.radiance import compute_bidirectional
-from splits.discrete_ordinates.stack_brdf import (
+from splits.discrete_ordinates.phase_series import (
     N_PEAK_ORDERS,
     estimate_phase_error,
     extend_forward_peak,
 )
+from splits.discrete_ordinates.pores import compute_reflectance
+from splits.discrete_ordinates.radiance import compute_bidirectional
 from splits.discrete_ordinates.streams import Streams
 
 COSINES = np.cos(np.radians([0.0, 60.0, 85.0]))

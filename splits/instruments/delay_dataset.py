@@ -215,6 +215,9 @@ def _make_coordinates(
         "material": ("material", list(materials), {"long_name": "material"}),
     }  # fmt: skip
     if depths_m.size:
-        attributes = {"long_name": "upper end of the interval of the largest depth", "units": "m"}
+        attributes = {
+            "long_name": "smallest depth of the interval of the largest depth reached",
+            "units": "m",
+        }
         coordinates["depth_interval"] = ("depth_interval", [0.0, *depths_m], attributes)
     return coordinates

@@ -18,7 +18,7 @@ from splits.tables.axis_order import load_selection
 from splits.tables.export import compute_response_weights
 from splits.tables.interpolation import compute_interpolation_weights, transform_axis
 from splits.tables.table import Table
-from splits.tables.views import VIEW_AXES
+from splits.tables.views import DIFFUSE_PREFIX, VIEW_AXES
 
 FIXED_ATTRIBUTES = (INCIDENCE, *VIEW_AXES, "field_of_view_deg", "diffuse_fraction")
 """Attributes of a table that are conditions of a measurement."""
@@ -257,6 +257,14 @@ class TableForwardModel:
         return self.state_vector.to_coordinates(physical[inside]), (
             self.node_values[inside].T * scale
         ).T
+
+
+def choose_quantity(table: Table, quantity: str | None) -> str:
+    """Return the measured quantity; it must be given for a table of several in a direction."""
+    if quantity is not None or not table.has_direction:
+        return quantity or "reflectance"
+    names = [name for name in table.quantities if not name.startswith(DIFFUSE_PREFIX)]
+    raise invalid("quantity", None, f"given: {' or '.join(names)}", "the table has directions")
 
 
 def get_table_ranges(table: Table) -> dict[str, ParameterRange]:

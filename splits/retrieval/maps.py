@@ -16,7 +16,7 @@ from splits.core.parameter_names import describe_parameter
 from splits.core.uncertainty import make_variable
 from splits.core.validation import check_choice, invalid, join_names
 from splits.io.netcdf import ANCILLARY_ATTRIBUTE, make_provenance, to_netcdf_attributes
-from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
+from splits.retrieval.forward_model import TableForwardModel, choose_quantity, get_table_ranges
 from splits.retrieval.map_minimization import project_spectra, retrieve_spectra
 from splits.retrieval.measurement import MAX_REFLECTANCE, Measurement
 from splits.retrieval.state_vector import SCALE, StateVector
@@ -91,7 +91,7 @@ def retrieve_map(
     *,
     fixed: Mapping[str, Any] | None = None,
     prior: Mapping[str, Any] | None = None,
-    quantity: str = "reflectance",
+    quantity: str | None = None,
     threads: int | None = None,
 ) -> xr.Dataset:
     """Retrieve parameters in every pixel of an image.
@@ -113,7 +113,7 @@ def retrieve_map(
         Noise of every pixel, as for `splits.retrieve`.
     fixed, prior : mapping
         As for `splits.retrieve`.
-    quantity : str
+    quantity : str, optional
         As for `splits.retrieve`.
     threads : int, optional
         By default, all CPUs available to the process.
@@ -134,6 +134,7 @@ def retrieve_map(
     image = _check_image(image)
     # Unsupported types are rejected before work begins.
     as_float_array("image", np.empty(0, image.dtype))
+    quantity = choose_quantity(table, quantity)
     check_choice("quantity", quantity, table.quantities)
     if table.has_views:
         table, fixed = table.fix_view(fixed or {}, "fixed.")

@@ -12,7 +12,11 @@ from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, check_integer, invalid
 from splits.instruments.solver import AUTO
 from splits.media.parameters import INCIDENCE_KEY
-from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
+from splits.retrieval.forward_model import (
+    TableForwardModel,
+    choose_quantity,
+    get_table_ranges,
+)
 from splits.retrieval.interpolated_model import MAX_DEVIATION, refine_posterior
 from splits.retrieval.least_squares import retrieve_without_noise
 from splits.retrieval.linearization import LinearizedModel, estimate_nonlinearity
@@ -54,7 +58,7 @@ def retrieve(
     fixed: Mapping[str, Any] | None = None,
     prior: Mapping[str, Any] | None = None,
     bands: Any = None,
-    quantity: str = "reflectance",
+    quantity: str | None = None,
     solver: str = AUTO,
     seed: int = 1,
     max_stderr: float | None = None,
@@ -96,8 +100,9 @@ def retrieve(
         uniform in this coordinate over the range.
     bands : mapping or str
         Bands of the sensor, as for `splits.albedo`.
-    quantity : str
-        Quantity of the table, such as "reflectance_factor".
+    quantity : str, optional
+        Quantity of the table, by default "reflectance"; required for a table with directions or
+        for one direction, such as "reflectance_factor".
     solver : {"auto", "discrete_ordinates", "monte_carlo"}
         Solver for a medium, as for `splits.spectrophotometer`.  "auto" uses discrete ordinates for
         natural snow if they apply within all ranges.
@@ -151,6 +156,7 @@ def retrieve(
             raise invalid("max_stderr", max_stderr, "left out", "a table has its own errors")
         if solver != AUTO:
             raise invalid("solver", solver, "left out", "a table has its own spectra")
+        quantity = choose_quantity(model, quantity)
         settings = describe_model(model, TABLE_SOLVER) | {"quantity": quantity}
         if model.has_views:
             model, fixed = model.fix_view(fixed or {}, "fixed.")
@@ -170,7 +176,7 @@ def retrieve(
         type_name = type(model).__name__
         hint = "splits.Table(splits.build_table(…)), open_table, or a snow, sand, layer or stack"
         raise invalid("model", type_name, "a Table, or a medium", hint)
-    check_choice("quantity", quantity, ["reflectance"])
+    check_choice("quantity", quantity or "reflectance", ["reflectance"])
     measurement = Measurement.from_input(measured, noise, bands)
     incidence = check_measurement_incidence(fixed, free)
     state_vector = make_medium_state_vector(model, free, prior, incidence)

@@ -156,7 +156,9 @@ class Table:
         view = {name: at.pop(name, None) for name in VIEW_AXES}
         nodes = self.dataset[POLAR].values
         if view[POLAR] is None and nodes.size > 1:
-            raise invalid(f"{prefix}{POLAR}", None, "given", "a direction is never free")
+            raise invalid(
+                f"{prefix}{POLAR}", None, "given", "an axis of the table that is not retrieved"
+            )
         view[POLAR] = nodes[0] if view[POLAR] is None else view[POLAR]
         with key_prefix(prefix.rstrip(".")):
             return self.at_view(**view), at

@@ -37,6 +37,9 @@ def check_retrieve_section(experiment: SimulationConfig, section: RetrieveSectio
     if section.quantity not in quantities:
         raise invalid("instrument.quantities", quantities, f"with {section.quantity}")
     views = instrument.get_views()
+    if views and "quantity" not in section.model_fields_set:
+        allowed = "given: reflectance or reflectance_factor"
+        raise invalid("retrieve.quantity", None, allowed, "the table has directions")
     rows = dict(zip(*experiment.make_axes(), strict=True))
     _check_models(section, rows)
     parameters = [*grid, SCALE]

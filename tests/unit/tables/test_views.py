@@ -160,10 +160,13 @@ def test_tables_without_the_quantities_are_rejected(table):
         table.at_view(30.0, 0.0).at_view(30.0)
     with pytest.raises(InvalidValue, match="azimuth_deg"):
         table.interp(**AT, polar_deg=30.0)
+    arguments = (WAVELENGTH, [0.5, 0.4]), table
     with pytest.raises(InvalidValue, match=r"fixed\.polar_deg"):
-        splits.retrieve((WAVELENGTH, [0.5, 0.4]), table, [SIZE], 0.01, fixed=AT)
-    with pytest.raises(InvalidValue, match="never free"):
-        splits.retrieve((WAVELENGTH, [0.5, 0.4]), table, [SIZE, "polar_deg"], 0.01)
+        splits.retrieve(*arguments, [SIZE], 0.01, fixed=AT, quantity="reflectance_factor")
+    with pytest.raises(InvalidValue, match="not retrieved"):
+        splits.retrieve(*arguments, [SIZE, "polar_deg"], 0.01, quantity="reflectance_factor")
+    with pytest.raises(InvalidValue, match="quantity = None: must be given: reflectance or"):
+        splits.retrieve(*arguments, [SIZE], 0.01, fixed=AT | {"polar_deg": 0.0})
 
 
 BUILD_MISTAKES = {

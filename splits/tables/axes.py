@@ -75,6 +75,12 @@ class ParameterGrid(NamedTuple):
         """Return the values of an axis, or the default if there is no such axis."""
         return self.values[self.names.index(name)] if name in self.names else (default,)
 
+    def check_single_incidence(self, incidence_deg: Any) -> None:
+        """Reject an incidence other than the default where it is an axis of the grid."""
+        if INCIDENCE in self.names and incidence_deg != 0.0:
+            allowed = f"left out, because grid.{INCIDENCE} sets it"
+            raise invalid(INCIDENCE, incidence_deg, allowed)
+
     def iterate_points(self) -> Iterator[dict[str, Any]]:
         """Yield the parameters of every point; the last axis varies fastest."""
         for values in itertools.product(*self.values):

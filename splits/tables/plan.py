@@ -98,9 +98,7 @@ class TablePlan(NamedTuple):
         ValueError
             For an invalid point; the message names it.
         """
-        if INCIDENCE in grid.names and incidence_deg != 0.0:
-            allowed = f"left out, because grid.{INCIDENCE} sets it"
-            raise invalid(INCIDENCE, incidence_deg, allowed)
+        grid.check_single_incidence(incidence_deg)
         media_axes = grid.drop(INCIDENCE)
         media = [make_point_medium(make_medium, point) for point in media_axes.iterate_points()]
         beams = [check_incidence(angle) for angle in grid.get_values(INCIDENCE, incidence_deg)]

@@ -11,7 +11,7 @@ import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
-from splits.core.validation import check_integer, invalid
+from splits.core.validation import check_integer
 from splits.instruments.delay_dataset import FLAG_NAME
 from splits.instruments.delay_record import (
     Pulse,
@@ -104,15 +104,14 @@ def build_return_table(
     wavelengths = check_wavelengths(wavelength_nm)
     rays = check_integer("rays", rays, 1)
     run = RunOptions.from_arguments(seed, threads, kernel)
-    edges, end = check_record(delay_s, None, Pulse.from_argument(None))
-    if INCIDENCE in axes.names and incidence_deg != 0.0:
-        allowed = f"left out, because grid.{INCIDENCE} sets it"
-        raise invalid(INCIDENCE, incidence_deg, allowed)
+    pulse = Pulse.from_argument(None)
+    edges, end = check_record(delay_s, None, pulse)
+    axes.check_single_incidence(incidence_deg)
     points = []
     for parameters in axes.iterate_points():
         incidence = check_incidence(parameters.get(INCIDENCE, incidence_deg))
         receiver = make_receiver(incidence, acceptance_deg, footprint_radius_m)
-        request = DelayRequest(incidence, rays, receiver, edges, end, Pulse.from_argument(None))
+        request = DelayRequest(incidence, rays, receiver, edges, end, pulse)
         keywords = {name: value for name, value in parameters.items() if name != INCIDENCE}
         points.append((make_point_medium(make, keywords, check_granular_layers), request))
     spectra = []

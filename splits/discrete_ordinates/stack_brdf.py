@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.core.error_target import MIN_REFERENCE_FRACTION, ErrorTarget
 from splits.discrete_ordinates.adding import Budget
 from splits.discrete_ordinates.direct_light import DirectLight, scatter_once, trace_direct_light
 from splits.discrete_ordinates.geometry import Geometry, PlaneLayers
@@ -42,8 +43,6 @@ MODE_TOLERANCE = 1e-9
 """Fraction of the BRDF and of the BTDF below which azimuthal modes are left out."""
 PEAK_ERROR = 0.5
 """Error of the extrapolated forward peak, relative to it."""
-MIN_REFERENCE_FRACTION = 0.05
-"""Fraction of a Lambertian distribution below which truncation is relative to that fraction."""
 MAX_CHUNK_VALUES = 1_000_000
 """Largest number of layers, wavelengths and directions at once."""
 ADDED_ABSORPTION = 1e-5
@@ -90,41 +89,28 @@ class BidirectionalSolution(NamedTuple):
 def solve_bidirectional(
     snowpack: GranularStack,
     geometry: Geometry,
-    relative_error: float,
-    limited: np.ndarray,
-    side: int,
+    max_error: float,
+    target: ErrorTarget,
 ) -> BidirectionalSolution:
-    """Return the BRDF and the BTDF of a snowpack by as many streams as a relative error requires.
+    """Return the BRDF and the BTDF of a snowpack by as many streams as an error requires.
 
     Parameters
     ----------
     snowpack : GranularStack
     geometry : Geometry
-    relative_error : float
+    max_error : float
         The number of streams is the first whose truncation error is at most half of this.
-    limited : bool, shape (views,)
-        Views to which the error applies.
-    side : int
-        Side to which the error applies, 0 reflected or 1 transmitted.
+    target : ErrorTarget
+        What the error applies to; directions are the views, with the azimuth fastest.
     """
-    spectrum = solve_relative_spectrum(snowpack, geometry.beams, relative_error, side)
+    spectrum = solve_relative_spectrum(snowpack, geometry.beams, max_error, target.side)
     direct = trace_direct_light(_stack_layers(snowpack, 1), geometry.beams)[0]
     totals = _stack_sides(spectrum.budget)
     unscattered = np.stack([direct.reflected, direct.transmitted])
-    scattered = np.maximum(totals - unscattered, 0.0)[..., np.newaxis, np.newaxis]
-    n_wavelengths = snowpack.ground.size
-    trial = choose_trial_wavelengths(n_wavelengths)
-    few = snowpack.select(trial)
-    floor = MIN_REFERENCE_FRACTION / np.pi * scattered
-    for n_streams in (number for number in STREAM_NUMBERS if number <= MAX_BRDF_STREAMS):
-        coarse, fine = (_solve(few, geometry, number) for number in (n_streams, 2 * n_streams))
-        reference = np.maximum(fine, floor[:, trial])
-        relative = np.abs(coarse - fine) / np.where(reference > 0.0, reference, 1.0)
-        if relative[side][..., limited, :].max(initial=0.0) <= 0.5 * relative_error:
-            break
+    scattered = np.maximum(totals - unscattered, 0.0)
+    n_streams, relative = _choose_streams(snowpack, geometry, max_error, target, scattered)
     values = _solve(snowpack, geometry, n_streams)
-    by_direction = spread_truncation(np.moveaxis(relative, 1, -1), trial, n_wavelengths)
-    truncation = np.maximum(values, floor) * np.moveaxis(by_direction, -1, 1)
+    truncation = relative * _compute_relative_reference(values, scattered)
     by_total = _compute_relative_errors(snowpack, geometry, spectrum, totals)
     once = _compute_single_scattering_error(snowpack, geometry, n_streams)
     scale, sensitivity = _compute_anisotropy_scale(snowpack, geometry, n_streams, values[0])
@@ -133,6 +119,50 @@ def solve_bidirectional(
         values, truncation, np.hypot(values * by_total, once), scale * values[0],
         scale * np.hypot(own, sensitivity * values[0] * by_total[0]), n_streams, spectrum, direct,
     )  # fmt: skip
+
+
+def _choose_streams(
+    snowpack: GranularStack,
+    geometry: Geometry,
+    max_error: float,
+    target: ErrorTarget,
+    scattered: np.ndarray,
+) -> tuple[int, np.ndarray]:
+    """Return the number of streams, and the relative error of truncation of all directions.
+
+    Parameters
+    ----------
+    snowpack : GranularStack
+    geometry : Geometry
+    max_error : float
+    target : ErrorTarget
+        See `solve_bidirectional`.
+    scattered : float, shape (2, wavelengths, beams)
+        Reflectance and transmittance of scattered light.
+    """
+    n_wavelengths, side = snowpack.ground.size, target.side
+    trial = choose_trial_wavelengths(n_wavelengths)
+    few, scattered = snowpack.select(trial), scattered[:, trial]
+    for n_streams in (number for number in STREAM_NUMBERS if number <= MAX_BRDF_STREAMS):
+        coarse, fine = (_solve(few, geometry, number) for number in (n_streams, 2 * n_streams))
+        change = np.abs(coarse - fine)
+        limited, values = (
+            one[side].reshape(*scattered.shape[1:], -1)[..., target.direction_mask]
+            for one in (change, fine)
+        )
+        allowed = 0.5 * max_error * target.compute_reference(values, scattered[side])
+        if (limited <= allowed).all():
+            break
+    reference = _compute_relative_reference(fine, scattered)
+    relative = change / np.where(reference > 0.0, reference, 1.0)
+    by_wavelength = spread_truncation(np.moveaxis(relative, 1, -1), trial, n_wavelengths)
+    return n_streams, np.moveaxis(by_wavelength, -1, 1)
+
+
+def _compute_relative_reference(values: np.ndarray, scattered: np.ndarray) -> np.ndarray:
+    """Return the reference of relative errors, in the shape of a BRDF and a BTDF."""
+    isotropic = scattered[..., np.newaxis, np.newaxis] / np.pi
+    return np.maximum(values, MIN_REFERENCE_FRACTION * isotropic)
 
 
 def _stack_sides(budget: Budget) -> np.ndarray:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from splits.core.error_target import ErrorTarget
 from splits.core.uncertainty import compute_batch_stderr
 from splits.instruments.angular_truncation import (
     DirectionGrid,
@@ -20,8 +21,6 @@ N_ANGULAR_BATCHES = 64
 """Number of batches for the estimation of errors, to 9 %."""
 MAX_SPARSE_BATCHES = 8
 """Number of batches with light up to which the error is at least that of isotropic light."""
-MIN_REFERENCE_FRACTION = 0.05
-"""Fraction of an isotropic distribution below which the error is relative to that fraction."""
 
 
 class AngularTally(Tally):
@@ -75,45 +74,30 @@ class AngularEstimate(NamedTuple):
         """Return the reflectance and the transmittance of scattered light."""
         return self.hemispherical[0] - self.hemispherical[2]
 
-    def compute_reference(
-        self, side: int, direction_mask: Any = slice(None), *, absolute: bool = False
-    ) -> np.ndarray:
-        """Return the reference of errors, shape (wavelengths, directions).
+    def compute_reference(self, target: ErrorTarget) -> np.ndarray:
+        """Return the reference of errors, shape (wavelengths, directions of the target)."""
+        values = self.mean[target.side][:, target.direction_mask]
+        return target.compute_reference(values, self.compute_scattered()[target.side])
 
-        It is the value, or 1/20 of that of an isotropic distribution, whichever is larger; for
-        absolute errors, that of a perfect diffuser.
+    def compute_max_error(self, target: ErrorTarget, *, use_stopping_error: bool = False) -> float:
+        """Return the largest error of a target, over wavelengths with light.
+
+        It is that of the standard errors, or of the errors for the stopping rule.
         """
-        if absolute:
-            return np.full_like(self.mean[side][:, direction_mask], 1.0 / np.pi)
-        isotropic = self.compute_scattered()[side][:, np.newaxis] / np.pi
-        reference = np.maximum(self.mean[side], MIN_REFERENCE_FRACTION * isotropic)
-        return reference[:, direction_mask]
+        stderr = (self.stopping_error if use_stopping_error else self.stderr)[target.side]
+        reference = self.compute_reference(target)
+        error = np.zeros_like(reference)
+        np.divide(stderr[:, target.direction_mask], reference, out=error, where=reference != 0.0)
+        return float(error.max())
 
-    def compute_max_error(
-        self, side: int, direction_mask: Any = slice(None), *, use_stopping_error: bool = False,
-        absolute: bool = False,
-    ) -> float:  # fmt: skip
-        """Return the largest relative error of one side, over wavelengths with light.
-
-        It is that of the standard errors, or of the errors for the stopping rule; as an error of
-        the reflectance factor if absolute.
-        """
-        stderr = (self.stopping_error if use_stopping_error else self.stderr)[side]
-        reference = self.compute_reference(side, direction_mask, absolute=absolute)
-        relative_error = np.zeros_like(reference)
-        np.divide(stderr[:, direction_mask], reference, out=relative_error, where=reference != 0.0)
-        return float(relative_error.max())
-
-    def is_truncation_limited(
-        self, side: int, direction_mask: Any, max_error: float, *, absolute: bool = False
-    ) -> bool:
+    def is_truncation_limited(self, target: ErrorTarget, max_error: float) -> bool:
         """Return whether only detail finer than the polynomials prevents convergence."""
         stderr, truncation_error = (
-            error[side][:, direction_mask] for error in (self.stopping_error, self.truncation_error)
+            error[target.side][:, target.direction_mask]
+            for error in (self.stopping_error, self.truncation_error)
         )
         statistical_error = np.sqrt(np.maximum(stderr**2 - truncation_error**2, 0.0))
-        limit = max_error * self.compute_reference(side, direction_mask, absolute=absolute)
-        return bool((statistical_error <= limit).all())
+        return bool((statistical_error <= max_error * self.compute_reference(target)).all())
 
 
 WAVELENGTH_AXES = {
@@ -123,32 +107,12 @@ WAVELENGTH_AXES = {
 """Axis of the wavelengths in the arrays of an estimate."""
 
 
-class ErrorTarget(NamedTuple):
-    """What the requested error of a BRDF applies to.
-
-    Attributes
-    ----------
-    directions : DirectionGrid
-    axisymmetric : bool
-        Whether the light is incident along the normal, or diffuse.
-    side : int
-        0 reflected, 1 transmitted.
-    direction_mask : bool, shape (directions,)
-    absolute : bool
-        Whether the error is that of the reflectance factor, instead of a relative one.
-    """
-
-    directions: DirectionGrid
-    axisymmetric: bool
-    side: int
-    direction_mask: np.ndarray
-    absolute: bool = False
-
-
 def estimate_row(
     coefficients: Sequence[np.ndarray],
     unscattered: np.ndarray,
     n_rays: np.ndarray,
+    directions: DirectionGrid,
+    axisymmetric: bool,
     target: ErrorTarget,
 ) -> tuple[AngularEstimate, list[np.ndarray]]:
     """Estimate BRDF and BTDF at one wavelength, without the error of interpolation.
@@ -161,6 +125,9 @@ def estimate_row(
         Unscattered light.
     n_rays : int, shape (classes,)
         Rays that contribute to each class.
+    directions : DirectionGrid
+    axisymmetric : bool
+        Whether the light is incident along the normal, or diffuse.
     target : ErrorTarget
 
     Returns
@@ -170,12 +137,12 @@ def estimate_row(
     variances : list of float, shape (classes, directions of the target)
         Contributions of each node to the variance.
     """
-    directions, axisymmetric, side, direction_mask, _ = target
     total = np.sum(coefficients, axis=0)
     keep = select_terms(total, directions.basis, axisymmetric)
-    variances, polynomials = [], directions.polynomials[direction_mask].T
+    variances, polynomials = [], directions.polynomials[target.direction_mask].T
     for coefficient in coefficients:
-        values_by_class = np.where(keep[:, side], coefficient[:, :, side], 0.0) @ polynomials
+        of_side = np.where(keep[:, target.side], coefficient[:, :, target.side], 0.0)
+        values_by_class = of_side @ polynomials
         variances.append(values_by_class.var(axis=0, ddof=1) / N_ANGULAR_BATCHES)
     values = np.where(keep, total, 0.0).sum(axis=1) @ directions.polynomials.T
     noise = compute_batch_stderr(values)

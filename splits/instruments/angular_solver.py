@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from splits.core.error_target import ErrorTarget
 from splits.discrete_ordinates.applicability import find_direction_obstacle, make_granular_stack
 from splits.discrete_ordinates.geometry import Geometry
 from splits.discrete_ordinates.granular_stack import REVERSED, GranularStack, SpectrumSolution
@@ -16,9 +17,9 @@ from splits.instruments.angular_estimate import AngularEstimate, compute_anisotr
 from splits.media.medium import Medium
 from splits.simulation.threads import limit_blas_threads
 
-PHASE_FUNCTION_SHARE = 0.06
-"""Error of a reflectance for which the paths through grains give a phase function with an error
-of 1 in proportion."""
+PHASE_FUNCTION_FACTOR = 0.06
+"""Error of a reflectance, over the requested error of a BRDF, for which the paths through grains
+give a phase function with that error."""
 
 
 class AngularRequest(NamedTuple):
@@ -28,24 +29,18 @@ class AngularRequest(NamedTuple):
     ----------
     wavelengths : float, shape (wavelengths,)
         nm.
-    incidence : float or "diffuse"
-        Degrees, or isotropic light.
     polar, azimuth : float, shape (angles,)
         Degrees.
-    relative_stderr : float
-    direction_mask : bool, shape (directions,)
-        Directions to which the error applies; azimuth runs fastest.
-    side : int
-        Side to which the error applies, 0 reflected or 1 transmitted.
+    max_error : float
+    target : ErrorTarget
+        What the error applies to; the azimuth of directions runs fastest.
     """
 
     wavelengths: np.ndarray
-    incidence: float | str
     polar: np.ndarray
     azimuth: np.ndarray
-    relative_stderr: float
-    direction_mask: np.ndarray
-    side: int
+    max_error: float
+    target: ErrorTarget
 
 
 class AngularResult(NamedTuple):
@@ -87,37 +82,33 @@ def find_angular_obstacle(medium: Medium, estimator: str, rays: int | None) -> s
     return find_direction_obstacle(medium)
 
 
-def solve_angular_result(medium: Medium, request: AngularRequest, threads: int) -> AngularResult:
-    """Return angular distributions by discrete ordinates.
+def solve_angular_results(
+    medium: Medium, request: AngularRequest, incidences: Sequence[float | str], threads: int
+) -> list[AngularResult]:
+    """Return angular distributions by discrete ordinates, for each incidence.
+
+    The beams are solved together, so that the requested error determines one number of streams for
+    all of them.
 
     Parameters
     ----------
     medium : Medium
         Without obstacle.
     request : AngularRequest
+    incidences : sequence of float or "diffuse"
+        Degrees, or isotropic light.
     threads : int
         For paths through grains.
     """
-    return solve_angular_results(medium, request, [request.incidence], threads)[0]
-
-
-def solve_angular_results(
-    medium: Medium, request: AngularRequest, incidences: Sequence[float | str], threads: int
-) -> list[AngularResult]:
-    """Return angular distributions for several incidences, which replace that of the request.
-
-    The beams are solved together, so that the requested error determines one number of streams for
-    all of them.
-    """
     snowpack = make_granular_stack(
-        medium, request.wavelengths, PHASE_FUNCTION_SHARE * request.relative_stderr, threads
+        medium, request.wavelengths, PHASE_FUNCTION_FACTOR * request.max_error, threads
     )
-    beams = [float(one) for one in incidences if one != "diffuse"]
+    beams = [float(incidence) for incidence in incidences if incidence != "diffuse"]
     with limit_blas_threads():
         by_beam = iter(_solve_beams(snowpack, request, beams) if beams else [])
         return [
-            _solve_diffuse(snowpack, request) if one == "diffuse" else next(by_beam)
-            for one in incidences
+            _solve_diffuse(snowpack, request) if incidence == "diffuse" else next(by_beam)
+            for incidence in incidences
         ]
 
 
@@ -131,7 +122,7 @@ def _solve_diffuse(snowpack: GranularStack, request: AngularRequest) -> AngularR
     reversed_stack = snowpack._replace(equilibrium=REVERSED)
     inverted = reversed_stack._replace(layers=snowpack.layers[::-1])
     spectrum, above, below = (
-        solve_relative_spectrum(one, cosines, request.relative_stderr, request.side)
+        solve_relative_spectrum(one, cosines, request.max_error, request.target.side)
         for one in (snowpack, reversed_stack, inverted)
     )
     values = np.stack([above.budget.reflectance, below.budget.transmittance])[..., :-1]
@@ -156,14 +147,14 @@ def _solve_beams(
 ) -> list[AngularResult]:
     """Return the BRDF and the BTDF under each of several beams."""
     # Both are symmetric in the azimuth.
-    azimuths, columns = np.unique(
-        np.minimum(request.azimuth, 360.0 - request.azimuth), return_inverse=True
+    azimuths, first, columns = np.unique(
+        np.minimum(request.azimuth, 360.0 - request.azimuth), return_index=True, return_inverse=True
     )
     cosines, views = (np.cos(np.radians(one)) for one in (incidence_deg, request.polar))
-    limited: np.ndarray = request.direction_mask.reshape(request.polar.size, -1)[:, 0]
+    mask = request.target.direction_mask.reshape(request.polar.size, -1)[:, first]
     solution = solve_bidirectional(
-        snowpack, Geometry(cosines, views, np.radians(azimuths)), request.relative_stderr, limited,
-        request.side,
+        snowpack, Geometry(cosines, views, np.radians(azimuths)), request.max_error,
+        request.target._replace(direction_mask=mask.ravel()),
     )  # fmt: skip
     n_streams = max(solution.n_streams, solution.spectrum.n_streams)
     results = []
@@ -224,9 +215,9 @@ def _make_result(
     estimate: AngularEstimate, request: AngularRequest, spectrum: SpectrumSolution, n_streams: int
 ) -> AngularResult:
     """Return an estimate with the attributes of its solution."""
-    reached = estimate.compute_max_error(request.side, request.direction_mask)
+    reached = estimate.compute_max_error(request.target)
     attributes = {
-        "stop_reason": "converged" if reached <= request.relative_stderr else "solver_error",
+        "stop_reason": "converged" if reached <= request.max_error else "solver_error",
         "rays": 0,
         "streams": n_streams,
         "truncation_error": float(spectrum.truncation.max()),

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from splits.core.error_target import ErrorTarget
 from splits.core.validation import invalid
 from splits.instruments.angular_bins import STOKES_NAMES
 from splits.instruments.angular_estimate import AngularEstimate, AngularTally, compute_anisotropy
@@ -37,8 +38,7 @@ class DetectorTally(AngularTally):
         See `splits.instruments.next_event.get_detected_layers`.
     scene : Scene
     detectors : Detectors
-    side : int
-        0 reflected, 1 transmitted, to which the requested error applies.
+    target : ErrorTarget
     n_wavelengths : int
 
     Raises
@@ -61,17 +61,17 @@ class DetectorTally(AngularTally):
         layers: Sequence[ParticleMedium],
         scene: Scene,
         detectors: Detectors,
-        side: int,
+        target: ErrorTarget,
         n_wavelengths: int,
     ) -> None:
-        if side == 1 and not detectors.has_lower_side:
+        if target.side == 1 and not detectors.has_lower_side:
             allowed = "brdf with estimator = next_event"
             raise invalid("target", "btdf", allowed, "the lower boundary is not open")
         indices = [layer.compute_refractive_indices(np.zeros(1)) for layer in layers]
         index = np.concatenate(indices, axis=1)
         super().__init__(make_separate_nodes(index), np.zeros(index.shape))
         self.detectors, self.shape = detectors, detectors.sums.shape
-        self.side, self.n_wavelengths = side, n_wavelengths
+        self.target, self.n_wavelengths = target, n_wavelengths
         self.has_lower_side, self.polarized = detectors.has_lower_side, scene.stokes is not None
         # Light that reaches the bottom has other angles than at detectors outside.
         self.undefined_variables = () if self.has_lower_side else ("btdf",)
@@ -164,8 +164,8 @@ class DetectorTally(AngularTally):
     def evaluate(self, stop: StoppingRule) -> Evaluation:
         """Return the largest relative error, infinite as long as no light reached the detectors."""
         estimate = self.make_estimate()
-        if self.no_signal or estimate.mean[self.side].any():
-            error = estimate.compute_max_error(self.side, use_stopping_error=True)
+        if self.no_signal or estimate.mean[self.target.side].any():
+            error = estimate.compute_max_error(self.target, use_stopping_error=True)
             return Evaluation(error, estimate)
         gave_up = self.n_rays >= _EMPTY_PILOTS * self.pilot_rays
         return Evaluation(np.inf, estimate, "no_light" if gave_up else "")

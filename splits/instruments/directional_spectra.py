@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.instruments.angular_estimate import AngularEstimate, ErrorTarget
+from splits.core.error_target import ErrorTarget
+from splits.instruments.angular_estimate import AngularEstimate
 from splits.instruments.angular_truncation import make_direction_grid
 from splits.instruments.expansion_tally import MAX_DEGREE, ExpansionTally
-from splits.instruments.goniophotometer import INTERPOLATION_FRACTION, make_direction_mask
+from splits.instruments.goniophotometer import INTERPOLATION_FRACTION
 from splits.instruments.spectral_run import MAX_ATTEMPTS, SpectralRequest
 from splits.kernels.tallies.angular import make_basis
 from splits.simulation.engine import simulate
@@ -50,6 +51,7 @@ def simulate_directions(
     request: SpectralRequest,
     polar_deg: np.ndarray,
     azimuth_deg: np.ndarray,
+    target: ErrorTarget,
 ) -> DirectionalSimulation:
     """Return reflectance factors to an absolute error, with the reflectance of the same paths.
 
@@ -59,29 +61,27 @@ def simulate_directions(
     truncation : TruncatedMedium or None
         Their truncation.
     request : SpectralRequest
-        `max_stderr` applies to reflectance factors in the directions of
-        `splits.instruments.goniophotometer.make_direction_mask`.
+        `max_stderr` applies to the target.
     polar_deg, azimuth_deg : float, shape (angles,)
+    target : ErrorTarget
+        With absolute errors.
     """
     traced = path_sharing if truncation is None else truncation.path_sharing
     rows = SpectralRows.from_media(traced, request.wavelengths)
     above_truncation = (1.0 - (MAX_ESCAPE_FACTOR * ERROR_BUDGET_FRACTION) ** 2) ** 0.5
     max_error = request.max_stderr * (1.0 if truncation is None else above_truncation)
     directions = make_direction_grid(polar_deg, azimuth_deg, make_basis(MAX_DEGREE))
-    is_axisymmetric = request.incidence in (0.0, "diffuse")
-    mask = make_direction_mask(polar_deg, azimuth_deg)
-    target = ErrorTarget(directions, is_axisymmetric, 0, mask, absolute=True)
     scene = build_scene(traced.media[0], request.incidence, False)
     for _ in range(MAX_ATTEMPTS):
         nodes = choose_nodes(rows.index, rows.interfaces, INTERPOLATION_FRACTION * max_error)
-        tally = ExpansionTally(nodes, rows.absorption, target, request.incidence != "diffuse")
+        tally = ExpansionTally(nodes, rows.absorption, directions, request.incidence, target)
         evaluation = simulate(scene, tally, StoppingRule(max_error, request.max_rays), request.run)
         estimate: AngularEstimate = evaluation.estimate
         if truncation is None:
             break
         estimate = _add_truncation_error(estimate, truncation)
-        reached = estimate.compute_max_error(0, mask, absolute=True)
-        if reached <= request.max_stderr or evaluation.stop_reason != "converged":
+        reached = estimate.compute_max_error(target) <= request.max_stderr
+        if reached or evaluation.stop_reason != "converged":
             break
         max_error *= 0.5
     return DirectionalSimulation(estimate, tally.n_rays, evaluation.stop_reason)

@@ -11,14 +11,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from splits.core.error_target import ErrorTarget
 from splits.instruments.angular_estimate import (
     N_ANGULAR_BATCHES,
     AngularEstimate,
     AngularTally,
-    ErrorTarget,
     estimate_row,
     stack_rows,
 )
+from splits.instruments.angular_truncation import DirectionGrid
 from splits.kernels.base.work import NO_MAX_ORDER
 from splits.kernels.tallies.angular import AngularSums, tally_expansion
 from splits.kernels.tallies.exits import EXIT_ORDER
@@ -45,11 +46,11 @@ class ExpansionTally(AngularTally, ExitTally):
     ----------
     nodes, absorption
         See `Tally`.
-    target : ErrorTarget
-        Directions and side to which the error of a stopping rule applies.
-    exclude_unscattered : bool
+    directions : DirectionGrid
+    incidence : float or "diffuse"
         Unscattered light of a beam leaves as a beam and is excluded from the polynomials; that of
         diffuse light is included.
+    target : ErrorTarget
 
     Attributes
     ----------
@@ -65,12 +66,13 @@ class ExpansionTally(AngularTally, ExitTally):
         self,
         nodes: IndexNodes,
         absorption: np.ndarray,
+        directions: DirectionGrid,
+        incidence: float | str,
         target: ErrorTarget,
-        exclude_unscattered: bool,
     ) -> None:
         super().__init__(nodes, absorption)
-        self.target, self.exclude_unscattered = target, exclude_unscattered
-        self.basis = target.directions.basis
+        self.directions, self.incidence, self.target = directions, incidence, target
+        self.basis = directions.basis
         self.max_orders = np.array(ORDER_CLASSES, dtype=np.int64)
         n_classes, n_rows = len(ORDER_CLASSES), len(self.rows)
         self.coefficient_sums = np.zeros(
@@ -88,7 +90,7 @@ class ExpansionTally(AngularTally, ExitTally):
     def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> AngularSums:
         """Return the sums of a chunk of exits."""
         scored_orders = self.max_orders[self.max_orders <= stratum.max_order]
-        if not self.exclude_unscattered:
+        if self.incidence == "diffuse":
             exits[:, EXIT_ORDER] = np.maximum(exits[:, EXIT_ORDER], 1.0)
         return tally_expansion(exits, stratum.absorption, scored_orders, self.basis)
 
@@ -116,7 +118,10 @@ class ExpansionTally(AngularTally, ExitTally):
                 coefficients.append(weight * sums / rays[:, np.newaxis, np.newaxis])
                 unscattered += weight * self.unscattered_sums[:, :, one] / rays[0]
             n_rays = class_rays[used].min(axis=0)
-            estimate, variances = estimate_row(coefficients, unscattered, n_rays, self.target)
+            estimate, variances = estimate_row(
+                coefficients, unscattered, n_rays, self.directions,
+                self.incidence in (0.0, "diffuse"), self.target,
+            )  # fmt: skip
             estimates.append(estimate)
             all_variances.append((self.node_of_row[used], np.stack(variances)))
         return stack_rows(estimates, self.nodes.interpolation_bound), all_variances
@@ -125,13 +130,9 @@ class ExpansionTally(AngularTally, ExitTally):
         """Return the largest relative error, and why tracing stops if no rays would reduce it."""
         estimate, self.variances = self._estimate_rows()
         target, n_rays = self.target, self.n_rays
-        where = target.side, target.direction_mask
-        error = estimate.compute_max_error(
-            *where, use_stopping_error=True, absolute=target.absolute
-        )
+        error = estimate.compute_max_error(target, use_stopping_error=True)
         if error <= stop.max_error:
-            final_error = estimate.compute_max_error(*where, absolute=target.absolute)
-            resolved = final_error <= stop.max_error
+            resolved = estimate.compute_max_error(target) <= stop.max_error
             return Evaluation(error, estimate, "" if resolved else "unresolved_lobe")
         # Eight times the rays should reduce a statistical error by a factor of nearly three.
         stagnates = any(
@@ -139,7 +140,7 @@ class ExpansionTally(AngularTally, ExitTally):
             for earlier_rays, earlier in self._earlier_errors
         )
         self._earlier_errors.append((n_rays, error))
-        limited = estimate.is_truncation_limited(*where, stop.max_error, absolute=target.absolute)
+        limited = estimate.is_truncation_limited(target, stop.max_error)
         return Evaluation(error, estimate, "max_degree" if stagnates or limited else "")
 
     def allocate_rays(self, stop: StoppingRule, evaluation: Evaluation) -> np.ndarray:
@@ -154,11 +155,8 @@ class ExpansionTally(AngularTally, ExitTally):
         segments = np.array([one.n_segments / max(one.n_rays, 1) for one in self.strata])
         costs = np.maximum(np.diff(segments.reshape(class_rays.shape), prepend=-1.0, axis=1), 0.01)
         interpolation_error = INTERPOLATION_FACTOR * self.nodes.interpolation_bound[:, np.newaxis]
-        side, direction_mask = self.target.side, self.target.direction_mask
-        reference = evaluation.estimate.compute_reference(
-            side, direction_mask, absolute=self.target.absolute
-        )
-        mean = evaluation.estimate.mean[side][:, direction_mask]
+        reference = evaluation.estimate.compute_reference(self.target)
+        mean = evaluation.estimate.mean[self.target.side][:, self.target.direction_mask]
         targets = (stop.max_error * reference) ** 2 - (interpolation_error * mean) ** 2
         target_rays = np.zeros(class_rays.shape)
         for (nodes, row_variances), target in zip(self.variances, targets, strict=True):

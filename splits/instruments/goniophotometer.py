@@ -7,17 +7,18 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.core.error_target import ErrorTarget
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, check_integer, check_range, invalid
 from splits.instruments.angular_bins import DEFAULT_N_BINS, AngularBinTally, compute_bin_centres
 from splits.instruments.angular_dataset import make_angular_dataset
-from splits.instruments.angular_estimate import AngularEstimate, AngularTally, ErrorTarget
+from splits.instruments.angular_estimate import AngularEstimate, AngularTally
 from splits.instruments.angular_solver import (
     AngularRequest,
     AngularResult,
     find_angular_obstacle,
-    solve_angular_result,
+    solve_angular_results,
 )
 from splits.instruments.angular_truncation import make_direction_grid
 from splits.instruments.detector_tally import DetectorTally
@@ -181,13 +182,12 @@ def goniophotometer(
     polar, azimuth = _make_directions(polar_deg, azimuth_deg, bins)
     check_dataset_size(len(wavelengths), len(polar) * len(azimuth))
     direction_mask = make_direction_mask(polar, azimuth) | (estimator == "next_event")
-    request = AngularRequest(
-        wavelengths, incidence, polar, azimuth, relative_stderr, direction_mask, side
-    )
+    error_target = ErrorTarget(side, direction_mask)
+    request = AngularRequest(wavelengths, polar, azimuth, relative_stderr, error_target)
     obstacle = find_angular_obstacle(medium, estimator, rays)
     chosen = choose_solver(solver, [medium], wavelengths, obstacle)
     if chosen == DISCRETE_ORDINATES:
-        result = solve_angular_result(medium, request, run.threads)
+        result = solve_angular_results(medium, request, [incidence], run.threads)[0]
         # Paths need a finite medium.
         if solver == AUTO and not (medium.is_semi_infinite or result.is_converged):
             chosen = MONTE_CARLO
@@ -196,13 +196,13 @@ def goniophotometer(
         is_fixed = rays is not None or bins is not None
         n_rays = (rays or DEFAULT_BIN_RAYS) if is_fixed else max_rays
         stop = StoppingRule(relative_stderr, n_rays, is_fixed)
-        result = _simulate_angular_result(medium, request, estimator, bins, stop, run)
+        result = _simulate_angular_result(medium, incidence, request, estimator, bins, stop, run)
     attributes = {
         **run.make_attributes("Virtual goniophotometer", "goniophotometer", medium),
         "incidence_deg": incidence,
         "estimator": estimator,
         "target": target,
-        "relative_stderr_reached": result.estimate.compute_max_error(side, direction_mask),
+        "relative_stderr_reached": result.estimate.compute_max_error(error_target),
         "relative_stderr": relative_stderr,
         "max_rays": max_rays,
         "solver": chosen,
@@ -216,6 +216,7 @@ def goniophotometer(
 
 def _simulate_angular_result(
     medium: Medium,
+    incidence: float | str,
     request: AngularRequest,
     estimator: str,
     bins: tuple[int, int] | None,
@@ -223,13 +224,13 @@ def _simulate_angular_result(
     run: RunOptions,
 ) -> AngularResult:
     """Return the result of a simulation with paths, see `goniophotometer`."""
-    wavelengths, incidence, polar, azimuth, relative_stderr, direction_mask, side = request
+    wavelengths, polar, azimuth, relative_stderr, target = request
     scene = build_scene(medium, incidence, False)
     tally: AngularTally
     if estimator == "next_event":
         layers = get_detected_layers(medium)
         detectors = make_detectors(layers, scene, polar, azimuth)
-        tally = DetectorTally(layers, scene, detectors, side, len(wavelengths))
+        tally = DetectorTally(layers, scene, detectors, target, len(wavelengths))
     else:
         index, absorption = compute_optical_constants(medium, wavelengths)
         tolerance = INTERPOLATION_FRACTION * relative_stderr
@@ -237,11 +238,14 @@ def _simulate_angular_result(
         if bins is not None:
             tally = AngularBinTally(nodes, absorption, bins, medium.polarized)
         else:
-            target_error = _make_error_target(polar, azimuth, incidence, side, direction_mask)
-            tally = ExpansionTally(nodes, absorption, target_error, incidence != "diffuse")
+            directions = make_direction_grid(polar, azimuth, make_basis(MAX_DEGREE))
+            tally = ExpansionTally(nodes, absorption, directions, incidence, target)
     evaluation = simulate(scene, tally, stop, run)
     estimate: AngularEstimate = evaluation.estimate
-    attributes = {"degree": estimate.degree[side], **tally.describe_run(evaluation.stop_reason)}
+    attributes = {
+        "degree": estimate.degree[target.side],
+        **tally.describe_run(evaluation.stop_reason),
+    }
     return AngularResult(estimate, tally.make_stokes(), tally.undefined_variables, attributes)
 
 
@@ -249,18 +253,6 @@ def make_direction_mask(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
     """Return the directions of the stopping rule: all if only steeper ones are requested."""
     low = polar <= MAX_CONVERGED_POLAR_DEG
     return np.repeat(low if low.any() else ~low, len(azimuth))
-
-
-def _make_error_target(
-    polar: np.ndarray,
-    azimuth: np.ndarray,
-    incidence: float | str,
-    side: int,
-    direction_mask: np.ndarray,
-) -> ErrorTarget:
-    """Return what the requested error of an expansion applies to."""
-    directions = make_direction_grid(polar, azimuth, make_basis(MAX_DEGREE))
-    return ErrorTarget(directions, incidence in (0.0, "diffuse"), side, direction_mask)
 
 
 def _check_estimator(estimator: str, incidence: float | str) -> None:

@@ -14,15 +14,14 @@ from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO
 from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest
 from splits.io.netcdf import load, make_provenance, save
 from splits.kernels.tallies.exits import N_BATCHES
-from splits.simulation.spectral_rows import PathSharingMedia
 from splits.simulation.truncated_medium import TruncatedMedium
 from splits.tables.block_directions import (
-    AngularCache,
     make_view_variables,
     solve_directions,
     trace_directions,
 )
-from splits.tables.ordinates import SolutionCache
+from splits.tables.media_cache import MediaCache
+from splits.tables.ordinates import solve_group
 from splits.tables.plan import PathGroup
 from splits.tables.views import ViewGrid
 
@@ -52,44 +51,10 @@ class TableRequest(NamedTuple):
     views: ViewGrid | None = None
 
 
-class BlockCaches(NamedTuple):
-    """What the blocks of media under several incidences have in common.
-
-    Attributes
-    ----------
-    truncations : TruncationCache
-    solutions : SolutionCache
-    angular : AngularCache
-    """
-
-    truncations: TruncationCache
-    solutions: SolutionCache
-    angular: AngularCache
-
-
-class TruncationCache:
-    """Cache of the truncation of semi-infinite media, which does not depend on the incidence."""
-
-    def __init__(self) -> None:
-        self._path_sharing: PathSharingMedia | None = None
-        self._truncation: TruncatedMedium | None = None
-
-    def get(
-        self, spectral_request: SpectralRequest, path_sharing: PathSharingMedia
-    ) -> TruncatedMedium | None:
-        """Return the truncated medium of path-sharing media; the last one is cached."""
-        if path_sharing is not self._path_sharing:
-            self._path_sharing, self._truncation = (
-                path_sharing,
-                spectral_request.truncate(path_sharing),
-            )
-        return self._truncation
-
-
 def compute_block(
     path_group: PathGroup,
     request: TableRequest,
-    caches: BlockCaches,
+    cache: MediaCache,
     digest: str,
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
@@ -99,7 +64,7 @@ def compute_block(
     ----------
     path_group : PathGroup
     request : TableRequest
-    caches : BlockCaches
+    cache : MediaCache
     digest : str
         Digest of all inputs of the block, see `splits.tables.build.compute_block_digest`.
     progress : callable, optional
@@ -108,7 +73,7 @@ def compute_block(
     run = request.spectral_request.run._replace(progress=progress)
     spectral_request = request.spectral_request._replace(incidence=path_group.incidence, run=run)
     compute = _compute_spectra if request.views is None else _compute_directions
-    variables, described = compute(path_group, request, spectral_request, caches)
+    variables, described = compute(path_group, request, spectral_request, cache)
     attrs = {
         **make_provenance("block of a table"),
         DIGEST_ATTRIBUTE: digest,
@@ -124,15 +89,15 @@ def compute_block(
 
 def _compute_directions(
     path_group: PathGroup, request: TableRequest, spectral_request: SpectralRequest,
-    caches: BlockCaches,
+    cache: MediaCache,
 ) -> tuple[dict[str, Any], dict[str, Any]]:  # fmt: skip
     """Return the variables of a block with directions of observation, and its attributes."""
     views = request.views
     assert views is not None
     if request.solver == DISCRETE_ORDINATES:
-        estimate, attrs = solve_directions(path_group, spectral_request, views, caches.angular)
+        estimate, attrs = solve_directions(path_group, spectral_request, views, cache)
     else:
-        truncation = caches.truncations.get(spectral_request, path_group.path_sharing)
+        truncation = _truncate(path_group, spectral_request, cache)
         estimate, attrs = trace_directions(path_group, spectral_request, views, truncation)
     variables = make_view_variables(
         estimate, path_group, views, spectral_request.wavelengths.size, request.quantities
@@ -142,16 +107,13 @@ def _compute_directions(
 
 def _compute_spectra(
     path_group: PathGroup, request: TableRequest, spectral_request: SpectralRequest,
-    caches: BlockCaches,
+    cache: MediaCache,
 ) -> tuple[dict[str, Any], dict[str, Any]]:  # fmt: skip
     """Return the variables of a block of spectra, and its attributes."""
     if request.solver == DISCRETE_ORDINATES:
-        estimate = caches.solutions.get(
-            path_group, spectral_request.wavelengths, spectral_request.max_stderr,
-            spectral_request.run.threads,
-        )  # fmt: skip
+        estimate = solve_group(path_group, spectral_request, cache)
     else:
-        truncation = caches.truncations.get(spectral_request, path_group.path_sharing)
+        truncation = _truncate(path_group, spectral_request, cache)
         estimate = spectral_request.simulate(path_group.path_sharing, truncation)
     shape = (len(path_group.path_sharing.media), spectral_request.wavelengths.size)
     variables: dict[str, Any] = {}
@@ -173,6 +135,14 @@ def _compute_spectra(
         "interpolation_error_bound": float(estimate.interpolation_error.max()),
         "stop_reason": estimate.get_stop_reason(spectral_request.max_stderr),
     }
+
+
+def _truncate(
+    path_group: PathGroup, spectral_request: SpectralRequest, cache: MediaCache
+) -> TruncatedMedium | None:
+    """Return the truncation of semi-infinite media, which does not depend on the incidence."""
+    media = path_group.path_sharing
+    return cache.get(media, lambda: spectral_request.truncate(media))
 
 
 def make_block_path(folder: Path, number: int, digest: str) -> Path:

@@ -7,48 +7,29 @@ from typing import Any
 
 import numpy as np
 
+from splits.core.error_target import ErrorTarget
 from splits.instruments.angular_estimate import AngularEstimate, join_wavelengths
 from splits.instruments.angular_solver import AngularRequest, AngularResult, solve_angular_results
 from splits.instruments.directional_spectra import simulate_directions
 from splits.instruments.goniophotometer import make_direction_mask
 from splits.instruments.spectral_run import SpectralRequest
 from splits.simulation.truncated_medium import TruncatedMedium
+from splits.tables.media_cache import MediaCache
 from splits.tables.plan import DIFFUSE, PathGroup
 from splits.tables.views import DIFFUSE_PREFIX, VIEW_AXES, ViewGrid, has_diffuse, list_view_axes
 
 
-class AngularCache:
-    """Cache of solutions by discrete ordinates for all incidences of the last media; see `get`."""
-
-    def __init__(self) -> None:
-        self._media: Any = None
-        self._results: dict[Any, list[AngularResult]] = {}
-
-    def get(
-        self, group: PathGroup, request: SpectralRequest, views: ViewGrid
-    ) -> list[AngularResult]:
-        """Return the result of each medium of a group; all its incidences are solved together."""
-        if self._media is not group.path_sharing:
-            mask = make_direction_mask(*views)
-            one = AngularRequest(request.wavelengths, 0.0, *views, request.max_stderr, mask, 0)
-            by_medium = [
-                solve_angular_results(medium, one, group.incidences, request.run.threads)
-                for medium in group.path_sharing.media
-            ]
-            self._media = group.path_sharing
-            by_incidence = zip(*by_medium, strict=True)
-            self._results = dict(zip(group.incidences, by_incidence, strict=True))
-        return list(self._results[group.incidence])
-
-
 def solve_directions(
-    group: PathGroup, request: SpectralRequest, views: ViewGrid, cache: AngularCache
+    group: PathGroup, request: SpectralRequest, views: ViewGrid, cache: MediaCache
 ) -> tuple[AngularEstimate, dict[str, Any]]:
     """Return the estimate of a path group by discrete ordinates, and its attributes.
 
-    Rows are the wavelengths of one medium after the other.
+    Rows are the wavelengths of one medium after the other.  All incidences of the media are solved
+    together.
     """
-    results = cache.get(group, request, views)
+    solutions = cache.get(group.path_sharing, lambda: _solve_media(group, request, views))
+    column = group.incidences.index(group.incidence)
+    results = [by_incidence[column] for by_incidence in solutions]
     estimate = join_wavelengths([result.estimate for result in results])
     attributes = {
         "rays": 0,
@@ -62,6 +43,19 @@ def solve_directions(
     )
 
 
+def _solve_media(
+    group: PathGroup, request: SpectralRequest, views: ViewGrid
+) -> list[list[AngularResult]]:
+    """Return the results of each medium of a group for all incidences."""
+    angular_request = AngularRequest(
+        request.wavelengths, *views, request.max_stderr, _make_target(views)
+    )
+    return [
+        solve_angular_results(medium, angular_request, group.incidences, request.run.threads)
+        for medium in group.path_sharing.media
+    ]
+
+
 def trace_directions(
     group: PathGroup,
     request: SpectralRequest,
@@ -69,7 +63,9 @@ def trace_directions(
     truncation: TruncatedMedium | None,
 ) -> tuple[AngularEstimate, dict[str, Any]]:
     """Return the estimate of a path group by Monte Carlo, as `solve_directions`."""
-    simulation = simulate_directions(group.path_sharing, truncation, request, *views)
+    simulation = simulate_directions(
+        group.path_sharing, truncation, request, *views, _make_target(views)
+    )
     # With enough rays, only light from below a truncation depth leaves a larger error.
     converged = simulation.stop_reason == "converged"
     otherwise = "interpolation_bound" if converged else simulation.stop_reason
@@ -79,6 +75,11 @@ def trace_directions(
     return simulation.estimate, attributes
 
 
+def _make_target(views: ViewGrid) -> ErrorTarget:
+    """Return the target of absolute errors of reflectance factors."""
+    return ErrorTarget(0, make_direction_mask(*views), absolute=True)
+
+
 def _describe_error(
     estimate: AngularEstimate, max_stderr: float, views: ViewGrid, otherwise: str
 ) -> dict[str, Any]:
@@ -86,8 +87,7 @@ def _describe_error(
 
     `otherwise` is the reason for stopping if the requested error is not reached.
     """
-    mask = make_direction_mask(*views)
-    reached = estimate.compute_max_error(0, mask, absolute=True)
+    reached = estimate.compute_max_error(_make_target(views))
     return {
         "max_stderr_reached": reached,
         "stop_reason": "converged" if reached <= max_stderr else otherwise,
@@ -114,9 +114,9 @@ def make_view_variables(
         if name.startswith(DIFFUSE_PREFIX) != is_diffuse:
             continue
         axes = list_view_axes(name)
-        for suffix, one in zip(("", "_stderr"), values[name.removeprefix(prefix)], strict=True):
+        for suffix, array in zip(("", "_stderr"), values[name.removeprefix(prefix)], strict=True):
             shape = (len(group.path_sharing.media), n_wavelengths, *(views.shape if axes else ()))
-            by_medium = np.moveaxis(one.reshape(shape), 1, -1)[group.media_indices]
+            by_medium = np.moveaxis(array.reshape(shape), 1, -1)[group.media_indices]
             if axes != VIEW_AXES and axes:
                 # Under isotropic light, all azimuths are equal.
                 by_medium = by_medium[:, :, 0]

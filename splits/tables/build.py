@@ -24,15 +24,12 @@ from splits.simulation.run_options import RunOptions
 from splits.tables.assembly import allocate_arrays, assemble_dataset, insert_block
 from splits.tables.axes import ParameterGrid
 from splits.tables.block import (
-    BlockCaches,
     TableRequest,
-    TruncationCache,
     compute_block,
     load_block,
     save_block,
 )
-from splits.tables.block_directions import AngularCache
-from splits.tables.ordinates import SolutionCache
+from splits.tables.media_cache import MediaCache
 from splits.tables.plan import PathGroup, TablePlan, choose_table_solver
 from splits.tables.views import ViewGrid, check_quantities, drop_view_axes, has_diffuse
 
@@ -201,14 +198,14 @@ def iterate_blocks(
     if folder is not None:
         check_writable(folder / "block.nc")
     start_time, n_done = time.perf_counter(), 0
-    caches = BlockCaches(TruncationCache(), SolutionCache(), AngularCache())
+    cache = MediaCache()
     for number, path_group in enumerate(path_groups):
         digest = compute_block_digest(path_group, request)
         block = None if folder is None else load_block(folder, path_group.number, digest)
         if block is None:
             n_left = len(path_groups) - number - 1
             block_progress = report_whole_table(progress, start_time, n_done, n_left)
-            block = compute_block(path_group, request, caches, digest, block_progress)
+            block = compute_block(path_group, request, cache, digest, block_progress)
             n_done += 1
             if folder is not None:
                 save_block(block, folder)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from splits.core.error_target import ErrorTarget
 from splits.instruments.angular_estimate import (
     N_ANGULAR_BATCHES,
-    ErrorTarget,
     estimate_row,
     stack_rows,
 )
@@ -38,9 +38,9 @@ class SyntheticExits:
     def estimate_brdf(self):
         """Return the estimate of one wavelength at one index node."""
         n_rays = np.full(self.batches.shape[1], self.rays)
-        target = ErrorTarget(ANGLES, False, 0, np.ones(len(ANGLES.polynomials), dtype=bool))
+        target = ErrorTarget(0, np.ones(len(ANGLES.polynomials), dtype=bool))
         unscattered = np.zeros((N_ANGULAR_BATCHES, 2))
-        estimate, _ = estimate_row([self.batches], unscattered, n_rays, target)
+        estimate, _ = estimate_row([self.batches], unscattered, n_rays, ANGLES, False, target)
         return stack_rows([estimate], np.zeros(1))
 
 

@@ -102,7 +102,11 @@ def make_delay_dataset(
     edges = tally.record.edges
     moments, lengths = tally.compute_batch_moments(), tally.compute_batch_lengths()
     total, dims, width = moments.sum(axis=-2), ("side", "wavelength"), np.diff(edges)
-    rate, rate_error = _compute_fractions(tally.compute_batch_histograms(), rays)
+    rate, rate_error = _compute_fractions(
+        tally.compute_batch_histograms(), rays._replace(
+            interpolation_bound=rays.interpolation_bound[:, np.newaxis]
+        ),
+    )  # fmt: skip
     variables = make_variable(
         "return_rate", (*dims, "delay"), rate / width, rate_error / width,
         "fraction of the incident light per time", "s-1",
@@ -130,7 +134,7 @@ def _compute_fractions(batches: np.ndarray, rays: RayErrors) -> tuple[np.ndarray
     variance = allow_for_unseen_rays(
         compute_batch_stderr(batches) ** 2, (rays.single_ray * (1.0 - mean)) ** 2
     )
-    return mean, np.sqrt(variance)
+    return mean, np.hypot(np.sqrt(variance), bound_fraction_error(rays.interpolation_bound, mean))
 
 
 def _make_moment_variables(
@@ -141,7 +145,6 @@ def _make_moment_variables(
     estimate = DelayEstimate.from_moments(moments.mean(axis=0))
     jackknife = DelayEstimate.from_moments(compute_leave_one_out_means(moments))
     mean, error = _compute_fractions(moments[..., 0], rays)
-    error = np.hypot(error, bound_fraction_error(rays.interpolation_bound, mean))
     label = "fraction of the incident light that returns within the record"
     fraction = make_variable(f"fraction{suffix}", dims, mean, error, label)
     variables: dict[str, Variable] = {}

@@ -154,11 +154,11 @@ def time_of_flight(
         in fewer than eight of 64 batches of rays, as for a ``fraction`` of 0; ``moments_flag`` is 1
         there.
 
-        All have standard errors ``…_stderr``.  Those of fractions and of
-        ``return_rate`` include the error of interpolation between refractive indices, which the attribute ``interpolation_error_bound``
-        bounds, and those of ``mean_delay`` and ``delay_spread`` the error of group indices.  The
-        coordinate ``range`` (m) is half of the
-        delay times the speed of light.  Light that a ground absorbs is not transmitted.
+        All have standard errors ``…_stderr``.  Those of fractions and of ``return_rate`` include
+        the error of interpolation between refractive indices, which the attribute
+        ``interpolation_error_bound`` bounds, and those of ``mean_delay`` and ``delay_spread`` the
+        error of group indices.  The coordinate ``range`` (m) is half of the delay times the speed
+        of light.  Light that a ground absorbs is not transmitted.
 
     Raises
     ------

@@ -7,8 +7,10 @@ lidar_slabs.csv      clear slabs: mean path of reflected and of all light over t
 lidar_speed.csv      clear slabs in diffuse light: part of the path in ice, mean refractive index
                      along the path, the mean by volume, and the ratios of index and of delay
 lidar_range.csv      range bias of deep snow within 20 ns, by specific surface area and density
-lidar_grains.csv     range bias for spheres and natural grains of 98 µm at 400 kg/m³, and the bias
-                     for straight paths through grains and a refractive index averaged by volume
+lidar_grains.csv     range bias for spheres and natural grains of 98 µm at 400 kg/m³, also for
+                     straight paths through grains and a refractive index averaged by volume,
+                     in addition for isotropic scattering, and in addition as sampled by the model
+                     of Smith et al. (2025), with the coefficients of that model, too
 
     python benchmarks/lidar_returns.py [FOLDER] [--rays 100000] [--threads 2]
 """
@@ -19,7 +21,7 @@ import argparse
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -34,7 +36,24 @@ CLEAR = {"ice": CLEAR_INDEX}
 RECORD_S = 20e-9
 LIDAR_NM = (532.0, 1064.0)
 SPHERES = {"facetness": (0.0, 0.0, 0.0, 0.1), "sphericity": (1.0, 1.0, 1.0, 0.1)}
+SAMPLING_S = 0.25e-9
+GAUSSIAN_S = 0.125e-9
 Settings = dict[str, Any]
+
+
+class Coefficients(NamedTuple):
+    """Transport and absorption coefficients (1/m), and mean refractive index, of snow."""
+
+    transport: float
+    absorption: float
+    index: float
+
+
+MIE_SPHERES = {
+    532.0: Coefficients(transport=747.7, absorption=0.02103, index=1.1359),
+    1064.0: Coefficients(transport=736.4, absorption=12.93, index=1.1310),
+}
+"""Mie theory for spheres of 98.4 µm at 400 kg/m³, ice of 910 kg/m³: SmithB/scattering_delays."""
 
 
 def average_sides(slab: xr.Dataset, name: str) -> tuple[float, float]:
@@ -113,10 +132,12 @@ def trace_speeds(settings: Settings) -> Iterator[dict[str, Any]]:
         }  # fmt: skip
 
 
-def trace_deep_snow(wavelengths: Any, settings: Settings, **properties: Any) -> xr.Dataset:
+def trace_deep_snow(
+    wavelengths: Any, settings: Settings, record_s: float = RECORD_S, **properties: Any
+) -> xr.Dataset:
     """Return the light that deep snow reflects within the record."""
     snow = splits.Snow.natural(**properties, depth_m=math.inf)
-    light = splits.time_of_flight(snow, wavelengths, **settings, delay_s=[0.0, RECORD_S])
+    light = splits.time_of_flight(snow, wavelengths, **settings, delay_s=[0.0, record_s])
     return light.sel(side="reflected")
 
 
@@ -135,24 +156,90 @@ def trace_ranges(settings: Settings) -> Iterator[dict[str, Any]]:
 
 
 def trace_grains(settings: Settings) -> Iterator[dict[str, Any]]:
-    """Yield range biases (mm) of two shapes, also for straight paths and an index by volume."""
+    """Yield range biases (mm) of grains, also with the simplifications of Smith et al. (2025)."""
     for wavelength in LIDAR_NM:
         for grains, shape in (("natural", {}), ("spheres", SPHERES)):
             properties = {"optical_radius_um": 98.0, "density_kg_m3": 400.0, **shape}
             light = trace_deep_snow([wavelength], settings, **properties).squeeze()
             snow = splits.Snow.natural(**properties)
-            slowness = compute_slowness(snow, np.array([wavelength]))
-            per_path = slowness.value[0] / slowness.path_fractions
-            pores = snow.porosity
-            straight = light.path_length.sel(material="air").item() / pores
-            index = pores * per_path[0] + (1.0 - pores) * per_path[len(light.material) - 1]
+            index = average_index(snow, wavelength)
+            # The record of straight paths ends after the same delay.
+            record = RECORD_S * light.mean_delay.item() / compute_straight_delay(light, snow, index)
+            straight = trace_deep_snow([wavelength], settings, record, **properties).squeeze()
             yield {
                 "wavelength_nm": wavelength, "grains": grains, "fraction": light.fraction.item(),
                 "fraction_stderr": light.fraction_stderr.item(),
                 "bias_mm": convert_to_range(light.mean_delay.item()),
                 "bias_stderr": convert_to_range(light.mean_delay_stderr.item()),
-                "bias_straight_mm": convert_to_range(straight * index),
+                "bias_straight_mm": convert_to_range(compute_straight_delay(straight, snow, index)),
+                **trace_isotropic(compute_coefficients(snow, wavelength, index), settings),
             }  # fmt: skip
+        yield {
+            "wavelength_nm": wavelength, "grains": "spheres (Mie)",
+            **trace_isotropic(MIE_SPHERES[wavelength], settings),
+        }  # fmt: skip
+
+
+def average_index(snow: Any, wavelength: float) -> float:
+    """Return the mean of the group indices by volume."""
+    slowness = compute_slowness(snow, np.array([wavelength]))
+    per_path = slowness.value[0] / slowness.path_fractions * SPEED_OF_LIGHT
+    ice = per_path[-1]
+    return float(snow.porosity * per_path[0] + (1.0 - snow.porosity) * ice)
+
+
+def compute_straight_delay(light: xr.Dataset, snow: Any, index: float) -> float:
+    """Return the mean delay (s) for straight paths through grains."""
+    path = light.path_length.sel(material="air").item() / snow.porosity
+    return float(path * index / SPEED_OF_LIGHT)
+
+
+def compute_coefficients(snow: Any, wavelength: float, index: float) -> Coefficients:
+    """Return the coefficients of snow along straight paths."""
+    grains = splits.single_scattering(snow, wavelength, rays=1_000_000)
+    albedo, extinction = grains.single_scattering_albedo.item(), snow.extinction_per_m
+    transport = extinction * albedo * (1.0 - grains.asymmetry_parameter.item())
+    return Coefficients(transport, extinction * (1.0 - albedo), index)
+
+
+def trace_isotropic(snow: Coefficients, settings: Settings) -> dict[str, float]:
+    """Return the fraction and bias (mm) of isotropic scattering, also from coarse samples."""
+    rays = 10 * settings["rays"]
+    speed = SPEED_OF_LIGHT / snow.index
+    path = trace_isotropic_paths(RECORD_S * speed * snow.transport, rays) / snow.transport
+    weight, delay = np.exp(-snow.absorption * path) / rays, path / speed
+    mean = np.average(delay, weights=weight)
+    stderr = math.sqrt(((weight * (delay - mean)) ** 2).sum()) / weight.sum()
+    fine = np.arange(0.0, RECORD_S, 1e-12)
+    power = np.histogram(delay, np.append(fine, RECORD_S), weights=weight)[0]
+    times = np.arange(-RECORD_S, RECORD_S + 0.5 * SAMPLING_S, SAMPLING_S)
+    scaled = (times[:, None] - (fine + 0.5e-12)) / GAUSSIAN_S
+    gaussian = np.exp(-0.5 * scaled**2) / (math.sqrt(2.0 * math.pi) * GAUSSIAN_S)
+    samples = gaussian @ power * SAMPLING_S
+    return {
+        "transport_per_m": snow.transport, "absorption_per_m": snow.absorption,
+        "bias_isotropic_mm": convert_to_range(mean),
+        "isotropic_stderr": convert_to_range(stderr),
+        "fraction_isotropic": weight.sum(), "fraction_sampled": samples.sum(),
+        "bias_sampled_mm": convert_to_range(np.average(times, weights=samples)),
+    }  # fmt: skip
+
+
+def trace_isotropic_paths(longest: float, rays: int) -> np.ndarray:
+    """Return the paths (mean free paths) of light that deep clear snow reflects."""
+    random = np.random.default_rng(1)
+    depth, path, cosine = np.zeros(rays), np.zeros(rays), np.ones(rays)
+    reflected = []
+    while depth.size:
+        step = random.exponential(size=depth.size)
+        depth, path = depth + step * cosine, path + step
+        leaves = depth <= 0.0
+        reflected.append((path - depth / cosine)[leaves])
+        stays = ~leaves & (path < longest)
+        depth, path = depth[stays], path[stays]
+        cosine = random.uniform(-1.0, 1.0, depth.size)
+    paths = np.concatenate(reflected)
+    return paths[paths < longest]
 
 
 def convert_to_range(delay_s: float) -> float:

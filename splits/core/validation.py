@@ -235,8 +235,21 @@ KEYWORD_ALIASES = {
     "ground_albedo": "ground",
     "sza": "incidence_deg",
     "solar_zenith": "incidence_deg",
+    "vza": "polar_deg",
+    "view_zenith": "polar_deg",
+    "sensor_zenith": "polar_deg",
+    "raa": "azimuth_deg",
+    "relative_azimuth": "azimuth_deg",
 }
-"""Common synonyms of keywords."""
+"""Common synonyms of keywords, also with the unit ``_deg``."""
+SYNONYM_NOTES = {
+    "azimuth_deg": "azimuth_deg is 180 minus a relative azimuth that is 0 on the side of the sun",
+}
+"""How keywords differ from their synonyms."""
+LOCATION_NOTES = {
+    "incidence_deg": "incidence_deg is an argument of instruments, and of tables with this axis",
+}
+"""Where keywords are given that a call does not take."""
 IMPURITY_ALIASES = {
     "soot": ("black_carbon", "impurities_ng_g"),
     "bc": ("black_carbon", "impurities_ng_g"),
@@ -246,13 +259,17 @@ IMPURITY_ALIASES = {
 
 
 def suggest_name(name: object, names: Iterable[str]) -> str:
-    """Return "did you mean …?" for a misspelt name or a common synonym, or an empty text."""
+    """Return a hint for a misspelt name or a common synonym, such as "did you mean …?", or ""."""
     known = list(names)
     lower = str(name).lower()
-    synonyms = (lower, *IMPURITY_ALIASES.get(lower, ()), KEYWORD_ALIASES.get(lower))
+    keyword = KEYWORD_ALIASES.get(lower.removesuffix("_deg"), lower)
+    synonyms = (lower, *IMPURITY_ALIASES.get(lower, ()), keyword)
     matches = [synonym for synonym in synonyms if synonym in known]
     matches = matches or get_close_matches(str(name)[:90], known, n=1)
-    return f"did you mean {matches[0]}?" if matches else ""
+    if not matches:
+        return LOCATION_NOTES.get(keyword, "")
+    note = SYNONYM_NOTES.get(keyword, "") if matches[0] == keyword != lower else ""
+    return f"did you mean {matches[0]}? {note}".strip()
 
 
 MAX_INT64 = 2**63 - 1

@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Set
 from itertools import pairwise
+from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -76,10 +77,16 @@ class ParameterGrid(NamedTuple):
         return self.values[self.names.index(name)] if name in self.names else (default,)
 
     def check_single_incidence(self, incidence_deg: Any) -> None:
-        """Reject an incidence other than the default where it is an axis of the grid."""
+        """Reject several angles, and any but the default where it is an axis of the grid."""
+        incidence_deg = as_scalar(incidence_deg)
+        if isinstance(incidence_deg, Iterable) and not isinstance(incidence_deg, str):
+            incidence_deg = [as_scalar(value) for value in incidence_deg]
         if INCIDENCE in self.names and incidence_deg != 0.0:
             allowed = f"left out, because grid.{INCIDENCE} sets it"
             raise invalid(INCIDENCE, incidence_deg, allowed)
+        if isinstance(incidence_deg, list):
+            hint = f"the grid takes the axis '{INCIDENCE}': {incidence_deg}"
+            raise invalid(INCIDENCE, incidence_deg, "one angle in degrees, or diffuse", hint)
 
     def iterate_points(self) -> Iterator[dict[str, Any]]:
         """Yield the parameters of every point; the last axis varies fastest."""
@@ -143,8 +150,12 @@ def _check_grid_axis(name: str, values_given: Any) -> tuple[Any, ...]:
     """Return the validated values of an axis."""
     key = f"grid.{format_key(name)}"
     allowed = "a list of different values, numbers or text"
+    values_given = as_scalar(values_given)
     if isinstance(values_given, str | Mapping | Set) or not isinstance(values_given, Iterable):
-        raise invalid(key, values_given, allowed)
+        hint = f"write [{values_given!r}]" if isinstance(values_given, str | Real) else ""
+        if hint and name == INCIDENCE:
+            hint += f", or give the argument {name}={values_given!r} and leave it out of the grid"
+        raise invalid(key, values_given, allowed, hint)
     values = [as_scalar(value) for value in values_given]
     if not values:
         raise invalid(key, values, allowed)

@@ -30,7 +30,8 @@ def sort_axes(dataset: Any) -> xr.Dataset:
         hint = "splits.open_table(…) takes a path" if isinstance(dataset, str) else ""
         raise invalid("table", type(dataset).__name__, allowed, hint)
     if "path_sharing_axes" not in dataset.attrs:
-        raise invalid("table", dataset.attrs.get("title", "a dataset"), allowed)
+        hint = "splits.retrieve_return takes a table of returns" if "return_rate" in dataset else ""
+        raise invalid("table", dataset.attrs.get("title", "a dataset"), allowed, hint)
     if not any(f"{name}_stderr" in dataset for name in dataset.data_vars):
         raise invalid("table", list(map(str, dataset.data_vars)), "with a quantity and its error")
     axes = list_axes(dataset)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.core.validation import invalid
+from splits.core.validation import invalid, suggest_name
 from splits.discrete_ordinates.applicability import find_direction_obstacle
 from splits.instruments.solver import DISCRETE_ORDINATES, choose_solver
 from splits.media.checks import check_medium
@@ -16,6 +16,7 @@ from splits.simulation.arguments import check_incidence
 from splits.simulation.path_reuse import MAX_SHARED_ROWS, MediaGroup, group_by_shared_paths
 from splits.simulation.spectral_rows import PathSharingMedia
 from splits.tables.axes import INCIDENCE, ParameterGrid
+from splits.tables.views import ANGLES
 
 DIFFUSE = "diffuse"
 MAX_VIEW_ROWS = 1000
@@ -180,6 +181,12 @@ def make_point_medium(
         check_medium(medium, allow_semi_infinite=True)
         check(medium)
     except (ValueError, TypeError) as error:
+        for name in point if isinstance(error, TypeError) else ():
+            # The medium does not take an axis whose name is a synonym of an angle.
+            hint = suggest_name(name, ANGLES)
+            if hint and name in str(error) and "did you mean" not in str(error):
+                allowed = "a parameter of the medium, or an angle"
+                raise invalid(f"grid.{name}", point[name], allowed, hint) from None
         point_text = ", ".join(f"{name} = {value!r}" for name, value in point.items())
         raise invalid("grid", point_text, "a medium", str(error)) from None
     return medium

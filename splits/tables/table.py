@@ -39,7 +39,7 @@ from splits.tables.interpolation import (
 )
 from splits.tables.isofit import convert_to_isofit
 from splits.tables.storage import MAX_BYTES_IN_MEMORY
-from splits.tables.view_selection import ViewRequest, select_view
+from splits.tables.view_selection import ViewRequest, describe_direction, select_view
 from splits.tables.views import POLAR, VIEW_AXES, VIEW_QUANTITIES
 
 
@@ -69,12 +69,14 @@ class Table:
             check_complete(self.dataset)
 
     def __repr__(self) -> str:
-        """Return a summary of the table, with one axis per line."""
+        """Return a summary of the table: one line per axis, and the direction of observation."""
         lines = [f"Table of {', '.join(self.quantities)}"]
         for name in self.axes:
             values = self.dataset[name].values
             span = f"{values[0]} to {values[-1]}" if values.dtype.kind == "f" else ", ".join(values)
             lines.append(f"  {name}: {values.size} from {span}")
+        if self.has_direction and POLAR in self.dataset.attrs:
+            lines.append(f"  direction: {describe_direction(self.dataset.attrs)}")
         return "\n".join(lines)
 
     @property
@@ -152,7 +154,7 @@ class Table:
 
         Names in messages begin with the prefix.  Axes of a single angle may be omitted.
         """
-        at = dict(at)
+        at = check_axis_values(at, self.axes, prefix)
         view = {name: at.pop(name, None) for name in VIEW_AXES}
         nodes = self.dataset[POLAR].values
         if view[POLAR] is None and nodes.size > 1:

@@ -7,6 +7,7 @@ Environment 103, 27).  A part of the light may be isotropic.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ import xarray as xr
 
 from splits.core.arrays import align_to_labels, check_array_range
 from splits.core.uncertainty import make_variable
-from splits.core.validation import check_range, invalid
+from splits.core.validation import check_range, invalid, snap_to_limits
 from splits.tables.axes import INCIDENCE
 from splits.tables.axis_order import load_selection
 from splits.tables.interpolated_spectra import (
@@ -22,6 +23,7 @@ from splits.tables.interpolated_spectra import (
     compute_axis_weights,
     interpolate_first_axis,
 )
+from splits.tables.interpolation import check_within_axis
 from splits.tables.views import (
     AZIMUTH,
     DIFFUSE_PREFIX,
@@ -109,11 +111,29 @@ class ViewRequest(NamedTuple):
             allowed = f"below {2.0 * (90.0 - self.polar):g} for polar_deg = {self.polar:g}"
             raise invalid("field_of_view_deg", self.field_of_view_deg, allowed)
         angles = np.degrees([np.arccos(z), azimuth + np.arctan2(y, x)]).reshape(2, -1)
-        shares = (np.repeat(weights, N_RING_DIRECTIONS) * z.ravel()).tolist()
+        fractions = np.repeat(weights, N_RING_DIRECTIONS) * z.ravel()
+        fractions = fractions / fractions.sum()
         return [
-            Direction(polar, float(fold_azimuths(azimuth)), share / sum(shares))
-            for polar, azimuth, share in zip(*angles.tolist(), shares, strict=True)
+            Direction(polar, float(fold_azimuths(azimuth)), fraction)
+            for polar, azimuth, fraction in zip(*angles.tolist(), fractions.tolist(), strict=True)
         ]
+
+    def check_within_table(self, name: str, nodes: np.ndarray) -> None:
+        """Check that the field of view does not extend beyond the nodes of an angle.
+
+        Raises
+        ------
+        ValueError
+            For a centre or a direction around it outside the nodes.
+        """
+        center = self.polar if name == POLAR else self.azimuth
+        check_within_axis(name, nodes, center)
+        angles = [one.polar if name == POLAR else one.azimuth for one in self.list_directions()]
+        inside = snap_to_limits(angles, nodes[0], nodes[-1])
+        if inside.min() < nodes[0] or inside.max() > nodes[-1]:
+            allowed = f"within the {name} of the table, {nodes[0]:g} to {nodes[-1]:g}"
+            hint = f"around polar_deg = {self.polar:g}, azimuth_deg = {self.azimuth:g}"
+            raise invalid("field_of_view_deg", self.field_of_view_deg, allowed, hint)
 
 
 def _choose_azimuth(dataset: xr.Dataset, polar: float, azimuth_deg: Any) -> float:
@@ -156,6 +176,8 @@ def select_view(dataset: xr.Dataset, request: ViewRequest) -> xr.Dataset:
         hint = "quantities under isotropic light alone have no beam"
         allowed = f"with {' or '.join(MIXED_QUANTITIES)}"
         raise invalid("table", list(map(str, dataset.data_vars)), allowed, hint)
+    for axis in dict.fromkeys(axis for name in names for axis in list_view_axes(name)):
+        request.check_within_table(axis, dataset[axis].values)
     direct = {name: _average(dataset, name, directions) for name in names}
     if request.diffuse_fraction.any():
         diffuse = {name: _average(dataset, DIFFUSE_PREFIX + name, directions) for name in names}
@@ -176,6 +198,16 @@ def select_view(dataset: xr.Dataset, request: ViewRequest) -> xr.Dataset:
         name: coordinate for name, coordinate in dataset.coords.items() if name not in VIEW_AXES
     }
     return xr.Dataset(variables, coordinates, dataset.attrs | attributes)
+
+
+def describe_direction(attributes: Mapping[str, Any]) -> str:
+    """Return the text of what `select_view` stores about a direction of observation."""
+    names = (*VIEW_AXES, "field_of_view_deg", "diffuse_fraction")
+    given = {name: np.ravel(attributes[name]) for name in names if name in attributes}
+    return ", ".join(
+        f"{name} {values.min():g}" + (f" to {values.max():g}" if np.ptp(values) > 0.0 else "")
+        for name, values in given.items()
+    )
 
 
 Estimate = tuple[xr.DataArray, xr.DataArray]
@@ -240,12 +272,13 @@ def _mix(
         )
         reflectance = direct["reflectance"], diffuse["reflectance"]
         first, second = (1.0 - fraction) * reflectance[0][0], fraction * reflectance[1][0]
-        # Without light, there is no share.
-        share = (first / (first + second).where(first + second > 0.0)).fillna(0.0)
+        # Without light, the fraction of the beam in the reflected light is 0.
+        beam_fraction = (first / (first + second).where(first + second > 0.0)).fillna(0.0)
         relative = sum(
             (error / value.where(value > 0.0)).fillna(0.0) for value, error in reflectance
         )
-        error = share * beam_error + (1.0 - share) * sky_error
-        error = error + np.abs(beam - sky) * share * (1.0 - share) * relative
-        mixed["anisotropy_factor"] = (share * beam + (1.0 - share) * sky, error)
+        sky_fraction = 1.0 - beam_fraction
+        error = beam_fraction * beam_error + sky_fraction * sky_error
+        error = error + np.abs(beam - sky) * beam_fraction * sky_fraction * relative
+        mixed["anisotropy_factor"] = (beam_fraction * beam + sky_fraction * sky, error)
     return mixed

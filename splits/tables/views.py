@@ -11,10 +11,11 @@ from splits.core.arrays import as_1d_array, check_increasing
 from splits.core.validation import invalid
 from splits.instruments.spectral_run import SIDE_QUANTITIES
 from splits.simulation.arguments import check_direction_angles
-from splits.tables.axes import ParameterGrid
+from splits.tables.axes import INCIDENCE, ParameterGrid
 
 POLAR, AZIMUTH = "polar_deg", "azimuth_deg"
 VIEW_AXES = (POLAR, AZIMUTH)
+ANGLES = (INCIDENCE, *VIEW_AXES)
 DIFFUSE_PREFIX = "diffuse_"
 VIEW_QUANTITIES = ("reflectance_factor", "anisotropy_factor")
 DIFFUSE_QUANTITIES = tuple(DIFFUSE_PREFIX + name for name in ("reflectance", *VIEW_QUANTITIES))

@@ -94,6 +94,23 @@ def test_suggestions_require_similar_names():
     assert suggest_name(7, ["density"]) == ""
 
 
+def test_suggestions_explain_angles_under_other_names():
+    names = ["polar_deg", "azimuth_deg"]
+    for given in ("vza", "view_zenith", "VIEW_ZENITH_deg"):
+        assert suggest_name(given, names) == "did you mean polar_deg?"
+    for given in ("raa", "relative_azimuth_deg"):
+        assert suggest_name(given, names) == (
+            "did you mean azimuth_deg? "
+            "azimuth_deg is 180 minus a relative azimuth that is 0 on the side of the sun"
+        )
+    assert suggest_name("azimut_deg", names) == "did you mean azimuth_deg?"
+    assert suggest_name("sza", ["incidence_deg"]) == "did you mean incidence_deg?"
+    for given in ("sza", "incidence_deg"):
+        assert suggest_name(given, names) == (
+            "incidence_deg is an argument of instruments, and of tables with this axis"
+        )
+
+
 def test_errors_keep_their_attributes():
     error = invalid("depth_m", -1.0, "above 0", "in metres")
     assert (error.key, error.value, error.allowed) == ("depth_m", -1.0, "above 0")

@@ -11,6 +11,7 @@ from formula_tables import make_snowlike_table
 import splits
 from splits.analysis.theory.phase_function_export import to_eradiate
 from splits.core.validation import InvalidValue
+from splits.tables.return_table import TITLE as RETURN_TITLE
 
 SIZE, SOOT, ANGLE = "optical_radius_um", "impurities_ng_g.black_carbon", "incidence_deg"
 FIXED = {SIZE: 300.0, SOOT: 50.0, ANGLE: 33.0}
@@ -86,6 +87,10 @@ INVALID_TABLES = {
     "a path": (lambda ds: "table.nc", r"table = 'str': must be .*splits.open_table\(…\) takes"),
     "a table": (splits.Table, "table = 'Table': must be"),
     "another dataset": (lambda ds: ds.drop_attrs(), "table = 'a dataset': must be"),
+    "a table of returns": (
+        lambda ds: xr.Dataset({"return_rate": 0.0}, attrs={"title": RETURN_TITLE}),
+        "table = 'Table of returns': must be .*splits.retrieve_return takes a table of returns",
+    ),
     "values alone": (lambda ds: ds[["reflectance"]], "with a quantity and its error"),
     "one wavelength": (lambda ds: ds.isel(wavelength=0), r"over wavelength \(select a list"),
     "no values of an axis": (lambda ds: ds.drop_vars(ANGLE), f"table.{ANGLE} = None: must be"),

@@ -137,7 +137,9 @@ AT_VIEW_MISTAKES = {
     "polar_deg = 80.0: must be from 0 to 75, as far as the table goes": {"polar_deg": 80.0},
     "azimuth_deg = 400": {"polar_deg": 30.0, "azimuth_deg": 400.0},
     "field_of_view_deg = 70": {"polar_deg": 30.0, "field_of_view_deg": 70.0},
-    "as far as the table goes": {"polar_deg": 70.0, "field_of_view_deg": 20.0},
+    "field_of_view_deg = 20.0: must be within the polar_deg of the table, 0 to 75 "
+    "(around polar_deg = 70, azimuth_deg = 0)": {"polar_deg": 70.0, "field_of_view_deg": 20.0},
+    "polar_deg = 80.0: must be from 0 to 75": {"polar_deg": 80.0, "field_of_view_deg": 5.0},
     "diffuse_fraction": {"polar_deg": 30.0, "diffuse_fraction": 1.2},
     "diffuse_fraction = 'of shape (3,)'": {"polar_deg": 30.0, "diffuse_fraction": [0.1] * 3},
     "polar_deg = nan": {"polar_deg": np.nan},
@@ -169,6 +171,33 @@ def test_tables_without_the_quantities_are_rejected(table):
         splits.retrieve(*arguments, [SIZE], 0.01, fixed=AT | {"polar_deg": 0.0})
 
 
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("vza", "did you mean polar_deg?"),
+        ("raa", "did you mean azimuth_deg? azimuth_deg is 180 minus a relative azimuth that is 0"),
+        ("sza", "incidence_deg is an argument of instruments, and of tables with this axis"),
+    ],
+)
+def test_angles_under_other_names_have_a_hint(table, name, hint):
+    with pytest.raises(TypeError) as error:
+        table.at_view(**{name: 30.0})
+    assert f"{name}: unknown key" in str(error.value) and hint in str(error.value)
+    if name != "sza":
+        with pytest.raises(InvalidValue) as error:
+            table.interp(**AT, **{name: 30.0})
+        assert f"{name}: unknown key" in str(error.value) and hint in str(error.value)
+
+
+def test_the_text_of_a_table_names_its_direction(table):
+    view = table.at_view(25.0, 140.0, field_of_view_deg=10.0, diffuse_fraction=[0.2, 0.1])
+    assert repr(view).splitlines()[-1] == (
+        "  direction: polar_deg 25, azimuth_deg 140, field_of_view_deg 10, "
+        "diffuse_fraction 0.1 to 0.2"
+    )
+    assert "direction:" not in repr(table)
+
+
 BUILD_MISTAKES = {
     "grid.azimuth_deg = None: must be given (polar_deg needs it)": {"grid": {"polar_deg": [0.0]}},
     "grid.polar_deg": {"grid": VIEWS | {"polar_deg": [10.0, 95.0]}},
@@ -178,6 +207,24 @@ BUILD_MISTAKES = {
     "it needs polar_deg and azimuth_deg": {"quantities": ["reflectance_factor"]},
     "leave out polar_deg and azimuth_deg": {"grid": VIEWS, "quantities": ["transmittance"]},
     "quantities = 'brdf'": {"grid": VIEWS, "quantities": ["brdf"]},
+    "grid.vza = 30.0: must be a parameter of the medium, or an angle (did you mean polar_deg?)": {
+        "grid": {"vza": [30.0]}
+    },
+    "grid.sza = 0.0: must be a parameter of the medium, or an angle (did you mean incid": {
+        "grid": {"sza": [0.0, 30.0]}
+    },
+    "grid.incidence_deg = 35.0: must be a list of different values, numbers or text (write [35.0], "
+    "or give the argument incidence_deg=35.0 and leave it out of the grid)": {
+        "grid": {"incidence_deg": 35.0}
+    },
+    "grid.depth_m = 1: must be a list of different values, numbers or text (write [1])": {
+        "grid": {"depth_m": 1}
+    },
+    "incidence_deg = [35]: must be one angle in degrees, or diffuse "
+    "(the grid takes the axis 'incidence_deg': [35])": {"incidence_deg": [35]},
+    "incidence_deg = [35]: must be left out, because grid.incidence_deg sets it": {
+        "incidence_deg": np.array([35]), "grid": {"incidence_deg": [35]}
+    },
     "covariance = True": {"grid": VIEWS, "covariance": True},
     "angles with quantities under isotropic light": {
         "grid": VIEWS, "quantities": ["diffuse_reflectance"], "incidence_deg": "diffuse",

@@ -42,7 +42,7 @@ FIT_SOURCES = (
 RETRIEVAL_SOURCES = (
     "analysis/theory/kokhanovsky_zege.py",
     "experiments/config/retrieve.py", "experiments/run_retrieve.py",
-    "tables/export.py", "tables/interpolation.py", "tables/interpolated_spectra.py",
+    "tables/interpolation.py", "tables/interpolated_spectra.py",
     "tables/axis_order.py", "tables/table.py",
     "materials/impurities.csv", "materials/impurities.py", "media/measured_inputs.py",
     "retrieval/state_vector.py", "retrieval/cubic_interpolation.py", "retrieval/band_selection.py",

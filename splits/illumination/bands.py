@@ -105,3 +105,23 @@ def as_bands(bands: Any) -> dict[str, SpectralBand]:
         raise invalid("bands", bands, allowed)
     named = to_text_keys("bands", bands)
     return {name: SpectralBand.from_input(f"bands.{name}", band) for name, band in named.items()}
+
+
+def compute_response_weights(name: str, band: SpectralBand, wavelengths: np.ndarray) -> np.ndarray:
+    """Return the weights of the wavelengths in the response-weighted mean over a band."""
+    nodes = snap_to_limits(band.wavelength_nm, wavelengths[0], wavelengths[-1])
+    low, high = nodes[[0, -1]].tolist()
+    if low < wavelengths[0] or high > wavelengths[-1]:
+        allowed = f"within the table's {wavelengths[0]:g} to {wavelengths[-1]:g} nm"
+        raise invalid(f"bands[{name!r}]", [low, high], allowed)
+    inside = wavelengths[(wavelengths > low) & (wavelengths < high)]
+    breakpoints = np.unique(np.concatenate([nodes, inside]))
+    # Spectrum and response are both linear between these points, so Simpson's rule is exact.
+    grid = np.stack([breakpoints[:-1], 0.5 * (breakpoints[:-1] + breakpoints[1:]), breakpoints[1:]])
+    simpson = np.array([[1.0], [4.0], [1.0]]) * np.diff(breakpoints) / 6.0
+    response = np.interp(grid, nodes, band.response) * simpson
+    weights = np.array(
+        [(np.interp(grid, wavelengths, unit) * response).sum() for unit in np.eye(wavelengths.size)]
+    )
+    total: float = weights.sum()
+    return weights / total

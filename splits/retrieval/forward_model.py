@@ -9,13 +9,13 @@ import numpy as np
 import xarray as xr
 
 from splits.core.validation import check_choice, invalid
+from splits.illumination.bands import compute_response_weights
 from splits.retrieval.cubic_interpolation import interpolate, interpolate_states
 from splits.retrieval.map_minimization import TableGrid
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.state_vector import SCALE, ParameterRange, StateVector
 from splits.tables.axes import INCIDENCE, ParameterGrid, check_axis_values
 from splits.tables.axis_order import load_selection
-from splits.tables.export import compute_response_weights
 from splits.tables.interpolation import compute_interpolation_weights, transform_axis
 from splits.tables.table import Table
 from splits.tables.views import DIFFUSE_PREFIX, VIEW_AXES

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from splits.core.validation import invalid
+from splits.core.validation import as_scalar, invalid
 from splits.io.bird_brdf import save_brdf
 from splits.tables.axes import INCIDENCE, check_axis_values
-from splits.tables.direction_export import REFLECTANCE_FACTOR, select_reflectance_factor
+from splits.tables.node_selection import REFLECTANCE_FACTOR, select_reflectance_factor
 from splits.tables.views import AZIMUTH, POLAR
+
+OTHER_NODES = (INCIDENCE, "wavelength")
+"""Axes whose single nodes are not parameters of the medium."""
 
 
 def write_bird(
@@ -32,8 +36,8 @@ def write_bird(
     Parameters
     ----------
     dataset : xarray.Dataset
-        ``reflectance_factor`` over ``incidence_deg``, ``polar_deg`` and ``azimuth_deg``, with its
-        standard error.
+        ``reflectance_factor`` over ``polar_deg`` and ``azimuth_deg``, and over ``incidence_deg``
+        unless the table has one angle of incidence, with its standard error.
     path : path
         File with the suffix ``.brdf`` or ``.json``, written atomically.
     provenance : mapping
@@ -46,10 +50,11 @@ def write_bird(
     Raises
     ------
     ValueError
-        For a missing axis, an angle with fewer than two nodes, azimuths that do not extend from 0°
-        to 180°, gaps, and incomplete provenance.
+        For a missing axis, isotropic light, fewer than two polar angles, azimuths that do not
+        extend from 0° to 180°, gaps, and incomplete provenance.
     """
-    subset = select_reflectance_factor(dataset, at)
+    dataset = _add_incidence_axis(dataset)
+    subset = select_reflectance_factor(dataset, at, min_incidences=1)
     if f"{REFLECTANCE_FACTOR}_stderr" not in subset:
         raise invalid("table", list(subset.data_vars), f"with {REFLECTANCE_FACTOR}_stderr")
     axes = [str(name) for name in dataset[REFLECTANCE_FACTOR].dims]
@@ -59,7 +64,7 @@ def write_bird(
     attrs = {
         **dataset.attrs,
         "medium": medium,
-        **{f"{medium}_{name}": value for name, value in nodes.items() if name != "wavelength"},
+        **{f"{medium}_{name}": nodes[name] for name in nodes if name not in OTHER_NODES},
     }
     both_sides = _add_mirrored_azimuths(subset)
     brdf = {
@@ -76,6 +81,15 @@ def write_bird(
         provenance,
         license,
     )
+
+
+def _add_incidence_axis(dataset: xr.Dataset) -> xr.Dataset:
+    """Return a table with its single angle of incidence as an axis, others unchanged."""
+    incidence = as_scalar(dataset.coords.get(INCIDENCE, dataset.attrs.get(INCIDENCE)))
+    if INCIDENCE in dataset.dims or not isinstance(incidence, Real):
+        return dataset
+    without = dataset.drop_vars(INCIDENCE, errors="ignore")
+    return without.expand_dims({INCIDENCE: [float(incidence)]})
 
 
 def _add_mirrored_azimuths(subset: xr.Dataset) -> xr.Dataset:

@@ -15,8 +15,8 @@ from splits.core.validation import (
     snap_to_limits,
 )
 from splits.tables.axes import INCIDENCE
-from splits.tables.direction_export import REFLECTANCE_FACTOR, select_reflectance_factor
 from splits.tables.interpolation import compute_interpolation_weights
+from splits.tables.node_selection import REFLECTANCE_FACTOR, select_reflectance_factor
 from splits.tables.views import AZIMUTH, POLAR, fold_azimuths
 
 MIN_LAST_ZENITH_DEG = 60.0

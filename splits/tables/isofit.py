@@ -10,13 +10,14 @@ import xarray as xr
 
 from splits.core.validation import invalid
 from splits.tables.axes import INCIDENCE
-from splits.tables.direction_export import (
+from splits.tables.interpolation import compute_interpolation_weights
+from splits.tables.node_selection import (
     DIFFUSE_REFLECTANCE_FACTOR,
+    RADIUS,
     REFLECTANCE_FACTOR,
+    select_at_fixed_axes,
     select_reflectance_factor,
 )
-from splits.tables.export import RADIUS, select_at_fixed_axes
-from splits.tables.interpolation import compute_interpolation_weights
 from splits.tables.views import AZIMUTH, POLAR
 
 ISOFIT_DIMS = ("solar_zenith", "observer_zenith", "relative_azimuth", "grain_radius", "wl")

@@ -25,7 +25,7 @@ from splits.tables.derivatives import (
     make_derivative_dataset,
 )
 from splits.tables.eradiate import convert_to_eradiate
-from splits.tables.export import convert_to_spires, write_csv
+from splits.tables.export import write_csv
 from splits.tables.interpolated_spectra import (
     InterpolatedSpectra,
     compute_axis_weights,
@@ -38,6 +38,7 @@ from splits.tables.interpolation import (
     check_within_axis,
 )
 from splits.tables.isofit import convert_to_isofit
+from splits.tables.spires import convert_to_spires
 from splits.tables.storage import MAX_BYTES_IN_MEMORY
 from splits.tables.view_selection import ViewRequest, describe_direction, select_view
 from splits.tables.views import POLAR, VIEW_AXES, VIEW_QUANTITIES
@@ -356,7 +357,7 @@ class Table:
 
     @reject_unknown_arguments
     def to_spires(self, impurity: str, bands: Any, per_unit: float = 1000.0, **at: Any) -> Any:
-        """Convert the table for spires; see `splits.tables.export.convert_to_spires`."""
+        """Convert the table for spires; see `splits.tables.spires.convert_to_spires`."""
         return convert_to_spires(self.dataset, impurity, bands, per_unit, **at)
 
     @reject_unknown_arguments

@@ -10,8 +10,8 @@ import splits
 from splits.core.validation import InvalidValue
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.retrieval.media import check_measurement_incidence, make_medium_state_vector
-from splits.tables.export import convert_to_spires
 from splits.tables.isofit import convert_to_isofit
+from splits.tables.spires import convert_to_spires
 
 BOTH_SPELLINGS = {"sza": 30.0, "incidence_deg": 50.0}
 POINT = {SIZE: 100.0, SOOT: 64.0}

@@ -16,7 +16,7 @@ from splits.core.uncertainty import compute_weighted_error
 from splits.core.validation import InvalidValue
 from splits.io.netcdf import drop_run_specific_attributes
 from splits.retrieval.maps import FLAGS
-from splits.tables.export import convert_to_spires
+from splits.tables.spires import convert_to_spires
 
 EQUIVALENT_INPUTS = {
     "read-only": lambda a: np.lib.stride_tricks.as_strided(a, writeable=False),

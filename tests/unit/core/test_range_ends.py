@@ -15,7 +15,7 @@ from splits.analysis.colour import covers_visible
 from splits.core.validation import InvalidValue, check_range, snap_to_limits
 from splits.materials import make_refractive_index
 from splits.simulation.arguments import check_direction_angles, check_wavelengths
-from splits.tables.export import convert_to_spires
+from splits.tables.spires import convert_to_spires
 
 NARROW_TABLE = make_table(
     lambda size, _: evaluate_spectrum(size, 0.0),

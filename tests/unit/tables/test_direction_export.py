@@ -160,6 +160,22 @@ def test_bird_files_have_every_direction_once(dataset, tmp_path):
     assert values == {"density_kg_m3": 300.0, SIZE: 100.0}
 
 
+@pytest.mark.parametrize("kind", ["axis", "coordinate", "attribute"])
+def test_bird_files_of_one_angle_of_incidence(dataset, kind, tmp_path):
+    write_bird(dataset, tmp_path / "all.brdf", AUTHOR, **COARSE)
+    one = dataset.isel(incidence_deg=[3] if kind == "axis" else 3, drop=kind == "attribute")
+    if kind == "attribute":
+        one.attrs["incidence_deg"] = 60.0
+    write_bird(one, tmp_path / "one.brdf", AUTHOR, **COARSE)
+    whole, part = (
+        json.loads((tmp_path / name).read_text(encoding="utf-8"))["data"]
+        for name in ("all.brdf", "one.brdf")
+    )
+    rows = np.array(whole["theta_i"]["values"]) == 60.0
+    assert set(part["theta_i"]["values"]) == {60.0}
+    np.testing.assert_array_equal(np.array(whole["BRDF"]["values"])[rows], part["BRDF"]["values"])
+
+
 def test_csv_files_repeat_hemispherical_quantities(dataset, tmp_path):
     write_csv(dataset, tmp_path / "table.csv")
     frame = pd.read_csv(tmp_path / "table.csv")
@@ -204,7 +220,7 @@ INVALID_DATASETS = {
     "full circle": (lambda: make_direction_dataset(azimuth_deg=[0.0, 180.0, 270.0]), ZERO_TO_180),
     "text": (
         lambda: make_direction_dataset().assign_coords(incidence_deg=["a", "b", "c", "d", "e"]),
-        "incidence_deg = .*at least two angles",
+        "incidence_deg = .*at least (two|one) angle",
     ),
     "a gap": (
         lambda: make_direction_dataset().where(lambda ds: ds.azimuth_deg > 0.0), "table = .*gaps"
@@ -224,6 +240,21 @@ def test_unsuitable_tables_are_rejected(name, conversion, tmp_path):
     ("call", "message"),
     [
         (lambda ds, _: convert_to_isofit(ds.rename({SIZE: "a"})), "axis = 'optical_radius_um'"),
+        (
+            lambda ds, _: convert_to_isofit(ds.rename({SIZE: "specific_surface_area_m2_kg"})),
+            "table = 'over .*must be over optical_radius_um .give optical_radius_um = 3e6/.917 spe",
+        ),
+        (
+            lambda ds, _: convert_to_isofit(ds.isel(incidence_deg=3)),
+            "table = 'reflectance_factor over .*give incidence_deg in the grid of splits.build_tab",
+        ),
+        (
+            lambda ds, folder: write_bird(
+                ds.isel(incidence_deg=3, drop=True).assign_attrs(incidence_deg="diffuse"),
+                folder / "a.brdf", AUTHOR, **COARSE,
+            ),
+            "table = 'reflectance_factor over .*give incidence_deg in the grid of splits.build_tab",
+        ),
         (lambda ds, _: convert_to_isofit(ds, sza=0.0), "sza = .*left out, as it is free"),
         (
             lambda ds, _: convert_to_isofit(ds[["reflectance_factor"]]),

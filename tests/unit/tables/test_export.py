@@ -8,8 +8,7 @@ import pytest
 import xarray as xr
 
 from splits.core.validation import InvalidValue
-from splits.illumination.bands import SpectralBand
-from splits.tables.export import compute_response_weights
+from splits.illumination.bands import SpectralBand, compute_response_weights
 from splits.tables.table import Table
 
 AXES = {

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
@@ -201,6 +202,32 @@ def _suppress_write_errors(callback: Callable[[Progress], None]) -> Callable[[Pr
             callback(progress)
 
     return safe_callback
+
+
+def report_whole_table(
+    report: ProgressCallback, start_time: float, n_done: int, n_left: int
+) -> ProgressCallback:
+    """Return a callback for one run that reports the progress of the whole table, if any.
+
+    Parameters
+    ----------
+    report : callable or None
+        Receives the progress of the table.
+    start_time : float
+        Of the table, as of `time.perf_counter` (s).
+    n_done, n_left : int
+        Numbers of runs before and after this one.
+    """
+    if not callable(report):
+        return None
+
+    def show(state: Progress) -> None:
+        elapsed_s = time.perf_counter() - start_time
+        mean_s = (elapsed_s + state.seconds_left) / (n_done + 1)
+        left_s = state.seconds_left + n_left * mean_s
+        report(replace(state, seconds=elapsed_s, seconds_left=left_s))
+
+    return show
 
 
 def write_line(line: str, stream: TextIO | None) -> None:

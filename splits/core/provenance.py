@@ -43,7 +43,7 @@ RETRIEVAL_SOURCES = (
     "analysis/theory/kokhanovsky_zege.py",
     "experiments/config/retrieve.py", "experiments/run_retrieve.py",
     "tables/interpolation.py", "tables/interpolated_spectra.py",
-    "tables/axis_order.py", "tables/table.py",
+    "tables/axis_order.py", "tables/table.py", "tables/table_interpolation.py",
     "materials/impurities.csv", "materials/impurities.py", "media/measured_inputs.py",
     "retrieval/state_vector.py", "retrieval/cubic_interpolation.py", "retrieval/band_selection.py",
     "retrieval/optimal_estimation.py", "retrieval/forward_model.py", "retrieval/sobol.py",

@@ -32,7 +32,7 @@ def sort_axes(dataset: Any) -> xr.Dataset:
     if "path_sharing_axes" not in dataset.attrs:
         hint = "splits.retrieve_return takes a table of returns" if "return_rate" in dataset else ""
         raise invalid("table", dataset.attrs.get("title", "a dataset"), allowed, hint)
-    if not any(f"{name}_stderr" in dataset for name in dataset.data_vars):
+    if not list_quantities(dataset):
         raise invalid("table", list(map(str, dataset.data_vars)), "with a quantity and its error")
     axes = list_axes(dataset)
     if "wavelength" not in axes:
@@ -43,12 +43,16 @@ def sort_axes(dataset: Any) -> xr.Dataset:
     return dataset.transpose(..., *(name for name in axes if name != "wavelength"), "wavelength")
 
 
+def list_quantities(dataset: xr.Dataset) -> list[str]:
+    """Return the quantities of a table, without standard errors."""
+    return [str(name) for name in dataset.data_vars if f"{name}_stderr" in dataset.data_vars]
+
+
 def list_axes(dataset: xr.Dataset) -> list[str]:
     """Return the axes of the quantities of a table, the wavelength last where it is an axis."""
     axes: list[str] = []
-    for name, variable in dataset.data_vars.items():
-        if f"{name}_stderr" in dataset.data_vars:
-            axes += [str(dim) for dim in variable.dims if dim not in axes]
+    for name in list_quantities(dataset):
+        axes += [str(dim) for dim in dataset[name].dims if dim not in axes]
     return sorted(axes, key=lambda axis: (axis == "wavelength", axis in VIEW_AXES))
 
 

@@ -14,7 +14,7 @@ import xarray as xr
 from splits.core.atomic import check_writable
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.paths import expand_path
-from splits.core.progress import Progress, ProgressCallback
+from splits.core.progress import ProgressCallback, report_whole_table
 from splits.core.provenance import hash_physics_sources
 from splits.instruments.solver import MONTE_CARLO
 from splits.instruments.spectral_run import SpectralRequest
@@ -210,26 +210,3 @@ def iterate_blocks(
             if folder is not None:
                 save_block(block, folder)
         yield block
-
-
-def report_whole_table(
-    report: ProgressCallback, start_time: float, n_done: int, n_left: int
-) -> ProgressCallback:
-    """Return a callback for one ensemble that reports the progress of the whole table, if any."""
-    if not callable(report):
-        return None
-
-    def show(state: Progress) -> None:
-        elapsed_s = time.perf_counter() - start_time
-        mean_s = (elapsed_s + state.seconds_left) / (n_done + 1)
-        report(
-            Progress(
-                state.rays,
-                state.stderr,
-                state.target,
-                elapsed_s,
-                state.seconds_left + n_left * mean_s,
-            )
-        )
-
-    return show

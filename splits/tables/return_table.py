@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
-from splits.core.progress import ProgressCallback
+from splits.core.progress import ProgressCallback, report_whole_table
 from splits.core.validation import check_integer
 from splits.instruments.delay_dataset import FLAG_NAME
 from splits.instruments.delay_record import (
@@ -25,7 +25,6 @@ from splits.media.medium import Medium
 from splits.simulation.arguments import check_incidence, check_wavelengths
 from splits.simulation.run_options import RunOptions
 from splits.tables.axes import INCIDENCE, ParameterGrid
-from splits.tables.build import report_whole_table
 from splits.tables.plan import make_point_medium
 
 RETURN_QUANTITIES = ("return_rate", "fraction", "mean_delay")

@@ -9,39 +9,27 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.core.arrays import as_1d_array
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.paths import expand_path
 from splits.core.validation import invalid, key_prefix
-from splits.io.netcdf import load, open_lazily, to_netcdf_attributes
+from splits.io.netcdf import load, open_lazily
 from splits.tables.axes import check_axis_values
-from splits.tables.axis_order import check_complete, list_axes, load_selection, sort_axes
+from splits.tables.axis_order import check_complete, list_axes, list_quantities, sort_axes
 from splits.tables.bird import write_bird
-from splits.tables.derivatives import (
-    DerivativeEstimate,
-    check_derivative_axes,
-    compute_derivative_weights,
-    differentiate,
-    make_derivative_dataset,
-)
 from splits.tables.eradiate import convert_to_eradiate
 from splits.tables.export import write_csv
-from splits.tables.interpolated_spectra import (
-    InterpolatedSpectra,
-    compute_axis_weights,
-    interpolate_first_axis,
-    interpolate_wavelengths,
-    make_interpolated_variables,
-)
-from splits.tables.interpolation import (
-    InterpolationWeights,
-    check_within_axis,
-)
 from splits.tables.isofit import convert_to_isofit
 from splits.tables.spires import convert_to_spires
 from splits.tables.storage import MAX_BYTES_IN_MEMORY
-from splits.tables.view_selection import ViewRequest, describe_direction, select_view
-from splits.tables.views import POLAR, VIEW_AXES, VIEW_QUANTITIES
+from splits.tables.table_interpolation import (
+    differentiate_table,
+    estimate_interpolation_errors,
+    has_directional_quantity,
+    interpolate_deviations,
+    interpolate_table,
+)
+from splits.tables.view_selection import ViewRequest, describe_table, select_view
+from splits.tables.views import POLAR, VIEW_AXES
 
 
 class Table:
@@ -71,19 +59,12 @@ class Table:
 
     def __repr__(self) -> str:
         """Return a summary of the table: one line per axis, and the direction of observation."""
-        lines = [f"Table of {', '.join(self.quantities)}"]
-        for name in self.axes:
-            values = self.dataset[name].values
-            span = f"{values[0]} to {values[-1]}" if values.dtype.kind == "f" else ", ".join(values)
-            lines.append(f"  {name}: {values.size} from {span}")
-        if self.has_direction and POLAR in self.dataset.attrs:
-            lines.append(f"  direction: {describe_direction(self.dataset.attrs)}")
-        return "\n".join(lines)
+        return describe_table(self.dataset)
 
     @property
     def quantities(self) -> list[str]:
         """Quantities of the table, without standard errors."""
-        return [str(n) for n in self.dataset.data_vars if f"{n}_stderr" in self.dataset.data_vars]
+        return list_quantities(self.dataset)
 
     @property
     def axes(self) -> list[str]:
@@ -98,7 +79,7 @@ class Table:
     @property
     def has_direction(self) -> bool:
         """Whether the table holds distributions over directions, or their values in one."""
-        return any(name in self.quantities for name in VIEW_QUANTITIES)
+        return has_directional_quantity(self.dataset)
 
     @reject_unknown_arguments
     def at_view(
@@ -119,8 +100,7 @@ class Table:
             Angle from the direction in which the beam travels (degrees), −360 to 360; 180 is the
             side of the sun.  It has no effect at the normal, and for a beam at the normal.
         field_of_view_deg : float
-            Full angle of a conical field of view, 0 to 60 degrees, which must lie within the
-            table.
+            Full angle of a conical field of view within the table, 0 to 60 degrees.
         diffuse_fraction : float or array_like, shape (wavelengths,)
             Fraction of the irradiance that is isotropic, 0 to 1.  Above 0 it needs the quantities
             under isotropic light, see `splits.build_table`.
@@ -142,9 +122,6 @@ class Table:
         ----------
         Schaepman-Strub et al. (2006), Remote Sensing of Environment 103, 27-42.
         """
-        if not self.has_views:
-            hint = f"axes {', '.join(self.axes)}"
-            raise invalid("polar_deg", polar_deg, "left out for a table without directions", hint)
         request = ViewRequest.from_arguments(
             self.dataset, polar_deg, azimuth_deg, field_of_view_deg, diffuse_fraction
         )
@@ -156,15 +133,13 @@ class Table:
         Names in messages begin with the prefix.  Axes of a single angle may be omitted.
         """
         at = check_axis_values(at, self.axes, prefix)
-        view = {name: at.pop(name, None) for name in VIEW_AXES}
+        polar, azimuth = (at.pop(name, None) for name in VIEW_AXES)
         nodes = self.dataset[POLAR].values
-        if view[POLAR] is None and nodes.size > 1:
-            raise invalid(
-                f"{prefix}{POLAR}", None, "given", "an axis of the table that is not retrieved"
-            )
-        view[POLAR] = nodes[0] if view[POLAR] is None else view[POLAR]
+        if polar is None and nodes.size > 1:
+            hint = "an axis of the table" + (" that is not retrieved" if prefix else "")
+            raise invalid(f"{prefix}{POLAR}", None, "given", hint)
         with key_prefix(prefix.rstrip(".")):
-            return self.at_view(**view), at
+            return self.at_view(nodes[0] if polar is None else polar, azimuth), at
 
     @reject_unknown_arguments
     def interp(self, **at: Any) -> xr.Dataset:
@@ -194,29 +169,7 @@ class Table:
         if self.has_views:
             table, at = self.fix_view(at)
             return table.interp(**at)
-        at = check_axis_values(at, self.axes)
-        wavelengths = self.dataset.wavelength.values
-        targets = wavelengths
-        if "wavelength" in at:
-            requested = as_1d_array("wavelength", at.pop("wavelength"), "numbers in nanometres")
-            targets = np.array(
-                [check_within_axis("wavelength", wavelengths, value) for value in requested]
-            )
-        subset, weights = self._select_stencil(at)
-        spectra = [
-            InterpolatedSpectra(*(subset[n].values.astype(float) for n in (q, f"{q}_stderr")))
-            for q in self.quantities
-        ]
-        for axis_weights in weights:
-            spectra = [interpolate_first_axis(spectrum, axis_weights) for spectrum in spectra]
-        if not np.array_equal(targets, wavelengths):
-            spectra = [
-                interpolate_wavelengths(spectrum, wavelengths, targets) for spectrum in spectra
-            ]
-        labels = [str(self.dataset[q].attrs.get("long_name", q)) for q in self.quantities]
-        wavelength = ("wavelength", targets, self.dataset.wavelength.attrs)
-        variables = make_interpolated_variables(self.quantities, labels, spectra)
-        return xr.Dataset(variables, {"wavelength": wavelength}, to_netcdf_attributes(at))
+        return interpolate_table(self.dataset, at)
 
     @reject_unknown_arguments
     def interpolation_errors(self, quantity: str, **at: Any) -> np.ndarray:
@@ -238,17 +191,7 @@ class Table:
         if self.has_views:
             table, at = self.fix_view(at)
             return table.interpolation_errors(quantity, **at)
-        subset, weights = self._select_stencil(at)
-        values = subset[quantity].values.astype(float)
-        errors: list[list[np.ndarray]] = []
-        for w in weights:
-            errors = [[np.tensordot(w.weights, row[w.nodes], 1) for row in rows] for rows in errors]
-            errors.append([np.tensordot(row, values, 1) for row in w.error_weights])
-            values = np.tensordot(w.weights, values[w.nodes], 1)
-        # The largest of the estimates from different validation nodes.
-        zero = np.zeros_like(values)
-        largest = [max(rows, key=lambda r: float((r**2).sum()), default=zero) for rows in errors]
-        return np.array(largest).reshape(-1, values.size)
+        return estimate_interpolation_errors(self.dataset, quantity, at)
 
     @reject_unknown_arguments
     def deviations(self, quantity: str, **at: Any) -> np.ndarray:
@@ -270,14 +213,7 @@ class Table:
         ValueError
             For a table made without ``covariance=True``.
         """
-        name = f"{quantity}_batches"
-        if name not in self.dataset:
-            raise invalid("table", quantity, "a table made with covariance=True")
-        subset, weights = self._select_stencil(at, [name])
-        values = subset[name].transpose(*self.axes[:-1], "batch", "wavelength").values.astype(float)
-        for w in weights:
-            values = np.tensordot(w.weights, values[w.nodes], 1)
-        return values
+        return interpolate_deviations(self.dataset, quantity, at)
 
     @reject_unknown_arguments
     def derivatives(self, names: Sequence[str], **at: Any) -> xr.Dataset:
@@ -306,49 +242,7 @@ class Table:
         if self.has_views:
             table, at = self.fix_view(at)
             return table.derivatives(names, **at)
-        axes = self.axes[:-1]
-        at = check_axis_values(at, axes)
-        numeric_axes = [n for n in axes if self.dataset[n].dtype.kind == "f"]
-        selected = check_derivative_axes(names, numeric_axes)
-        batch_variables = [
-            f"{q}_batches" for q in self.quantities if f"{q}_batches" in self.dataset
-        ]
-        subset, weights = self._select_stencil(at, self._list_variables() + batch_variables)
-        estimates: dict[str, list[DerivativeEstimate]] = {q: [] for q in self.quantities}
-        for name in selected:
-            axis, nodes = axes.index(name), self.dataset[name].values
-            stencil = np.searchsorted(nodes, subset[name].values[weights[axis].nodes])
-            derivative_weights = compute_derivative_weights(
-                name, nodes, stencil, check_within_axis(name, nodes, at.get(name, nodes[0])),
-                has_direction=self.has_direction,
-            )  # fmt: skip
-            for quantity, rows in estimates.items():
-                rows.append(differentiate(subset, quantity, weights, axis, derivative_weights))
-        wavelength = ("wavelength", self.dataset.wavelength.values, self.dataset.wavelength.attrs)
-        return make_derivative_dataset(
-            estimates, selected, wavelength, to_netcdf_attributes(dict(at))
-        )
-
-    def _select_stencil(
-        self, at: dict[str, Any], variables: list[str] | None = None
-    ) -> tuple[xr.Dataset, list[InterpolationWeights]]:
-        """Return the nodes around a point and the interpolation weights of every axis."""
-        at = check_axis_values(at, self.axes[:-1])
-        subset, weights = self.dataset[variables or self._list_variables()], []
-        for name in self.axes[:-1]:
-            values = self.dataset[name].values
-            if name not in at and values.size > 1:
-                raise invalid(name, None, "given", "an axis of the table")
-            axis_weights = compute_axis_weights(
-                name, values, at.get(name, values[0]), has_direction=self.has_direction
-            )
-            # Only nodes with weights are read from a table on disk.
-            needed = np.union1d(
-                axis_weights.nodes, np.flatnonzero(axis_weights.error_weights.any(axis=0))
-            )
-            weights.append(axis_weights.restrict_to(needed))
-            subset = subset.isel({name: needed})
-        return load_selection(subset), weights
+        return differentiate_table(self.dataset, names, at)
 
     @reject_unknown_arguments
     def to_csv(self, path: str | Path) -> None:
@@ -374,17 +268,11 @@ class Table:
 
     @reject_unknown_arguments
     def to_bird(
-        self,
-        path: str | Path,
-        provenance: Mapping[str, Any],
-        license: Mapping[str, str] | None = None,
-        **at: Any,
-    ) -> None:
+        self, path: str | Path, provenance: Mapping[str, Any],
+        license: Mapping[str, str] | None = None, **at: Any,
+    ) -> None:  # fmt: skip
         """Write the table in the format of BiRDview; see `splits.tables.bird.write_bird`."""
         write_bird(self.dataset, path, provenance, license, **at)
-
-    def _list_variables(self) -> list[str]:
-        return [f"{q}{suffix}" for q in self.quantities for suffix in ("", "_stderr")]
 
 
 @reject_unknown_arguments
@@ -407,5 +295,5 @@ def open_table(path: str | Path) -> Table:
     """
     hint = "splits.Table(…) takes a dataset" if isinstance(path, xr.Dataset) else ""
     path = expand_path(path, hint=hint)
-    fits_in_memory = path.stat().st_size <= 1.2 * MAX_BYTES_IN_MEMORY
-    return Table(load(path) if fits_in_memory else open_lazily(path))
+    is_small = path.stat().st_size <= 1.2 * MAX_BYTES_IN_MEMORY
+    return Table(load(path) if is_small else open_lazily(path))

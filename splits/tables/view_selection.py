@@ -7,7 +7,6 @@ Environment 103, 27).  A part of the light may be isotropic.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +16,7 @@ from splits.core.arrays import align_to_labels, check_array_range
 from splits.core.uncertainty import make_variable
 from splits.core.validation import check_range, invalid, snap_to_limits
 from splits.tables.axes import INCIDENCE
-from splits.tables.axis_order import load_selection
+from splits.tables.axis_order import list_axes, list_quantities, load_selection
 from splits.tables.interpolated_spectra import (
     InterpolatedSpectra,
     compute_axis_weights,
@@ -77,6 +76,9 @@ class ViewRequest(NamedTuple):
         diffuse_fraction: Any,
     ) -> ViewRequest:  # fmt: skip
         """Return the request of `splits.Table.at_view`, after checking all values."""
+        if POLAR not in list_axes(dataset):
+            hint = f"axes {', '.join(list_axes(dataset))}"
+            raise invalid("polar_deg", polar_deg, "left out for a table without directions", hint)
         polar = check_range("polar_deg", polar_deg, 0.0, 90.0, open_high=True)
         azimuth = _choose_azimuth(dataset, polar, azimuth_deg)
         field = check_range("field_of_view_deg", field_of_view_deg, 0.0, MAX_FIELD_OF_VIEW_DEG)
@@ -200,14 +202,22 @@ def select_view(dataset: xr.Dataset, request: ViewRequest) -> xr.Dataset:
     return xr.Dataset(variables, coordinates, dataset.attrs | attributes)
 
 
-def describe_direction(attributes: Mapping[str, Any]) -> str:
-    """Return the text of what `select_view` stores about a direction of observation."""
-    names = (*VIEW_AXES, "field_of_view_deg", "diffuse_fraction")
-    given = {name: np.ravel(attributes[name]) for name in names if name in attributes}
-    return ", ".join(
-        f"{name} {values.min():g}" + (f" to {values.max():g}" if np.ptp(values) > 0.0 else "")
-        for name, values in given.items()
-    )
+def describe_table(dataset: xr.Dataset) -> str:
+    """Return a summary of a table: its quantities, its axes, and its direction of observation."""
+    lines = [f"Table of {', '.join(list_quantities(dataset))}"]
+    for name in list_axes(dataset):
+        values = dataset[name].values
+        span = f"{values[0]} to {values[-1]}" if values.dtype.kind == "f" else ", ".join(values)
+        lines.append(f"{name}: {values.size} from {span}")
+    if POLAR in dataset.attrs:
+        names = (*VIEW_AXES, "field_of_view_deg", "diffuse_fraction")
+        given = {name: np.ravel(dataset.attrs[name]) for name in names if name in dataset.attrs}
+        texts = [
+            f"{name} {values.min():g}" + (f" to {values.max():g}" if np.ptp(values) > 0.0 else "")
+            for name, values in given.items()
+        ]
+        lines.append(f"direction: {', '.join(texts)}")
+    return "\n  ".join(lines)
 
 
 Estimate = tuple[xr.DataArray, xr.DataArray]

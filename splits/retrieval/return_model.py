@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import as_1d_array, as_float_array, check_increasing, check_no_gaps
-from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid
+from splits.core.validation import ROUNDING_TOLERANCE, as_scalar, check_range, invalid
 from splits.instruments.delay_record import Pulse
 from splits.retrieval.forward_model import MeasurementOperator, TableForwardModel
 from splits.retrieval.measurement import Measurement
@@ -21,6 +21,8 @@ from splits.tables.return_table import TITLE
 from splits.tables.table import Table
 
 QUANTITY = "return_rate"
+UNITS = "s-1"
+RETURN_HINT = "a dataset: light.sel(side='reflected') of light = splits.time_of_flight(…)"
 MAX_PHOTONS = 1e30
 
 
@@ -87,14 +89,24 @@ def make_channel_table(table: Any) -> Table:
 def read_return(measured: Any, n_wavelengths: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the delays between bins (s) and the light per time, after checking them.
 
+    Parameters
+    ----------
+    measured : pair of array_like, or xarray.Dataset
+        See `splits.retrieve_return`.
+    n_wavelengths : int
+        Number of wavelengths of the table.
+
     Returns
     -------
     edges : float, shape (bins + 1,)
     rates : float, shape (wavelengths, bins)
     """
+    if isinstance(measured, xr.Dataset):
+        measured = _read_return_dataset(measured)
     if not isinstance(measured, tuple | list) or len(measured) != 2:
         allowed = "(delays between bins in s, light per time in s⁻¹)"
-        raise invalid("measured", type(measured).__name__, allowed)
+        hint = RETURN_HINT if isinstance(measured, xr.DataArray) else ""
+        raise invalid("measured", type(measured).__name__, allowed, hint)
     edges = as_1d_array("measured (delays)", measured[0], "numbers in seconds")
     check_increasing("measured (delays)", edges)
     rates = as_float_array("measured", measured[1], "numbers in s⁻¹, without gaps")
@@ -103,6 +115,24 @@ def read_return(measured: Any, n_wavelengths: int) -> tuple[np.ndarray, np.ndarr
         allowed = f"{shape[1]} values for each of the {n_wavelengths} wavelengths of the table"
         raise invalid("measured", f"of shape {rates.shape}", allowed, "one fewer than delays")
     return edges, rates.reshape(shape)
+
+
+def _read_return_dataset(measured: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """Return the delays between bins and the light per time of `splits.time_of_flight`."""
+    part = measured.isel({dim: 0 for dim in ("side", "wavelength") if measured.sizes.get(dim) == 1})
+    if not {QUANTITY, "delay_bounds"} <= {*part.variables}:
+        raise invalid("measured", "a dataset", f"with {QUANTITY} and delay_bounds", RETURN_HINT)
+    rates, bounds = part[QUANTITY], part.delay_bounds.transpose("delay", ...).values
+    side = str(as_scalar(part.coords.get("side", "reflected")))
+    if "delay" not in rates.dims or {*rates.dims} - {"wavelength", "delay"} or side != "reflected":
+        side = "both sides" if "side" in rates.dims else side
+        found = f"{side}, over {', '.join(map(str, rates.dims))}"
+        raise invalid("measured", found, "reflected, over wavelength and delay", RETURN_HINT)
+    if not np.allclose(bounds[1:, 0], bounds[:-1, 1], rtol=ROUNDING_TOLERANCE, atol=0.0):
+        raise invalid("measured.delay", "with gaps", "bins that follow each other")
+    if rates.attrs.get("units", UNITS) != UNITS:
+        raise invalid("measured", f"in {rates.attrs['units']}", f"in {UNITS}")
+    return np.append(bounds[:, 0], bounds[-1, 1]), rates.transpose(..., "delay").values
 
 
 class PhotonNoise(NamedTuple):

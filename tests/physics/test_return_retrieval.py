@@ -4,9 +4,11 @@ import math
 
 import numpy as np
 import pytest
+import xarray as xr
 from scipy import stats
 
 import splits
+from splits.core.validation import InvalidValue
 from splits.instruments.delay_record import Pulse
 from splits.retrieval.return_model import make_return_operator
 from tests.statistics.chi2 import judge_z
@@ -178,6 +180,15 @@ def test_the_incidence_may_be_an_axis():
         ({"measured": ([0, 1e-9], [1, 2])}, "measured = 'of shape .2,.': must be 1 values for"),
         ({"measured": ([0, 1e-8], [1e9])}, "measured .delays. = 1e-08: must be up to 4e-09 s"),
         ({"measured": ([1e-9, 0], [1e9])}, "strictly increasing"),
+        ({"measured": xr.Dataset()}, "measured = 'a dataset': must be with return_rate"),
+        (
+            {"measured": ([0.0, 1e-9], [420.0]), "noise": 20.0},
+            "measured = 'of the sum 4.2e-07': must be rates in s⁻¹, .*of at least 0",
+        ),
+        (
+            {"measured": ([0.0, 1e-9], [5e12])},
+            r"measured = 'of the sum 5e\+03': .* of at most 1 \(n of N",
+        ),
         ({"noise": None}, "noise = None: must be standard errors"),
         ({"noise": 0.0}, "noise = 0.0: must be standard errors above 0"),
         ({"noise": [1.0, 2.0, 3.0]}, "noise = 'of shape"),
@@ -195,6 +206,57 @@ def test_mistakes_in_measurements_have_one_message(table, keywords, message):
     with pytest.raises(ValueError, match=message) as caught:
         splits.retrieve_return(**{**arguments, **keywords})
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("free", [[AREA], [AREA, "scale"]])
+def test_counts_of_photons_are_rejected_and_weak_returns_are_not(table, free):
+    rates = count_photons(make_deep_snow(**{AREA: 18.0}), 1064.0, SHORT_BINS, 1.0, seed=7)
+    counts = np.rint(rates * PHOTONS * np.diff(SHORT_BINS))
+    hint = r"n of N incident photons in a bin of width w \(s\) have the value n/\(N w\)"
+    for values in (counts, counts / np.diff(SHORT_BINS), 1e-9 * rates):
+        for noise in ({"photons": PHOTONS}, np.sqrt(np.maximum(values, 1.0))):
+            with pytest.raises(InvalidValue, match=hint):
+                splits.retrieve_return((SHORT_BINS, values), table, free, noise, pulse=PULSE_S)
+    # Nothing was counted, or one photon of few, or the signal is less than the noise.
+    one = np.where(np.arange(rates.size) == 7, 1.0, 0.0) / (100.0 * np.diff(SHORT_BINS))
+    for values, noise in (
+        (0.0 * rates, {"photons": 3.0}),
+        (one, {"photons": 100.0}),
+        (1e-6 * rates, rates.max()),
+        (-1e2 * rates, 1e3 * rates.max()),
+    ):
+        splits.retrieve_return((SHORT_BINS, values), table, free, noise, pulse=PULSE_S)
+
+
+def test_a_poor_fit_without_a_pulse_has_a_warning(table):
+    rates = count_photons(make_deep_snow(**{AREA: 18.0}), 1064.0, SHORT_BINS, 1.0, seed=7)
+    for pulse in (None, PULSE_S):
+        found = splits.retrieve_return(
+            (SHORT_BINS, rates), table, [AREA], 0.01 * rates.max(), pulse=pulse
+        )
+        assert any("no pulse is given" in line for line in found.warnings) == (pulse is None)
+
+
+def test_returns_of_the_instrument_are_accepted(table):
+    edges = SHORT_RECORD[::5]
+    medium = make_deep_snow(**{AREA: 15.0})
+    light = splits.time_of_flight(medium, 1064.0, rays=5000, seed=3, delay_s=edges)
+    reflected, noise = light.sel(side="reflected"), 0.02 * float(light.return_rate.max())
+    pair = edges, reflected.return_rate.values
+    expected = splits.retrieve_return(pair, table, [AREA], noise)
+    for one in (reflected, reflected.squeeze(), reflected.transpose(), light.isel(side=[0])):
+        assert splits.retrieve_return(one, table, [AREA], noise).values == expected.values
+    in_ns = reflected.assign(return_rate=reflected.return_rate.assign_attrs(units="ns-1"))
+    for wrong, message in (
+        (light, "measured = 'both sides, over side, .*delay': must be"),
+        (light.sel(side="transmitted"), "measured = 'transmitted, over wavelength, delay'"),
+        (reflected.drop_vars("delay_bounds"), "measured = 'a dataset': must be with return_rate"),
+        (reflected.isel(delay=[0, 2]), "measured.delay = 'with gaps'"),
+        (reflected.return_rate, "measured = 'DataArray': .*a dataset: light.sel"),
+        (in_ns, "measured = 'in ns-1': must be in s-1"),
+    ):
+        with pytest.raises(InvalidValue, match=message):
+            splits.retrieve_return(wrong, table, [AREA], noise)
 
 
 def test_tables_may_be_parts_but_have_no_gaps(table):

@@ -249,7 +249,7 @@ def test_returns_of_the_instrument_are_accepted(table):
     in_ns = reflected.assign(return_rate=reflected.return_rate.assign_attrs(units="ns-1"))
     for wrong, message in (
         (light, "measured = 'both sides, over side, .*delay': must be"),
-        (light.sel(side="transmitted"), "measured = 'transmitted, over wavelength, delay'"),
+        (light.sel(side="transmitted"), "measured = 'transmitted, over delay'"),
         (reflected.drop_vars("delay_bounds"), "measured = 'a dataset': must be with return_rate"),
         (reflected.isel(delay=[0, 2]), "measured.delay = 'with gaps'"),
         (reflected.return_rate, "measured = 'DataArray': .*a dataset: light.sel"),

@@ -117,7 +117,7 @@ def _check_targets(
     experiment: ExperimentConfig, arguments: argparse.Namespace, measured: Path
 ) -> None:
     """Reject results that would replace an input of their experiment."""
-    sections = (experiment.figure, experiment.retrieve, experiment.fit)
+    sections = (experiment.figure, experiment.retrieval, experiment.fit)
     names = [section.measured for section in sections if section and section.measured]
     inputs = [arguments.file, *(measured / name for name in names)]
     targets = [arguments.output / Path(path).name for path in experiment.list_product_paths()]
@@ -149,7 +149,7 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
             "--seed", arguments.seed, "left out", f"the file has instrument.seed = {file_seed}"
         )
     has_figure = experiment.figure.kind != "none"
-    if has_figure or experiment.retrieve:
+    if has_figure or experiment.retrieval:
         import_optional("matplotlib", "figures", "figures need")
         import_optional("seaborn", "figures", "figures need")
     measured = arguments.media.parent / "measured"
@@ -172,8 +172,8 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
         block_folder = arguments.output / "blocks" / experiment.name
         write_run(simulation, accuracy, seed, block_folder, target, threads, _log)
     _print_line(target)
-    if experiment.retrieve:
-        _run_retrieval(experiment, target, measured, seed)
+    if experiment.retrieval:
+        _run_retrieval(experiment, target, measured, seed, threads)
         return
     if experiment.fit:
         _write_fitted_parameters(target)
@@ -196,17 +196,23 @@ def _write_fitted_parameters(path: Path) -> None:
     _print_line(parameters)
 
 
-def _run_retrieval(experiment: ExperimentConfig, path: Path, folder: Path, seed: int) -> None:
-    """Retrieve medium parameters from measured spectra with a table, and write the results."""
-    section = experiment.retrieve
-    if section is None:
-        return
+def _run_retrieval(
+    experiment: ExperimentConfig, path: Path, folder: Path, seed: int, threads: int
+) -> None:
+    """Retrieve medium parameters with a table, and write the results."""
     from splits.experiments.run_retrieve import write_retrieval
+    from splits.experiments.run_return import write_return_retrieval
 
-    table, figure = path.with_name(f"{path.stem}_retrieved.csv"), path.with_suffix(".png")
-    write_retrieval(section, path, folder / section.measured, seed, (table, figure), _log)
-    _print_line(table)
-    _print_line(figure)
+    section, of_return = experiment.retrieve, experiment.retrieve_return
+    outputs = path.with_name(f"{path.stem}_retrieved.csv"), path.with_suffix(".png")
+    if section:
+        write_retrieval(section, path, folder / section.measured, seed, outputs, _log)
+    elif of_return:
+        measured = folder / of_return.measured if of_return.measured else None
+        files = path, measured
+        write_return_retrieval(experiment, of_return, files, seed, outputs, threads, _log)
+    for output in outputs:
+        _print_line(output)
 
 
 def _log(line: str) -> None:

@@ -23,6 +23,7 @@ SIMULATION_SOURCES = (
     "instruments",
     "core/uncertainty.py", "core/parameter_names.py",
     "tables/axes.py", "tables/block.py", "tables/ordinates.py", "tables/plan.py",
+    "tables/return_table.py",
     "experiments/config/grid.py", "experiments/config/medium.py",
     "experiments/config/simulation.py", "experiments/run.py", "experiments/run_packs.py",
     "experiments/run_points.py",
@@ -54,6 +55,11 @@ RETRIEVAL_SOURCES = (
     "illumination/bands.py", "illumination/sensors.py", "illumination/sensors.csv",
 )  # fmt: skip
 """Files that determine retrievals from a table."""
+RETURN_SOURCES = (
+    *RETRIEVAL_SOURCES, "experiments/config/measured_return.py", "experiments/run_return.py",
+    "retrieval/retrieve_return.py", "retrieval/return_model.py",
+)
+"""Files that determine retrievals from a table of returns."""
 TABLE_SOURCES = ("tables/assembly.py", "tables/build.py", "experiments/run_table.py")
 """Files that determine how a table is made from its simulated parts."""
 FIGURE_SOURCES = ("plotting/*.py", "plotting/*.mplstyle")

@@ -15,6 +15,7 @@ from splits.core.provenance import hash_physics_sources
 from splits.core.validation import invalid
 from splits.experiments.checkpoints import PointCache
 from splits.experiments.config.accuracy import Accuracy
+from splits.experiments.config.beam_instruments import ReturnTable
 from splits.experiments.config.grid import make_grid_coordinates
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.run_points import STDERR_ATTRIBUTES, SimulatedPoints, simulate_points
@@ -22,6 +23,7 @@ from splits.experiments.run_table import run_table, write_table
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
 from splits.simulation.run_options import make_wavelength_coordinate
 from splits.simulation.stopping_rule import STOP_REASONS
+from splits.tables.return_table import TITLE
 
 POINT_VARIABLES = {
     "rays": ("rays", "number of rays traced", "1"),
@@ -136,9 +138,10 @@ def _stack_points(
         if key not in varying
         and all(key in r.attrs and np.array_equal(r.attrs[key], value) for r in results)
     }
+    is_return_table = isinstance(experiment.instrument, ReturnTable)
     attributes = {
         **constant,
-        "title": f"Experiment {experiment.name}",
+        "title": TITLE if is_return_table else f"Experiment {experiment.name}",
         "experiment": experiment.name,
         "configuration": experiment.dump_configuration(),
         "rays": points.rays,

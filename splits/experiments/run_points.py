@@ -12,7 +12,7 @@ import xarray as xr
 from splits.core.progress import LogCallback, Progress
 from splits.experiments.checkpoints import PointCache
 from splits.experiments.config.accuracy import Accuracy
-from splits.experiments.config.beam_instruments import BeamSpread, TimeOfFlight
+from splits.experiments.config.beam_instruments import BeamSpread, DelayInstrument, ReturnTable
 from splits.experiments.config.instrument import Instrument, OpticalInstrument
 from splits.experiments.config.instrument_kinds import Goniophotometer, Spectrophotometer
 from splits.experiments.config.simulation import SimulationConfig
@@ -31,6 +31,7 @@ from splits.io.netcdf import to_netcdf_attributes
 from splits.media.medium import Medium
 from splits.simulation.path_reuse import MediaGroup, group_by_shared_paths
 from splits.simulation.run_options import RunOptions
+from splits.tables.return_table import build_return_table
 
 STDERR_ATTRIBUTES = ("max_stderr_reached", "relative_stderr_reached")
 N_BEAM_RAYS = 200_000
@@ -197,9 +198,12 @@ def simulate_point(
         return measure(medium, **arguments)
     arguments |= {"threads": run.threads, "progress": run.progress}
     scene: tuple[Any, ...] = (medium, instrument.get_wavelengths(), incidence)
-    if isinstance(instrument, BeamSpread | TimeOfFlight):
+    if isinstance(instrument, BeamSpread | DelayInstrument):
         effort = (0.02 / (instrument.stderr_scale * accuracy.relative_stderr)) ** 2
         arguments.setdefault("rays", int(np.ceil(N_BEAM_RAYS * effort)))
+        if isinstance(instrument, ReturnTable):
+            table = build_return_table(lambda point: medium, {"point": [0]}, *scene[1:], **arguments)
+            return table.isel(point=0, drop=True)
         measure = beam_spread if isinstance(instrument, BeamSpread) else time_of_flight
         return measure(*scene, **arguments)
     if accuracy.max_rays is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -219,13 +219,23 @@ def write_retrieval(
     `table` is the dataset of the table, with the name of the experiment.  `outputs` are the CSV
     table and the figure, which is written in all formats.  `log` receives lines for each sample.
     """
+    spectra = read_spectra(Path(measured), "retrieve.measured")
+    results = run_retrieve(section, open_table(table), spectra, seed, log)
+    name, prefixes = Path(table).stem, section.list_sample_prefixes()
+    write_samples(results, name, section.reference_values, prefixes, outputs)
+
+
+def write_samples(
+    results: list[SampleRetrieval],
+    experiment: str,
+    references: Mapping[str, Mapping[str, float]],
+    prefixes: Sequence[str],
+    outputs: tuple[str | Path, str | Path],
+) -> None:
+    """Write the retrievals of all samples as a table and as a figure; see `write_retrieval`."""
     from splits.plotting.retrieval import draw_retrievals
     from splits.plotting.style import save_figure
 
-    spectra = read_spectra(Path(measured), "retrieve.measured")
-    results = run_retrieve(section, open_table(table), spectra, seed, log)
-    references = section.reference_values
     write_data_frame(make_retrieval_table(results, references), outputs[0])
-    combined = combine_samples(results, Path(table).stem)
-    figure = draw_retrievals(combined, references, section.list_sample_prefixes())
+    figure = draw_retrievals(combine_samples(results, experiment), references, prefixes)
     save_figure(figure, Path(outputs[1]).with_suffix(""))

@@ -18,6 +18,7 @@ from splits.plotting.reference_values import (
     get_model_colours,
     select_referenced_samples,
 )
+from splits.plotting.return_fit import RETURN_NOTE, draw_return_fit
 from splits.plotting.style import (
     BAND_SIGMA,
     SMALL_FONT_PT,
@@ -36,6 +37,7 @@ MAX_DRAWS_SHOWN = 400
 SHORT_LABELS = {
     "optical_radius_um": "radius (µm)",
     "specific_surface_area_m2_kg": "area (m²/kg)",
+    "density_kg_m3": "density (kg/m³)",
     "liquid_water_content": "water",
     "saturation": "water",
     "iron_oxide": "iron oxide",
@@ -45,6 +47,11 @@ SHORT_LABELS = {
 """Short labels of parameters for corner plots and kernels."""
 ENGINEERING_TICKS_FROM = 1e4
 """Values from which ticks of corner plots use k for a thousand."""
+SPECTRUM_NOTE = (
+    "Bands: two standard errors, of the measurement (grey) and of the table (in colour). "
+    "Dots: draws from the posterior"
+)
+"""Note on the figure of retrievals from spectra."""
 MAX_ROWS = 3
 """Largest number of rows: evenly selected samples, and reference values."""
 MAX_KERNEL_PARAMETERS = 4
@@ -90,9 +97,9 @@ def draw_retrievals(
         title_axes = []
         for row, sample in enumerate(samples):
             part = dataset.sel(sample=sample)
-            title_axes.append(
-                _draw_spectrum(figure, grid[row, 0], part, format_value(sample, "sample"))
-            )
+            draw_fit = draw_return_fit if "delay" in part.dims else _draw_spectrum
+            title = format_value(sample, "sample")
+            title_axes.append(draw_fit(figure, grid[row, 0], part, title))
             _draw_corner(figure, grid[row, 1], part)
             _draw_averaging_kernel(figure.add_subplot(grid[row, 2]), part)
         has_slopes = False
@@ -118,10 +125,7 @@ def draw_retrievals(
 
 def _make_note(dataset: xr.Dataset, rows: int, several: bool) -> str:
     """Return the note at the foot of the figure."""
-    note = (
-        "Bands: two standard errors, of the measurement (grey) and of the table (in colour). "
-        "Dots: draws from the posterior"
-    )
+    note = RETURN_NOTE if "delay" in dataset.dims else SPECTRUM_NOTE
     if rows < dataset.sizes["sample"]:
         note = f"{rows} of {dataset.sizes['sample']} samples, evenly among all. " + note
     if dataset.sizes["model"] == 1:

@@ -44,7 +44,7 @@ def draw_returns(
     legend : str, optional
         Title of the legend; by default the parameters of the grid.
     """
-    dataset = select_points(dataset, select or {}).sel(side="reflected")
+    dataset = _select_reflected(dataset, select)
     dims = [str(d) for d in dataset.return_rate.dims if d != "delay"]
     lines = PlotLines(dataset, [d for d in dims if d != "wavelength" or dataset.sizes[d] > 1])
     begin, end = (dataset.delay_bounds.values[:, column] for column in (0, 1))
@@ -99,7 +99,7 @@ def draw_range_bias(
     legend : str, optional
         Title of the legend; by default the parameters of the other lines.
     """
-    dataset = select_points(dataset, select or {}).sel(side="reflected")
+    dataset = _select_reflected(dataset, select)
     dims = [str(d) for d in dataset.mean_delay.dims if d != "wavelength"]
     numeric = [d for d in dims if np.issubdtype(dataset[d].dtype, np.number)]
     axis = max(numeric, key=lambda name: dataset.sizes[name])
@@ -123,3 +123,11 @@ def draw_range_bias(
         axes.spines[["top", "right"]].set_visible(False)
         lines.add_legend(figure, [axes], legend)
         return annotate_figure(figure, [axes], describe_conditions(dataset, select, "bars"))
+
+
+def _select_reflected(
+    dataset: xr.Dataset, select: Mapping[str, float | str] | None
+) -> xr.Dataset:
+    """Return the reflected light at values of the grid; a table of returns has no other."""
+    dataset = select_points(dataset, select or {})
+    return dataset.sel(side="reflected") if "side" in dataset.dims else dataset

@@ -34,7 +34,10 @@ if "explorer" in sys.argv[1:] and not EXPLORER_TABLES:
     LACKING = "; ".join(MISSING) or "explorer names no tables"
     raise WorkflowError(f"the explorer is left out: {LACKING}")
 # Experiments whose tables are used for retrievals.
-EXPERIMENTS_WITH_RETRIEVAL = [name for name, e in EXPERIMENTS.items() if e.retrieve]
+EXPERIMENTS_WITH_RETRIEVAL = [name for name, e in EXPERIMENTS.items() if e.retrieval]
+EXPERIMENTS_WITH_RETURNS = [
+    name for name, e in EXPERIMENTS.items() if e.retrieve_return
+]
 EXPERIMENTS_WITH_FIGURE = [
     name for name, e in EXPERIMENTS.items() if e.figure.kind != "none"
 ]

@@ -11,15 +11,17 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, mo
 from splits.core.paths import expand_path
 from splits.core.validation import invalid
 from splits.experiments.config.figure import FigureSection, check_figure, resolve_figure
+from splits.experiments.config.measured_return import RetrieveReturnSection
 from splits.experiments.config.reproduces import ReproducesSection
 from splits.experiments.config.retrieve import RetrieveSection
 from splits.experiments.config.retrieve_checks import check_retrieve_section
+from splits.experiments.config.return_checks import check_return_section
 from splits.experiments.config.sections import FIGURE_SUFFIXES, Caption, Title
 from splits.experiments.config.simulation import Name, SimulationConfig
 
 RESERVED_NAMES = (
     "all", "everything", "archive", "explorer", "explorer_page", "benchmark", "benchmarks",
-    "update_docs", "figure", "figure_benchmark", "fitted_parameters", "report", "retrieve",
+    "update_docs", "figure", "figure_benchmark", "fitted_parameters", "report", "retrieve", "retrieve_return",
     "natural_grains", "simulate", "table", "table_part",
 )  # fmt: skip
 """Names of rules of the workflow, which experiments may not have."""
@@ -52,6 +54,8 @@ class ExperimentConfig(SimulationConfig):
     """settings of the figure, or `none` for no figure"""
     retrieve: RetrieveSection | None = None
     """retrieves parameters from measured spectra with the table of the experiment"""
+    retrieve_return: RetrieveReturnSection | None = None
+    """retrieves parameters from returns of a pulse with the table of returns of the experiment"""
 
     @field_validator("name", "group")
     @classmethod
@@ -67,13 +71,21 @@ class ExperimentConfig(SimulationConfig):
     def _check_sections(self) -> ExperimentConfig:
         if self.retrieve:
             check_retrieve_section(self, self.retrieve)
-        check_figure(self, self.figure)
-        if self.retrieve:
+        if self.retrieve_return:
+            check_return_section(self, self.retrieve_return)
+        else:
+            check_figure(self, self.figure)
+        if self.retrieval:
             settings = sorted(self.figure.model_fields_set)
             if settings:
                 hint = "the figure shows the retrieved parameters"
                 raise invalid("figure", settings, "left out with a section retrieve", hint)
         return self
+
+    @property
+    def retrieval(self) -> RetrieveSection | RetrieveReturnSection | None:
+        """The section of the retrieval, if there is one."""
+        return self.retrieve or self.retrieve_return
 
     def list_product_paths(self) -> list[str]:
         """Return the files of the experiment, relative to the results folder."""
@@ -82,7 +94,7 @@ class ExperimentConfig(SimulationConfig):
             f"data/{self.name}.nc",
             *(figure + suffix for suffix in FIGURE_SUFFIXES if self.figure.kind != "none"),
             *([f"tables/{self.name}_parameters.csv"] if self.fit else []),
-            *([f"tables/{self.name}_retrieved.csv"] if self.retrieve else []),
+            *([f"tables/{self.name}_retrieved.csv"] if self.retrieval else []),
         ]
 
     def check_targets(

@@ -116,7 +116,7 @@ def _label_values(parameter: str, values: Any) -> dict[str, Any]:
     if not isinstance(values, (list, tuple, Mapping)) or not values:
         raise invalid(key, values, "a list of at least one value")
     if isinstance(values, Mapping) and _is_spacing(values):
-        values = _expand_spacing(key, values)
+        values = expand_spacing(key, values)
     if not isinstance(values, Mapping):
         labels = [make_label(key, value) for value in values]
         if len(set(labels)) < len(labels):
@@ -140,7 +140,7 @@ def _is_spacing(values: Mapping[Any, Any]) -> bool:
     return bool({"start", GEOMSPACE_KEY} & set(values)) or len(SPACING_KEYS & set(values)) > 1
 
 
-def _expand_spacing(key: str, values: Mapping[str, Any]) -> list[float]:
+def expand_spacing(key: str, values: Mapping[str, Any]) -> list[float]:
     """Return the evenly or geometrically spaced values of a parameter."""
     if set(values) == {GEOMSPACE_KEY}:
         return _expand_geomspace(f"{key}.{GEOMSPACE_KEY}", values[GEOMSPACE_KEY])

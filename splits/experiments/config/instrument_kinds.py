@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from splits.core.validation import check_choice, invalid, key_prefix
 from splits.experiments.config.albedo_instrument import Albedo
-from splits.experiments.config.beam_instruments import BeamSpread, TimeOfFlight
+from splits.experiments.config.beam_instruments import BeamSpread, ReturnTable, TimeOfFlight
 from splits.experiments.config.instrument import (
     Instrument,
     OpticalInstrument,
@@ -256,7 +256,8 @@ AnyInstrument = Annotated[
     | Annotated[Refractometer, Tag("refractive_index")]
     | Annotated[SurfaceMap, Tag("surface_map")]
     | Annotated[Lens, Tag("lens")]
-    | Annotated[TableInstrument, Tag("table")],
+    | Annotated[TableInstrument, Tag("table")]
+    | Annotated[ReturnTable, Tag("return_table")],
     Discriminator(get_instrument_kind),
 ]
 """An instrument of any kind, which the key `kind` determines."""

@@ -15,14 +15,17 @@ from splits.core.paths import expand_path
 from splits.core.validation import check_choice, invalid
 from splits.core.yaml import ConfigError, find_key, locate_message, read_yaml
 from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.measured_return import BIN_COLUMNS
 from splits.experiments.config.medium import SAMPLE_KEY
 from splits.experiments.config.messages import validate_content
 from splits.experiments.config.retrieve_checks import check_measured_spectra
+from splits.experiments.config.return_checks import SECTION, check_measured_returns
 from splits.experiments.config.sections import check_path
 from splits.experiments.config.settings import Settings
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.config.unused_settings import check_replaced_settings, check_unused_keywords
 from splits.experiments.run_fit import check_fit
+from splits.materials.csv_table import read_numeric_csv
 from splits.media.kinds import LAYERS_KEY, get_kind, iter_layers
 from splits.media.measured_inputs import override_keywords
 from splits.media.named_media import NAMED_MEDIA, read_named_medium
@@ -101,6 +104,8 @@ def _read_measured(key: str, folder: Path, name: str) -> pd.DataFrame:
         if not available:
             raise invalid(key, name, f"a CSV file in {folder}", "there is none")
         check_choice(key, name, available)
+    if key.startswith(f"{SECTION}."):
+        return read_numeric_csv(key, folder / name, BIN_COLUMNS)
     return read_spectra(folder / name, key)
 
 
@@ -127,6 +132,7 @@ def _check_figure_table(experiment: ExperimentConfig, measured: pd.DataFrame) ->
 TABLE_CHECKS: dict[str, Callable[[Any, pd.DataFrame], object]] = {
     "figure": _check_figure_table,
     "retrieve": lambda one, table: check_measured_spectra(one, one.retrieve, table),
+    SECTION: lambda one, table: check_measured_returns(one, one.retrieve_return, table),
     "fit": check_fit,
 }
 """Functions that check the measured table of a section against the experiment."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from splits.core.validation import check_choice, invalid, key_prefix, snap_to_limits
 from splits.experiments.config.instrument_kinds import TableInstrument
+from splits.experiments.config.measured_return import RetrieveReturnSection
 from splits.experiments.config.retrieve import RetrieveSection, parse_incidence_deg
 from splits.experiments.config.simulation import SimulationConfig
 from splits.media.measured_inputs import OPTICAL_RADIUS_KEY, SURFACE_AREA_KEY
@@ -15,7 +16,7 @@ from splits.retrieval.forward_model import get_grid_ranges
 from splits.retrieval.least_squares import check_enough_values
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.state_vector import SCALE, StateVector
-from splits.tables.axes import INCIDENCE
+from splits.tables.axes import INCIDENCE, ParameterGrid
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,7 +31,7 @@ AxisNodes = Mapping[str, tuple[Any, ...]]
 
 def check_retrieve_section(experiment: SimulationConfig, section: RetrieveSection) -> None:
     """Reject a retrieval that the table of its experiment does not allow."""
-    instrument, grid = experiment.instrument, experiment.grid
+    instrument = experiment.instrument
     if not isinstance(instrument, TableInstrument):
         raise invalid("instrument.kind", instrument.kind, "table with a section retrieve")
     quantities = instrument.quantities or ()
@@ -42,29 +43,44 @@ def check_retrieve_section(experiment: SimulationConfig, section: RetrieveSectio
         raise invalid("retrieve.quantity", None, allowed, "the table has directions")
     rows = dict(zip(*experiment.make_axes(), strict=True))
     _check_models(section, rows)
-    parameters = [*grid, SCALE]
+    with key_prefix("retrieve"):
+        check_parameters(section, rows, views)
+    _check_reference_values(section, rows)
+    _check_law(section, rows, experiment.medium)
+
+
+def check_parameters(
+    section: RetrieveSection | RetrieveReturnSection, axes: AxisNodes, views: Iterable[str]
+) -> None:
+    """Reject unknown parameters, and axes of the grid without a value.
+
+    `views` are axes of directions, which are not on the grid.
+    """
+    views = [*views]
+    grid = [name for name in axes if name not in views]
     known = {
-        "free": parameters,
+        "free": [*grid, SCALE],
         "fixed": [*grid, *views],
-        "prior": parameters,
+        "prior": [*grid, SCALE],
         "reference_values": section.free,
     }
     for key, names in known.items():
         for name in getattr(section, key):
-            check_choice(f"retrieve.{key}", name, names)
-    ranges = get_grid_ranges(experiment.make_axes(), has_direction=bool(views))
-    with key_prefix("retrieve"):
-        StateVector.from_ranges(section.free, section.prior or None, ranges)
+            check_choice(key, name, names)
+    nodes = ParameterGrid(tuple(axes), tuple(axes.values()))
+    ranges = get_grid_ranges(nodes, has_direction=bool(views))
+    StateVector.from_ranges(section.free, section.prior or None, ranges)
     for name in [n for n in section.fixed if n in section.free]:
-        raise invalid(f"retrieve.fixed.{name}", section.fixed[name], "left out", "it is free")
-    assigned = {*section.free, *section.fixed, section.model_axis, INCIDENCE}
-    for name in [n for n, values in rows.items() if len(values) > 1]:
+        raise invalid(f"fixed.{name}", section.fixed[name], "left out", "it is free")
+    assigned = {*section.free, *section.fixed}
+    if isinstance(section, RetrieveSection):
+        # The names of spectra may contain their angles.
+        assigned |= {section.model_axis or "", INCIDENCE}
+    for name in [n for n, values in axes.items() if len(values) > 1]:
         if name not in assigned:
-            raise invalid(f"retrieve.fixed.{name}", None, "given", "or make it free")
+            raise invalid(f"fixed.{name}", None, "given", "or make it free")
     if not [name for name in section.free if name != SCALE]:
-        raise invalid("retrieve.free", list(section.free), "at least one parameter of the grid")
-    _check_reference_values(section, rows)
-    _check_law(section, rows, experiment.medium)
+        raise invalid("free", list(section.free), "at least one parameter of the grid")
 
 
 def check_measured_spectra(

@@ -25,6 +25,7 @@ from splits.experiments.config.instrument_kinds import (
     AnyInstrument,
     BeamSpread,
     Goniophotometer,
+    ReturnTable,
     Spectrophotometer,
     TableInstrument,
 )
@@ -132,6 +133,10 @@ class SimulationConfig(ConfigSection):
         """Return the keywords of the medium."""
         return {key: value for key, value in self.medium.items() if key != "kind"}
 
+    def list_medium_keywords(self) -> list[str]:
+        """Return the keywords that the kind of the medium has."""
+        return list_keywords(MEDIUM_CLASSES[get_kind(self.medium)])
+
     def load_packs(self) -> SnowPacks:
         """Return the snowpacks of a file."""
         return load_packs(self._get_keywords())
@@ -181,6 +186,8 @@ class SimulationConfig(ConfigSection):
             # The blocks of a table are written one by one.
             self.make_axes()
             return
+        if isinstance(self.instrument, ReturnTable):
+            self.make_axes()
         points = math.prod(len(values) for values in self.grid.values())
         if points > MAX_GRID_POINTS:
             hint = "instrument.kind: table allows more"
@@ -308,8 +315,9 @@ class SimulationConfig(ConfigSection):
         return ParameterGrid.from_mapping(nodes)
 
     def make_medium(self, **values: Any) -> Medium:
-        """Return the medium at a point of the grid."""
-        point = {p: self.grid[p][v] if _get_axis_nodes(self.grid[p]) is self.grid[p] else v
+        """Return the medium at a point of the grid, or with other values of its keywords."""
+        grid = self.grid
+        point = {p: grid[p][v] if p in grid and _get_axis_nodes(grid[p]) is grid[p] else v
                   for p, v in values.items()}  # fmt: skip
         return make_medium(get_kind(self.medium), self.merge_settings(point))
 

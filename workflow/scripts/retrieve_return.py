@@ -1,0 +1,17 @@
+"""Retrieve parameters from returns of a pulse with a table (snakemake script)."""
+
+from splits.core.progress import open_progress_log
+from splits.experiments.config.measured_return import RetrieveReturnSection
+from splits.experiments.config.simulation import SimulationConfig
+from splits.experiments.run_return import write_return_retrieval
+
+with open_progress_log(snakemake.log[0]) as log:
+    write_return_retrieval(
+        SimulationConfig.model_validate(snakemake.params.experiment),
+        RetrieveReturnSection.model_validate_json(snakemake.params.retrieve),
+        (snakemake.input.table, next(iter(snakemake.input.measured), None)),
+        snakemake.params.seed,
+        (snakemake.output.table, snakemake.output.figure[0]),
+        snakemake.threads,
+        log,
+    )

@@ -56,8 +56,11 @@ RETRIEVAL_SOURCES = (
 )  # fmt: skip
 """Files that determine retrievals from a table."""
 RETURN_SOURCES = (
-    *RETRIEVAL_SOURCES, "experiments/config/measured_return.py", "experiments/run_return.py",
-    "retrieval/retrieve_return.py", "retrieval/return_model.py",
+    *RETRIEVAL_SOURCES,
+    "experiments/config/measured_return.py",
+    "experiments/run_return.py",
+    "retrieval/retrieve_return.py",
+    "retrieval/return_model.py",
 )
 """Files that determine retrievals from a table of returns."""
 TABLE_SOURCES = ("tables/assembly.py", "tables/build.py", "experiments/run_table.py")

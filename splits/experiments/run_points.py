@@ -202,7 +202,8 @@ def simulate_point(
         effort = (0.02 / (instrument.stderr_scale * accuracy.relative_stderr)) ** 2
         arguments.setdefault("rays", int(np.ceil(N_BEAM_RAYS * effort)))
         if isinstance(instrument, ReturnTable):
-            table = build_return_table(lambda point: medium, {"point": [0]}, *scene[1:], **arguments)
+            one_point = {"point": [0.0]}
+            table = build_return_table(lambda point: medium, one_point, *scene[1:], **arguments)
             return table.isel(point=0, drop=True)
         measure = beam_spread if isinstance(instrument, BeamSpread) else time_of_flight
         return measure(*scene, **arguments)

@@ -18,7 +18,7 @@ from splits.plotting.reference_values import (
     get_model_colours,
     select_referenced_samples,
 )
-from splits.plotting.return_fit import RETURN_NOTE, draw_return_fit
+from splits.plotting.return_fit import RETURN_NOTE, draw_return_fit, mark_known_values
 from splits.plotting.style import (
     BAND_SIGMA,
     SMALL_FONT_PT,
@@ -77,9 +77,12 @@ def draw_retrievals(
         Prefixes of the names of samples that have a common panel of reference values.
     """
     all_samples = dataset.sample.values
+    is_return = "delay" in dataset.dims
+    known = reference or {}
+    # Corner plots of returns show reference values.
     reference = {
         name: values
-        for name, values in (reference or {}).items()
+        for name, values in ({} if is_return else known).items()
         if select_referenced_samples(dataset, values, "")
     }
     max_samples = min(len(all_samples), MAX_ROWS - bool(reference))
@@ -97,10 +100,11 @@ def draw_retrievals(
         title_axes = []
         for row, sample in enumerate(samples):
             part = dataset.sel(sample=sample)
-            draw_fit = draw_return_fit if "delay" in part.dims else _draw_spectrum
+            draw_fit = draw_return_fit if is_return else _draw_spectrum
             title = format_value(sample, "sample")
             title_axes.append(draw_fit(figure, grid[row, 0], part, title))
-            _draw_corner(figure, grid[row, 1], part)
+            marks = {name: values.get(sample) for name, values in known.items()}
+            _draw_corner(figure, grid[row, 1], part, marks if is_return else {})
             _draw_averaging_kernel(figure.add_subplot(grid[row, 2]), part)
         has_slopes = False
         if reference:
@@ -197,8 +201,10 @@ def _draw_spectrum(figure: Figure, cell: SubplotSpec, part: xr.Dataset, title: s
     return top
 
 
-def _draw_corner(figure: Figure, cell: SubplotSpec, part: xr.Dataset) -> None:
-    """Draw the posterior draws: histograms, and all pairs of parameters."""
+def _draw_corner(
+    figure: Figure, cell: SubplotSpec, part: xr.Dataset, known: Mapping[str, float | None]
+) -> None:
+    """Draw the posterior draws: histograms, and all pairs of parameters, with known values."""
     names = list(map(str, part.parameter.values))
     inner = cell.subgridspec(len(names), len(names), wspace=0.04, hspace=0.04)
     draws = part.draws.transpose("model", "draw", "parameter").values
@@ -235,6 +241,7 @@ def _draw_corner(figure: Figure, cell: SubplotSpec, part: xr.Dataset) -> None:
                 axes.set_yticks([])
                 axes.spines[["top", "right", "left"]].set_visible(False)
             axes.set_xlim(low[j], high[j])
+            mark_known_values(axes, known.get(names[j]), known.get(names[i]) if i != j else None)
             _label_corner_axes(axes, names, (i, j))
 
 

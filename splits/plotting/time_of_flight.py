@@ -125,9 +125,7 @@ def draw_range_bias(
         return annotate_figure(figure, [axes], describe_conditions(dataset, select, "bars"))
 
 
-def _select_reflected(
-    dataset: xr.Dataset, select: Mapping[str, float | str] | None
-) -> xr.Dataset:
+def _select_reflected(dataset: xr.Dataset, select: Mapping[str, float | str] | None) -> xr.Dataset:
     """Return the reflected light at values of the grid; a table of returns has no other."""
     dataset = select_points(dataset, select or {})
     return dataset.sel(side="reflected") if "side" in dataset.dims else dataset

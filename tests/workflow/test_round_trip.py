@@ -65,6 +65,10 @@ CASES = {
     "trip_snow_range_bias": "medium: {kind: natural_snow, depth_m: .inf}\n"
     "instrument: {kind: time_of_flight, wavelength_nm: [1064], rays: 5000, delay_s: [0, 1.0e-9]}\n"
     "grid: {specific_surface_area_m2_kg: [20, 60]}\nfigure: {kind: range_bias}\n",
+    "trip_snow_return_table": "medium: {kind: natural_snow, depth_m: .inf}\n"
+    "instrument: {kind: return_table, wavelength_nm: [532, 1064], rays: 5000,"
+    " delay_s: {start: 0, stop: 1.0e-9, step: 1.0e-10}}\n"
+    "grid: {specific_surface_area_m2_kg: [20, 60]}\n",
     "trip_snow_ground": SNOW + "instrument: {wavelength_nm: [500, 800]}\n"
     "grid: {ground: {open: open, black: black, soil: camborthid, white: 1}}\n"
     "figure: {select: {ground: soil}, quantity: [reflectance, transmittance]}\n",

@@ -21,8 +21,8 @@ from splits.experiments.config.simulation import Name, SimulationConfig
 
 RESERVED_NAMES = (
     "all", "everything", "archive", "explorer", "explorer_page", "benchmark", "benchmarks",
-    "update_docs", "figure", "figure_benchmark", "fitted_parameters", "report", "retrieve", "retrieve_return",
-    "natural_grains", "simulate", "table", "table_part",
+    "update_docs", "figure", "figure_benchmark", "fitted_parameters", "report", "retrieve",
+    "retrieve_return", "natural_grains", "simulate", "table", "table_part",
 )  # fmt: skip
 """Names of rules of the workflow, which experiments may not have."""
 
@@ -79,7 +79,8 @@ class ExperimentConfig(SimulationConfig):
             settings = sorted(self.figure.model_fields_set)
             if settings:
                 hint = "the figure shows the retrieved parameters"
-                raise invalid("figure", settings, "left out with a section retrieve", hint)
+                name = "retrieve" if self.retrieve else "retrieve_return"
+                raise invalid("figure", settings, f"left out with a section {name}", hint)
         return self
 
     @property

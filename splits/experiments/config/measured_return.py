@@ -50,7 +50,7 @@ class MeasuredReturn(NamedTuple):
 class SyntheticReturn(FiniteSection):
     """Known media, whose returns are simulated and counted as photons."""
 
-    truth: dict[Label, dict[str, float]] = Field(min_length=1)
+    truth: dict[Label, dict[str, float]]
     """values of the free parameters by sample, and of other keywords of the medium that differ from
     those of the table; `scale` is by default 1"""
     delay_s: Delays

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.core.validation import invalid, key_prefix, unknown_key
+from splits.core.validation import InvalidValue, invalid, key_prefix, unknown_key
 from splits.experiments.config.beam_instruments import ReturnTable, dump_pulse
 from splits.experiments.config.measured_return import MeasuredReturn, RetrieveReturnSection
 from splits.experiments.config.retrieve_checks import check_on_grid, check_parameters
@@ -41,6 +41,8 @@ def check_return_section(experiment: SimulationConfig, section: RetrieveReturnSe
 def _check_truth(experiment: SimulationConfig, section: RetrieveReturnSection) -> None:
     """Reject known media that the table does not contain, or bins outside its record."""
     assert section.synthetic is not None
+    if not section.synthetic.truth:
+        raise invalid("synthetic.truth", {}, "at least one sample")
     rows = dict(zip(*experiment.make_axes(), strict=True))
     for sample, values in section.synthetic.truth.items():
         key = f"synthetic.truth.{sample}"
@@ -57,7 +59,10 @@ def _check_truth(experiment: SimulationConfig, section: RetrieveReturnSection) -
         pulse = Pulse.from_argument(dump_pulse(section.pulse))
         edges, _ = check_record(section.synthetic.delay_s, None, pulse)
     shape = experiment.instrument.get_wavelengths().size, edges.size - 1
-    _check_return(experiment, section, section.scale_counts(np.ones(shape), edges))
+    try:
+        _check_return(experiment, section, section.scale_counts(np.ones(shape), edges))
+    except InvalidValue as error:
+        raise invalid("synthetic.delay_s", error.value, error.allowed, error.hint) from None
 
 
 def make_true_medium(
@@ -73,7 +78,7 @@ def make_true_medium(
     keywords = experiment.list_medium_keywords()
     for name in values:
         if name not in rows and name.partition(".")[0] not in keywords:
-            raise unknown_key(name, [*rows, *keywords])
+            raise unknown_key(name, dict.fromkeys([*rows, *keywords, SCALE]))
     return experiment.make_medium(**values), incidence
 
 

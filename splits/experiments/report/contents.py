@@ -42,13 +42,13 @@ FIT_CAPTION = (
     "of the paper cannot be reproduced."
 )
 RETRIEVAL_CAPTION = (
-    "Parameters retrieved from measured spectra with the table of the experiment, by optimal "
+    "Parameters retrieved from spectra or returns with the table of the experiment, by optimal "
     "estimation. Errors include the stated noise of the measurement, the noise of the table, and "
     "the error of interpolation between its grid points. A parameter is constrained if the "
     "measurement at least halves the standard deviation of the range or the prior. The error "
     "inflation is the factor by which all errors were increased because the misfit exceeds the "
     "noise. The increased errors may still be too small, since errors of the model are correlated "
-    "between neighbouring wavelengths. The averaging kernel is the change of the result with the "
+    "between neighbouring wavelengths or delays. The averaging kernel is the change of the result with the "
     "true value, in units of the prior standard deviation: 1 if the measurement determines the "
     "parameter completely, 0 if it contains no information."
 )

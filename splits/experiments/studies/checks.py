@@ -76,7 +76,8 @@ def _check_unique_names(studies: Mapping[str, Study], available: Experiments) ->
         for name in [study, *definition.list_product_names(study).values()]
     ]
     for name, experiment in available.items():
-        for suffix, section in (("parameters", experiment.fit), ("retrieved", experiment.retrieval)):
+        sections = {"parameters": experiment.fit, "retrieved": experiment.retrieval}
+        for suffix, section in sections.items():
             owner = f"the table of the experiment {name}" if section else ""
             uses.append((f"experiment {name}", f"{name}_{suffix}", owner))
     uses += [(f"experiment {name}", name, f"the experiment {name}") for name in available]

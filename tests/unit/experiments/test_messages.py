@@ -92,7 +92,7 @@ WRONG_TYPES = {
     "instrument: {kind: goniophotometre}":
         "instrument.kind = 'goniophotometre': must be one of spectrophotometer, albedo, "
         "goniophotometer, beam_spread, time_of_flight, refractive_index, surface_map, lens, "
-        "table (did you mean goniophotometer?)",
+        "table, return_table (did you mean goniophotometer?)",
     "instrument: {kind: goniophotometer, n_bins: [5]}":
         "instrument.n_bins = [5]: must be a list of 2 whole numbers",
     "instrument: {kind: table, radius_m: 3}":
@@ -106,7 +106,7 @@ WRONG_TYPES = {
     "title: 2024": "title = 2024: must be text (put it into quotes)",
     "fit: 5": "fit = 5: must be a mapping with measured",
     "5: 6": "5: unknown key, must be one of name, medium, instrument, grid, fit, group, "
-        "reproduces, title, caption, figure, retrieve",
+        "reproduces, title, caption, figure, retrieve, retrieve_return",
 }  # fmt: skip
 
 

@@ -50,8 +50,8 @@ MISTAKES = [
     ("title: again\n", "", "line 25: not YAML ('title' given twice, in lines 2 and 25)",
      NOT_PARSED),
     ("captoin", "caption", "line 3: captoin: unknown key, must be one of name, medium, "
-     "instrument, grid, fit, group, reproduces, title, caption, figure, retrieve "
-     "(did you mean caption?)",
+     "instrument, grid, fit, group, reproduces, title, caption, figure, retrieve, "
+     "retrieve_return (did you mean caption?)",
      IN_SCHEMA),
     ("plan\n", "plane\n", "line 21: figure.kind = 'principal_plan': must be one of spectra, "
      "points, refractive_index, swatches, fit, principal_plane, hemisphere, lobes, bins, spread, "
@@ -65,7 +65,8 @@ MISTAKES = [
      "letter first, no device such as con or nul", IN_SCHEMA),
     ("metre", "meter", "line 10: instrument.kind = 'goniophotometre': must be one of "
      "spectrophotometer, albedo, goniophotometer, beam_spread, time_of_flight, "
-     "refractive_index, surface_map, lens, table (did you mean goniophotometer?)", IN_SCHEMA),
+     "refractive_index, surface_map, lens, table, return_table (did you mean goniophotometer?)",
+     IN_SCHEMA),
     ("  radius_m: 3\n", "", "line 13: instrument.radius_m = 3: must be left out for "
      "goniophotometer (it belongs to lens)", IN_SCHEMA),
     ("550", "[550]", "line 11: instrument.wavelength_nm = 550: must be a mapping with start, stop, "

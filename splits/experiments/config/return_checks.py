@@ -55,14 +55,14 @@ def _check_truth(experiment: SimulationConfig, section: RetrieveReturnSection) -
         with key_prefix(key):
             medium, _ = make_true_medium(experiment, section, sample)
             check_granular_layers(medium)
-    with key_prefix("synthetic"):
-        pulse = Pulse.from_argument(dump_pulse(section.pulse))
-        edges, _ = check_record(section.synthetic.delay_s, None, pulse)
-    shape = experiment.instrument.get_wavelengths().size, edges.size - 1
+    pulse = Pulse.from_argument(dump_pulse(section.pulse))
     try:
+        edges, _ = check_record(section.synthetic.delay_s, None, pulse)
+        shape = experiment.instrument.get_wavelengths().size, edges.size - 1
         _check_return(experiment, section, section.scale_counts(np.ones(shape), edges))
     except InvalidValue as error:
-        raise invalid("synthetic.delay_s", error.value, error.allowed, error.hint) from None
+        key = "pulse" if error.key == "pulse" else "synthetic.delay_s"
+        raise invalid(key, error.value, error.allowed, error.hint) from None
 
 
 def make_true_medium(

@@ -48,9 +48,9 @@ RETRIEVAL_CAPTION = (
     "measurement at least halves the standard deviation of the range or the prior. The error "
     "inflation is the factor by which all errors were increased because the misfit exceeds the "
     "noise. The increased errors may still be too small, since errors of the model are correlated "
-    "between neighbouring wavelengths or delays. The averaging kernel is the change of the result with the "
-    "true value, in units of the prior standard deviation: 1 if the measurement determines the "
-    "parameter completely, 0 if it contains no information."
+    "between neighbouring wavelengths or delays. The averaging kernel is the change of the result "
+    "with the true value, in units of the prior standard deviation: 1 if the measurement "
+    "determines the parameter completely, 0 if it contains no information."
 )
 
 

@@ -74,8 +74,8 @@ class RetrieveReturnSection(FiniteSection):
     synthetic: SyntheticReturn | None = None
     """known media instead of a file"""
     photons: float | None = Field(None, gt=0.0, le=MAX_PHOTONS)
-    """number of photons of the pulse, from which the noise of counted photons follows; with a free
-    `scale`, a factor of it is arbitrary"""
+    """number of photons of the pulse, by which counted photons are divided and from which their
+    noise follows; if it is unknown, an estimate with a free `scale`"""
     pulse: Annotated[float | PulseSection | None, AfterValidator(_check_pulse)] = None
     """full width at half maximum of a Gaussian pulse (s), or its power over time; by default, the
     pulse is instantaneous"""

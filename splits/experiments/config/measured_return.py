@@ -66,7 +66,8 @@ class RetrieveReturnSection(FiniteSection):
 
     free: dict[str, tuple[float, float]] | tuple[str, ...]
     """parameters to retrieve, which are axes of the grid or `scale`, a factor of the return for a
-    pulse or a receiver of unknown power; a mapping also gives their ranges (low, high)"""
+    pulse or a receiver of unknown power (0.2 to 5); a mapping also gives their ranges (low, high)
+    """
     measured: MeasuredFile | None = None
     """name of a file of `config/measured/`, with columns `wavelength_nm`, `delay_start_s` and
     `delay_end_s` and a column per sample: counted photons with `photons`, otherwise the fraction of

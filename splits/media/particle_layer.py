@@ -35,6 +35,7 @@ from splits.media.formatting import find_differences, format_call
 from splits.media.ground import Ground
 from splits.media.medium import LayerBottom, ParticleMedium
 from splits.media.rough_surface import RoughSurface
+from splits.media.scattering_matrix import ScatteringMatrix
 
 CLEARANCE_SIGMA = 8.0
 """Minimum distance between the mean surface and the bottom, in standard deviations of height."""
@@ -47,6 +48,9 @@ The influence of the bottom on the reflected light has decayed by exp(−40) the
 
 MAX_OPTICAL_DISTANCE = 5e5
 """Optical thickness above which absorption at that distance from the light is negligible."""
+
+MAX_DEPOLARIZATION = 6.0 / 7.0
+"""Largest depolarization factor of small particles."""
 
 PHASE_FUNCTIONS = ("henyey_greenstein", "rayleigh")
 
@@ -76,12 +80,18 @@ class ParticleLayer(ContentEquality, ParticleMedium):
     phase_function : {"henyey_greenstein", "rayleigh"} or mapping
         Phase function; a mapping ``{"cosine": […], "density": […]}`` tabulates one, with linear
         interpolation.
+    scattering_matrix : mapping, pandas.DataFrame, xarray.Dataset or path, optional
+        Scattering matrix of the particles, in place of `phase_function`: columns ``angle_deg, P11,
+        P12, P33, P34`` and, where they differ from P11 and P33, ``P22, P44``, or expansion
+        coefficients ``alpha1, alpha2, alpha3, alpha4, beta1, beta2`` by order; see
+        `splits.media.scattering_matrix`.
+    depolarization : float
+        Depolarization factor of Rayleigh scattering, 0 to 6/7: the ratio of the intensities
+        parallel and perpendicular to the plane of scattering at 90°, for unpolarized light.
     polarized : bool
         Whether polarization is simulated (the Stokes vector of each ray); the incident light is
-        unpolarized.
-    max_polarization : float
-        Largest degree of polarization of single scattering, 0 to 1, for Henyey–Greenstein and
-        tabulated phase functions (see `splits.kernels.optics.phase_function`).
+        unpolarized.  A tabulated phase function needs a `scattering_matrix` for this; that of
+        Henyey and Greenstein is combined with the polarization of Rayleigh scattering.
     opaque : bool
         Whether all light transmitted by the surface is absorbed; particles and bottom then have
         no effect.
@@ -121,8 +131,9 @@ class ParticleLayer(ContentEquality, ParticleMedium):
     bottom_albedo: float | None = 0.5
     surface: Any = None
     phase_function: Any = "henyey_greenstein"
+    scattering_matrix: Any = None
+    depolarization: float = 0.0
     polarized: bool = False
-    max_polarization: float = 1.0
     opaque: bool = False
     depth_m: float = 1.0
 
@@ -148,7 +159,7 @@ class ParticleLayer(ContentEquality, ParticleMedium):
             ("single_scattering_albedo", 0.0, 1.0),
             ("asymmetry", -0.999, 0.999),
             ("refractive_index", 1.0, 10.0),
-            ("max_polarization", 0.0, 1.0),
+            ("depolarization", 0.0, MAX_DEPOLARIZATION),
         ):
             put(name, check_range(name, getattr(self, name), low, high))
         put("depth_m", check_range("depth_m", self.depth_m, 1e-9, 1e6, "m"))
@@ -169,14 +180,22 @@ class ParticleLayer(ContentEquality, ParticleMedium):
                 )  # fmt: skip
 
     def _make_phase_function(self) -> PhaseFunction:
-        """Return the validated phase function."""
-        phase_function = self.phase_function
+        """Return the validated phase function; the scattering matrix replaces its input."""
+        phase_function, matrix = self.phase_function, self.scattering_matrix
+        if matrix is not None:
+            matrix = ScatteringMatrix.from_input(matrix)
+            object.__setattr__(self, "scattering_matrix", matrix)
+            phase: PhaseFunction = matrix.make_phase_function()
+            return phase
         if isinstance(phase_function, Mapping):
-            return _make_tabulated_phase(phase_function, self.max_polarization)
+            if self.polarized:
+                hint = "a phase function alone does not determine polarization"
+                raise invalid("polarized", True, "with scattering_matrix", hint)
+            return _make_tabulated_phase(phase_function)
         check_choice("phase_function", phase_function, PHASE_FUNCTIONS)
         if phase_function == "rayleigh":
-            return make_rayleigh()
-        return make_henyey_greenstein(self.asymmetry, self.max_polarization)
+            return make_rayleigh(self.depolarization)
+        return make_henyey_greenstein(self.asymmetry)
 
     def __repr__(self) -> str:
         """Return the call that constructs the layer, on one line."""
@@ -271,17 +290,20 @@ class ParticleLayer(ContentEquality, ParticleMedium):
         if isinstance(self.phase_function, Mapping):
             inputs["phase_function"] = "tabulated"
             inputs |= {f"phase_{key}": self.phase_function[key] for key in ("cosine", "density")}
+        matrix = inputs.pop("scattering_matrix")
+        if matrix is not None:
+            inputs["phase_function"] = "scattering_matrix"
+            inputs |= {f"matrix_{key}": column for key, column in matrix.as_input().items()}
         return {
             **inputs,
             "asymmetry": self.kernel_phase_function.g,
-            "max_polarization": self.kernel_phase_function.max_polarization,
             "surface": "smooth" if surface is None else "rough",
             **{f"surface_{key}": value for key, value in surface_attrs.items()},
             "extinction_per_m": self.extinction_per_m,
         }
 
 
-def _make_tabulated_phase(table: Mapping[str, Any], max_polarization: float) -> PhaseFunction:
+def _make_tabulated_phase(table: Mapping[str, Any]) -> PhaseFunction:
     """Return the validated tabulated phase function."""
     allowed = "a mapping with equally long lists cosine and density"
     if set(table) != {"cosine", "density"}:
@@ -301,4 +323,4 @@ def _make_tabulated_phase(table: Mapping[str, Any], max_polarization: float) -> 
     in_range = (density >= 0.0).all() and (density <= 1e100).all()
     if not in_range or not density.max() > 1e-100:
         raise invalid("phase_function.density", density.tolist(), "0 to 1e100, not all of them 0")
-    return make_tabulated(cosine, density, max_polarization)
+    return make_tabulated(cosine, density)

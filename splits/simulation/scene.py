@@ -190,7 +190,9 @@ def make_particle_table(layers: Sequence[ParticleMedium]) -> ParticleScattering:
 
     def pad_columns(name: str) -> np.ndarray:
         rows = [getattr(phase, name) for phase in phase_functions]
-        return np.array([np.pad(row, (0, n_columns - len(row))) for row in rows])
+        return np.array([
+            np.pad(row, [(0, n_columns - len(row)), *[(0, 0)] * (row.ndim - 1)]) for row in rows
+        ])  # fmt: skip
 
     albedo = np.array(
         [0.0 if layer.opaque else float(layer.single_scattering_albedo) for layer in layers]
@@ -202,11 +204,13 @@ def make_particle_table(layers: Sequence[ParticleMedium]) -> ParticleScattering:
         absorption_depth=absorption_depth,
         kind=collect("kind"),
         g=collect("g"),
-        max_polarization=collect("max_polarization"),
+        dipole_fraction=collect("dipole_fraction"),
+        circular_ratio=collect("circular_ratio"),
         table_size=np.array([len(phase.cosines) for phase in phase_functions]),
         cosines=pad_columns("cosines"),
         density=pad_columns("density"),
         cdf=pad_columns("cdf"),
+        elements=pad_columns("elements"),
     )
 
 

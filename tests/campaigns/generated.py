@@ -155,7 +155,7 @@ KEYWORDS = {
         ),
         "phase_function": st.sampled_from(["henyey_greenstein", "rayleigh"]),
         "polarized": st.booleans(),
-        "max_polarization": numbers_within(0.0, 1.0),
+        "depolarization": numbers_within(0.0, 0.85),
         "opaque": st.booleans(),
         "depth_m": numbers_within(0.5, 10.0),
     },

@@ -108,7 +108,12 @@ def test_spectral_and_analog_estimators_agree():
 
 @pytest.mark.long
 def test_polarization_has_no_effect_without_polarizers():
-    settings = {"optical_thickness": 2.0, "refractive_index": 1.0, "max_polarization": 0.0}
+    """Particles whose P12 is 0 do not polarize unpolarized light."""
+    angles = np.linspace(0.0, 180.0, 361)
+    mu = np.cos(np.radians(angles))
+    p11, zero = (1.0 - 0.75**2) / (1.0 + 0.75**2 - 1.5 * mu) ** 1.5, 0.0 * mu
+    matrix = {"angle_deg": angles, "P11": p11, "P12": zero, "P33": 0.9 * mu * p11, "P34": zero}
+    settings = {"optical_thickness": 2.0, "refractive_index": 1.0, "scattering_matrix": matrix}
     polar = np.array([0.0, 30.0, 60.0])
     pair = [
         splits.goniophotometer(

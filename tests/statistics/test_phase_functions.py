@@ -27,10 +27,11 @@ ASYMMETRIES = (-0.99, -0.5, 0.0, 1e-9, 0.3, 0.875, 0.99)
 TABLE = phase_function.make_tabulated(
     [1.0, 0.999, 0.97, 0.8, 0.5, 0.1, 0.0, -0.3, -0.7, -0.75, -0.8, -1.0],
     [9e3, 3e2, 2e1, 3.0, 0.5, 0.0, 0.0, 0.2, 0.3, 1.4, 0.3, 0.6],
-    0.6,
+    np.outer(np.linspace(0.1, -0.6, 12), [1.0, 0.5, 0.5, 0.2, 0.5]),
 )
-MODELS = {f"g = {g}": phase_function.make_henyey_greenstein(g, 0.9) for g in ASYMMETRIES}
-MODELS |= {"Rayleigh": RAYLEIGH, "table": TABLE}
+DEPOLARIZING = phase_function.make_rayleigh(0.2)
+MODELS = {f"g = {g}": phase_function.make_henyey_greenstein(g) for g in ASYMMETRIES}
+MODELS |= {"Rayleigh": RAYLEIGH, "depolarizing": DEPOLARIZING, "table": TABLE}
 
 # Cosines dense at both ends, where phase functions have peaks, and the nodes of the table.
 _NEAR = np.concatenate([np.logspace(-9, -1, 300), np.linspace(0.1, 1.0, 100)[1:]])
@@ -196,7 +197,10 @@ def count_directions(directions, edges):
 def test_directions_of_polarized_light_follow_their_density():
     p = {}
     edge_probabilities = np.arange(1, 8) / 8
-    models = {"forward": phase_function.make_henyey_greenstein(0.5, 0.9), "Rayleigh": RAYLEIGH}
+    forward = phase_function.make_henyey_greenstein(0.5)
+    models = {
+        "forward": forward, "Rayleigh": RAYLEIGH, "depolarizing": DEPOLARIZING, "table": TABLE,
+    }  # fmt: skip
     for model_name, model in models.items():
         for i, (name, s) in enumerate(LIGHT.items()):
             light = stokes.Stokes(REFERENCE, *s)

@@ -97,7 +97,7 @@ def merge_values(key: str, given: list[Any]) -> Any:
     return given[-1]
 
 
-TABLE_KEYS = ("refractive_index", "ground", "impurities_ng_g", "file")
+TABLE_KEYS = ("refractive_index", "ground", "impurities_ng_g", "file", "scattering_matrix")
 
 
 def replace_table_paths(settings: Any, replace: Callable[[str], str], inside: bool = False) -> Any:

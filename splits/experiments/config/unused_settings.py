@@ -16,16 +16,16 @@ from splits.tables.axes import INCIDENCE
 
 UNUSED_KEYWORDS: tuple[tuple[tuple[str, ...], Callable[[ParticleLayer], bool], str], ...] = (
     (("optical_thickness", "single_scattering_albedo", "asymmetry", "phase_function",
-      "max_polarization", "bottom_albedo"),
+      "scattering_matrix", "depolarization", "bottom_albedo"),
      lambda layer: layer.opaque, "an opaque surface transmits no light"),
     (("bottom_albedo",), lambda layer: layer.optical_thickness == math.inf,
      "no light reaches the bottom of an infinite layer"),
+    (("phase_function", "asymmetry", "depolarization"),
+     lambda layer: layer.scattering_matrix is not None, "the scattering_matrix replaces it"),
     (("asymmetry",), lambda layer: layer.phase_function != "henyey_greenstein",
      "it is a parameter of henyey_greenstein"),
-    (("max_polarization",), lambda layer: not layer.polarized,
-     "it has an effect with polarized: true only"),
-    (("max_polarization",), lambda layer: layer.phase_function == "rayleigh",
-     "it is fixed for Rayleigh scattering"),
+    (("depolarization",), lambda layer: layer.phase_function != "rayleigh",
+     "it is a parameter of rayleigh"),
 )  # fmt: skip
 """Keywords, the condition in which they have no effect, and the reason."""
 

@@ -76,10 +76,11 @@ class ParticleScattering(NamedTuple):
         Optical depth of absorption at a collision, −ln(albedo).
     kind : int64[rows]
     g : float64[rows]
-    max_polarization : float64[rows]
+    dipole_fraction, circular_ratio : float64[rows]
     table_size : int64[rows]
         Length of the table.
     cosines, density, cdf : float64[rows, m]
+    elements : float64[rows, m, 5]
         See `PhaseFunction`.
     """
 
@@ -87,11 +88,13 @@ class ParticleScattering(NamedTuple):
     absorption_depth: np.ndarray
     kind: np.ndarray
     g: np.ndarray
-    max_polarization: np.ndarray
+    dipole_fraction: np.ndarray
+    circular_ratio: np.ndarray
     table_size: np.ndarray
     cosines: np.ndarray
     density: np.ndarray
     cdf: np.ndarray
+    elements: np.ndarray
 
 
 class Scene(NamedTuple):

@@ -1,17 +1,24 @@
-"""Phase functions and polarization of single scattering by small particles.
+"""Phase functions and scattering matrices of small particles.
 
 The phase function p(µ), µ = cosΘ the cosine of the scattering angle, is a density over directions:
-2π ∫ p dµ = 1.  The scattering matrix of the normalized Stokes vector, with the scattering plane as
-reference (`stokes.py`), is that of Rayleigh with a weaker polarization:
+2π ∫ p dµ = 1.  The scattering matrix of the Stokes vector (I, Q, U, V), with the scattering plane
+as reference (`stokes.py`), is that of randomly oriented particles with a plane of symmetry, divided
+by p:
 
-    m12/m11 = m21/m11 = −P (1 − µ²)/(1 + µ²)        m22/m11 = 1
-    m33/m11 = m44/m11 = 2µ/(1 + µ²)                  m34 = m43 = 0
+    1    m12  0    0
+    m12  m22  0    0
+    0    0    m33  m34
+    0    0   −m34  m44
 
-P = 1 with Rayleigh's phase function is Rayleigh scattering.  With any other phase function the
-elements are a model and not a solution of Maxwell's equations: they give particles a Rayleigh-like
-polarization as measured in sea water (Voss & Fry 1984, Appl.  Opt. 23, 4427), without the effect of
-nonspherical particles on m22.  A matrix of this form maps every physical Stokes vector to a
-physical one if m12² + m33² ≤ m11², that is P² (1 − µ²)² + 4µ² ≤ (1 + µ²)², which holds for P ≤ 1.
+With the fraction Δ of light that is scattered as by dipoles, Rayleigh scattering with the
+depolarization factor ρ has (Hansen & Travis 1974, Space Sci. Rev. 16, 527, section 2.3)
+
+    4π p = ¾ Δ (1 + µ²) + 1 − Δ         m12 = −¾ Δ (1 − µ²)/(4π p)    m22 = ¾ Δ (1 + µ²)/(4π p)
+    m33 = 3/2 Δ µ/(4π p)                m44 = Δ' m33                  m34 = 0
+    Δ = (1 − ρ)/(1 + ρ/2)               Δ' = (1 − 2ρ)/(1 − ρ)
+
+The phase function of Henyey and Greenstein has no matrix of its own; it is combined with the ratios
+of Rayleigh scattering without depolarization.  A table has a matrix of its own.
 """
 
 from __future__ import annotations
@@ -30,8 +37,12 @@ HENYEY_GREENSTEIN = 0
 RAYLEIGH = 1
 TABLE = 2
 
+M12, M22, M33, M34, M44 = range(5)
+"""Columns of the elements of a table."""
+
 _ISOTROPIC_PER_SR = 0.25 / math.pi
 _THIRD = 1.0 / 3.0
+_FOUR_THIRDS = 4.0 / 3.0
 
 
 class PhaseFunction(NamedTuple):
@@ -43,52 +54,67 @@ class PhaseFunction(NamedTuple):
         `HENYEY_GREENSTEIN`, `RAYLEIGH` or `TABLE`.
     g : float
         Mean cosine; the parameter of Henyey and Greenstein, in (−1, 1).
-    max_polarization : float
-        P in [0, 1]: the degree of linear polarization of unpolarized light scattered by 90
-        degrees, the maximum over angles.
+    dipole_fraction : float
+        Δ in [0, 1], see the module; 1 except for Rayleigh scattering.
+    circular_ratio : float
+        Δ', see the module; 1 except for Rayleigh scattering.
     cosines : float64[m]
         Nodes of a table, rising from −1 to 1; unused otherwise.
     density : float64[m]
         Phase function at the cosines (1/sr), linear in µ between them.
     cdf : float64[m]
         Probability of a smaller cosine, from 0 to 1.
+    elements : float64[m, 5]
+        Elements of the scattering matrix at the cosines, times the density (1/sr), linear in µ
+        between them; columns `M12`, `M22`, `M33`, `M34` and `M44`.
     """
 
     kind: int
     g: float
-    max_polarization: float
+    dipole_fraction: float
+    circular_ratio: float
     cosines: np.ndarray
     density: np.ndarray
     cdf: np.ndarray
+    elements: np.ndarray
 
 
-class PolarizationRatios(NamedTuple):
-    """Ratios m12/m11 and m33/m11 = m44/m11 of the scattering matrix, see the module."""
+class ScatteringRatios(NamedTuple):
+    """Elements of the scattering matrix over the phase function, see the module."""
 
     m12: float
+    m22: float
     m33: float
+    m34: float
+    m44: float
 
 
-def _make_analytic(kind: int, g: float, max_polarization: float) -> PhaseFunction:
+def _make_analytic(
+    kind: int, g: float, dipole_fraction: float = 1.0, circular_ratio: float = 1.0
+) -> PhaseFunction:
     ends = np.array([-1.0, 1.0])
     isotropic = np.full(2, _ISOTROPIC_PER_SR)
     return PhaseFunction(
-        kind, float(g), float(max_polarization), ends, isotropic, np.array([0.0, 1.0])
+        kind, float(g), dipole_fraction, circular_ratio, ends, isotropic, np.array([0.0, 1.0]),
+        np.zeros((2, len(ScatteringRatios._fields))),
+    )  # fmt: skip
+
+
+def make_henyey_greenstein(g: float) -> PhaseFunction:
+    """Return the phase function of Henyey & Greenstein (1941, Astrophys. J. 93, 70)."""
+    return _make_analytic(HENYEY_GREENSTEIN, g)
+
+
+def make_rayleigh(depolarization: float = 0.0) -> PhaseFunction:
+    """Return Rayleigh scattering with a depolarization factor, from 0 to below 1."""
+    rho = float(depolarization)
+    return _make_analytic(
+        RAYLEIGH, 0.0, (1.0 - rho) / (1.0 + 0.5 * rho), (1.0 - 2.0 * rho) / (1.0 - rho)
     )
 
 
-def make_henyey_greenstein(g: float, max_polarization: float = 0.0) -> PhaseFunction:
-    """Return the phase function of Henyey & Greenstein (1941, Astrophys. J. 93, 70)."""
-    return _make_analytic(HENYEY_GREENSTEIN, g, max_polarization)
-
-
-def make_rayleigh(max_polarization: float = 1.0) -> PhaseFunction:
-    """Return Rayleigh's phase function."""
-    return _make_analytic(RAYLEIGH, 0.0, max_polarization)
-
-
-def make_tabulated(cosines: Any, values: Any, max_polarization: float = 0.0) -> PhaseFunction:
-    """Return a phase function that is linear in µ between given values.
+def make_tabulated(cosines: Any, values: Any, ratios: Any = None) -> PhaseFunction:
+    """Return a phase function and a scattering matrix that are linear in µ between given values.
 
     Parameters
     ----------
@@ -96,8 +122,9 @@ def make_tabulated(cosines: Any, values: Any, max_polarization: float = 0.0) -> 
         Distinct numbers, in any order, including −1 and 1.
     values : array_like
         Phase function there, nonnegative, in any unit: it is normalized.
-    max_polarization : float, optional
-        See `PhaseFunction`.
+    ratios : array_like, shape (cosines, 5), optional
+        Elements of the matrix over the phase function, see `ScatteringRatios`; 0 by default, for
+        which scattered light is unpolarized.
     """
     order = np.argsort(np.asarray(cosines, dtype=float))
     mu = np.asarray(cosines, dtype=float)[order]
@@ -109,7 +136,11 @@ def make_tabulated(cosines: Any, values: Any, max_polarization: float = 0.0) -> 
     moments = width * ((2.0 * low + high) * y[:-1] + (low + 2.0 * high) * y[1:]) / 6.0
     g = float(moments.sum() / total)
     density = y / (2.0 * math.pi * total)
-    return PhaseFunction(TABLE, g, float(max_polarization), mu, density, cumulative / total)
+    shape = mu.size, len(ScatteringRatios._fields)
+    elements = np.zeros(shape) if ratios is None else np.asarray(ratios, dtype=float)[order]
+    return PhaseFunction(
+        TABLE, g, 1.0, 1.0, mu, density, cumulative / total, elements * density[:, np.newaxis]
+    )
 
 
 @inline
@@ -174,7 +205,10 @@ def sample_scattering_cosine(state, phase):
     if phase.kind == HENYEY_GREENSTEIN:
         return henyey_greenstein_quantile(phase.g, u)
     if phase.kind == RAYLEIGH:
-        return rayleigh_quantile(u)
+        fraction = phase.dipole_fraction
+        if u < fraction:
+            return rayleigh_quantile(u / fraction)
+        return 2.0 * (u - fraction) / (1.0 - fraction) - 1.0
     return table_quantile(phase.cosines, phase.density, phase.cdf, u)
 
 
@@ -188,19 +222,43 @@ def evaluate_phase_function(phase, mu):
         square = near * near + 2.0 * abs(g) * (1.0 - math.copysign(1.0, g) * mu)
         return _ISOTROPIC_PER_SR * (1.0 - g) * (1.0 + g) / (square * math.sqrt(square))
     if phase.kind == RAYLEIGH:
-        return 0.75 * _ISOTROPIC_PER_SR * (1.0 + mu * mu)
+        fraction = phase.dipole_fraction
+        dipole = 0.75 * _ISOTROPIC_PER_SR * (1.0 + mu * mu)
+        return fraction * dipole + (1.0 - fraction) * _ISOTROPIC_PER_SR
     i = _find_interval(phase.cosines, mu)
     s = (mu - phase.cosines[i]) / (phase.cosines[i + 1] - phase.cosines[i])
     return (1.0 - s) * phase.density[i] + s * phase.density[i + 1]
 
 
 @inline
-def evaluate_polarization_ratios(phase, mu):
-    """Return the `PolarizationRatios` at a cosine."""
-    square = mu * mu
-    per = 1.0 / (1.0 + square)
-    return PolarizationRatios(
-        -phase.max_polarization * (1.0 - mu) * (1.0 + mu) * per, 2.0 * mu * per
+def evaluate_scattering_ratios(phase, mu):
+    """Return the `ScatteringRatios` at a cosine."""
+    if phase.kind == TABLE:
+        i = _find_interval(phase.cosines, mu)
+        s = (mu - phase.cosines[i]) / (phase.cosines[i + 1] - phase.cosines[i])
+        below, above = (1.0 - s), s
+        density = below * phase.density[i] + above * phase.density[i + 1]
+        if density <= 0.0:
+            return ScatteringRatios(0.0, 0.0, 0.0, 0.0, 0.0)
+        below, above = below / density, above / density
+        low, high = phase.elements[i], phase.elements[i + 1]
+        return ScatteringRatios(
+            below * low[M12] + above * high[M12],
+            below * low[M22] + above * high[M22],
+            below * low[M33] + above * high[M33],
+            below * low[M34] + above * high[M34],
+            below * low[M44] + above * high[M44],
+        )
+    fraction = phase.dipole_fraction
+    unpolarized = _FOUR_THIRDS * (1.0 - fraction)
+    per = 1.0 / (fraction * (1.0 + mu * mu) + unpolarized)
+    m33 = 2.0 * fraction * mu * per
+    return ScatteringRatios(
+        -fraction * (1.0 - mu) * (1.0 + mu) * per,
+        1.0 - unpolarized * per,
+        m33,
+        0.0,
+        phase.circular_ratio * m33,
     )
 
 

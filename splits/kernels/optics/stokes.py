@@ -32,7 +32,7 @@ from splits.kernels.math.vectors import (
 )
 from splits.kernels.optics.phase_function import (
     evaluate_phase_function,
-    evaluate_polarization_ratios,
+    evaluate_scattering_ratios,
     sample_scattering_cosine,
 )
 
@@ -159,7 +159,7 @@ def scatter_polarized(state, phase, d, stokes):
     """Sample the direction of scattered light from `evaluate_polarized_scattering`.
 
     The cosine is sampled from the phase function, the integral of the density over azimuths φ from
-    e towards f.  The azimuth is sampled from 1 + (m12/m11)(q cos2φ + u sin2φ) by rejection, which
+    e towards f.  The azimuth is sampled from 1 + m12 (q cos2φ + u sin2φ) by rejection, which
     accepts at least half of the samples.
 
     Parameters
@@ -176,7 +176,7 @@ def scatter_polarized(state, phase, d, stokes):
         Its reference is in the plane of scattering.
     """
     mu = sample_scattering_cosine(state, phase)
-    ratios = evaluate_polarization_ratios(phase, mu)
+    ratios = evaluate_scattering_ratios(phase, mu)
     highest = 1.0 + abs(ratios.m12) * math.sqrt(stokes.q * stokes.q + stokes.u * stokes.u)
     while True:
         c, s = sample_azimuth(state)
@@ -196,8 +196,9 @@ def scatter_polarized(state, phase, d, stokes):
 @inline_only
 def _compute_scattered_stokes(e, intensity, linear, v, ratios):
     """Return the polarization of scattered light of intensity I over the phase function."""
-    m12, m33 = ratios
-    return normalize_stokes(e, intensity, m12 + linear.q, m33 * linear.u, m33 * v)
+    m12, m22, m33, m34, m44 = ratios
+    q, u = linear
+    return normalize_stokes(e, intensity, m12 + m22 * q, m33 * u + m34 * v, m44 * v - m34 * u)
 
 
 @inline
@@ -214,13 +215,13 @@ def evaluate_polarized_scattering(phase, d, stokes, t):
     Returns
     -------
     ScatteredDensity
-        The density integrates to 1: phase function times 1 + (m12/m11) q for the scattering plane,
+        The density integrates to 1: phase function times 1 + m12 q for the scattering plane,
         which is the reference.  For a density of 0, q = u = v = 0.
     """
     f = cross(d, stokes.e)
     azimuth = compute_azimuth(t, stokes.e, f)
     mu = min(max(dot(d, t), -1.0), 1.0)
-    ratios = evaluate_polarization_ratios(phase, mu)
+    ratios = evaluate_scattering_ratios(phase, mu)
     linear = rotate_reference(stokes.q, stokes.u, azimuth.cos, azimuth.sin)
     relative_intensity = max(1.0 + ratios.m12 * linear.q, 0.0)
     e = _transport_reference(

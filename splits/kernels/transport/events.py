@@ -161,8 +161,9 @@ def scatter_at_particle(state, ray, scene):
         ray = replace(ray, weight=ray.weight * albedo, optical_depth=depth)
     particles, size = scene.particles, scene.particles.table_size[row]
     phase = PhaseFunction(
-        particles.kind[row], particles.g[row], particles.max_polarization[row],
-        particles.cosines[row, :size], particles.density[row, :size], particles.cdf[row, :size],
+        particles.kind[row], particles.g[row], particles.dipole_fraction[row],
+        particles.circular_ratio[row], particles.cosines[row, :size],
+        particles.density[row, :size], particles.cdf[row, :size], particles.elements[row, :size],
     )  # fmt: skip
     if scene.detectors is not None:
         score_scattering(state, scene.detectors, scene.layers, phase, ray)

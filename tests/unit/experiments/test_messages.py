@@ -194,8 +194,8 @@ UNUSED_SETTINGS = [
      "instrument.stderr_scale"),
     ({"instrument": make_instrument_section("goniophotometer", estimator="bins", stderr_scale=2)},
      "instrument.stderr_scale"),
-    ({"medium": {"kind": "particle_layer", "max_polarization": 0.5}, "instrument": ONE_LAYER},
-     "medium.max_polarization"),
+    ({"medium": {"kind": "particle_layer", "depolarization": 0.1}, "instrument": ONE_LAYER},
+     "medium.depolarization"),
     ({"medium": {**GLASS, "bottom_albedo": 0.5}, "instrument": ONE_LAYER}, "medium.bottom_albedo"),
     ({"medium": {"kind": "particle_layer", "optical_thickness": float("inf"), "bottom_albedo": 0.5},
       "instrument": ONE_LAYER}, "medium.bottom_albedo"),
@@ -219,8 +219,8 @@ def test_settings_without_effect_are_rejected(tmp_path, content, key):
 @pytest.mark.parametrize(
     "content",
     [
-        {"medium": {"kind": "particle_layer", "max_polarization": 0.5},
-         "grid": {"polarized": {"scalar": False, "vector": True}}},
+        {"medium": {"kind": "particle_layer", "depolarization": 0.1},
+         "grid": {"phase_function": ["rayleigh", "henyey_greenstein"]}},
         {"medium": {"kind": "particle_layer", "bottom_albedo": 0.5},
          "grid": {"medium": {"opaque": {"opaque": True}, "all": {}}}},
         {"medium": {"base": "glass", "opaque": True}},

@@ -25,6 +25,20 @@ from splits.kernels.math.vectors import Vector
 from splits.kernels.optics import phase_function, stokes
 
 RAYLEIGH = phase_function.make_rayleigh()
+# Rows are m12, m22, m33, m34, m44 of matrices of single particles or of sums of them.
+TABLE = phase_function.make_tabulated(
+    [1.0, -1.0, 0.2, 0.8],
+    [5.0, 1.0, 0.0, 2.0],
+    [[0.0, 1.0, 1.0, 0.0, 1.0], [0.0, 0.6, -0.6, 0.0, -0.2], [0.4, 0.9, 0.3, 0.5, 0.3],
+     [-0.5, 0.9, 0.6, -0.4, 0.7]],
+)  # fmt: skip
+MODELS = {
+    "forward": phase_function.make_henyey_greenstein(0.6),
+    "backward": phase_function.make_henyey_greenstein(-0.4),
+    "Rayleigh": RAYLEIGH,
+    "depolarizing": phase_function.make_rayleigh(0.1),
+    "table": TABLE,
+}
 
 
 def rotate_linear(q, u, e, d, t):
@@ -128,19 +142,35 @@ def compute_angle(e, t, d):
     return math.atan2(np.cross(e, t) @ d, e @ t)
 
 
-@pytest.mark.parametrize("polarizing", [0.0, 0.7, 1.0])
-def test_scattering_equals_rotated_mueller_matrix(polarizing):
-    rng = np.random.default_rng(4)
-    g = 0.6
-    model = phase_function.make_henyey_greenstein(g, polarizing)
+def evaluate_matrix(model, mu):
+    """Return the phase function and the normalized scattering matrix at a cosine, independently."""
+    if model.kind == phase_function.TABLE:
+        p = np.interp(mu, model.cosines, model.density)
+        elements = [np.interp(mu, model.cosines, column) / p for column in model.elements.T]
+    else:
+        # Rayleigh scattering with a depolarization factor of 0.1, or Henyey & Greenstein with 0.
+        rho = 0.1 if model.kind == phase_function.RAYLEIGH else 0.0
+        delta, delta_2 = (1.0 - rho) / (1.0 + rho / 2.0), (1.0 - 2.0 * rho) / (1.0 - rho)
+        p11 = 0.75 * delta * (1.0 + mu * mu) + 1.0 - delta
+        p12, p22 = -0.75 * delta * (1.0 - mu * mu), 0.75 * delta * (1.0 + mu * mu)
+        elements = np.array([p12, p22, 1.5 * delta * mu, 0.0, 1.5 * delta * delta_2 * mu]) / p11
+        g = model.g
+        p = p11 / (4.0 * math.pi)
+        if model.kind == phase_function.HENYEY_GREENSTEIN:
+            p = (1 - g * g) / (4 * math.pi * (1 + g * g - 2 * g * mu) ** 1.5)
+    m12, m22, m33, m34, m44 = elements
+    return p, np.array([[1, m12, 0, 0], [m12, m22, 0, 0], [0, 0, m33, m34], [0, 0, -m34, m44]])
+
+
+@pytest.mark.parametrize("name", ["forward", "depolarizing", "table"])
+def test_scattering_equals_rotated_mueller_matrix(name):
+    rng, model = np.random.default_rng(4), MODELS[name]
     for _ in range(GEOMETRIES):
         d, e, s = draw_polarized_light(rng)
         t = draw_unit_vectors(rng, 1)[0]
         before = np.cross(np.cross(d, t), d)
         theta = math.atan2(np.linalg.norm(np.cross(d, t)), d @ t)
-        m33 = 2.0 * math.cos(theta) / (1.0 + math.cos(theta) ** 2)
-        m12 = -polarizing * math.sin(theta) ** 2 / (1.0 + math.cos(theta) ** 2)
-        matrix = np.array([[1, m12, 0, 0], [m12, 1, 0, 0], [0, 0, m33, 0], [0, 0, 0, m33]])
+        p, matrix = evaluate_matrix(model, math.cos(theta))
         reference = np.cross(t, draw_unit_vectors(rng, 1)[0])
         reference /= np.linalg.norm(reference)
         after = np.cross(np.cross(d, t), t)
@@ -151,10 +181,10 @@ def test_scattering_equals_rotated_mueller_matrix(polarizing):
             @ np.append(1.0, s)
         )
         out = scatter_towards(model, d, e, s, t)
-        p = (1 - g * g) / (4 * math.pi * (1 + g * g - 2 * g * math.cos(theta)) ** 1.5)
         assert out[0] == pytest.approx(p * expected[0], rel=1e-12)
         q, u = rotate_linear(*out[1:3], out[4:], t, reference)
-        assert (q, u, out[3]) == pytest.approx(expected[1:] / expected[0], abs=1e-11)
+        # Ratios of a table are undefined where its density is 0.
+        assert (q, u, out[3]) == pytest.approx(expected[1:] / expected[0], abs=1e-11 / min(p, 1.0))
 
 
 def test_rayleigh_at_90_degrees_is_fully_polarized():
@@ -167,15 +197,6 @@ def test_rayleigh_at_90_degrees_is_fully_polarized():
 def test_rayleigh_vanishes_along_the_dipole():
     out = scatter_towards(RAYLEIGH, (0, 0, 1), (1, 0, 0), (1, 0, 0), (1, 0, 0))
     assert (out[:4] == 0.0).all()
-
-
-TABLE = phase_function.make_tabulated([1.0, -1.0, 0.2, 0.8], [5.0, 1.0, 0.0, 2.0], 0.5)
-MODELS = {
-    "forward": phase_function.make_henyey_greenstein(0.6, 0.8),
-    "backward": phase_function.make_henyey_greenstein(-0.4, 1.0),
-    "Rayleigh": RAYLEIGH,
-    "table": TABLE,
-}
 
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
@@ -225,7 +246,7 @@ def _scatter_repeatedly(state, model, n_scatterings):
 
 
 def test_frames_stay_orthonormal_after_many_scatterings():
-    for model in (*MODELS.values(), phase_function.make_henyey_greenstein(0.99, 1.0)):
+    for model in (*MODELS.values(), phase_function.make_henyey_greenstein(0.99)):
         d, light = _scatter_repeatedly(start_random_stream(), model, scale_sample_size(50_000))
         assert_frame(np.array(d), np.array(light.e))
         assert np.linalg.norm(light[1:]) <= 1.0 + 1e-15

@@ -1,0 +1,200 @@
+"""Scattering matrix of particles as an input: elements over the scattering angle, or expansions.
+
+The matrix is that of randomly oriented particles with a plane of symmetry: P11, P12 = P21, P22,
+P33, P34 = −P43 and P44, of the Stokes vector (I, Q, U, V) with the scattering plane as reference;
+P12 < 0 polarizes light perpendicular to that plane.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.core.arrays import as_1d_array, check_increasing, read_columns
+from splits.core.equality import ContentEquality
+from splits.core.paths import expand_path
+from splits.core.validation import invalid, join_names
+from splits.kernels.optics.phase_function import PhaseFunction, make_tabulated
+from splits.materials.csv_table import read_csv, to_columns
+from splits.media.formatting import format_input
+from splits.media.matrix_expansion import COEFFICIENTS, sum_expansion
+
+ANGLE = "angle_deg"
+REQUIRED_ELEMENTS = ("P11", "P12", "P33", "P34")
+OPTIONAL_ELEMENTS = {"P22": "P11", "P44": "P33"}
+"""Elements that may be left out, and those that they then equal, as for spheres."""
+ELEMENTS = (*REQUIRED_ELEMENTS, *OPTIONAL_ELEMENTS)
+PHYSICAL_TOLERANCE = 2e-3
+"""Relative violation of the inequalities of a matrix that rounded elements may have."""
+KEY = "scattering_matrix"
+ALLOWED = (
+    f"columns {ANGLE}, {', '.join(REQUIRED_ELEMENTS)} and perhaps P22, P44, or expansion "
+    f"coefficients {', '.join(COEFFICIENTS)}, as a mapping, table or file (.csv, .nc)"
+)
+NETCDF_SUFFIXES = (".nc", ".cdf")
+NETCDF_NAMES = ("theta", "phase", "ntheta")
+"""Variables of the netCDF files of libRadtran, whose matrix elements have the order `ELEMENTS`."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ScatteringMatrix(ContentEquality):
+    """Elements of a scattering matrix over the scattering angle.
+
+    Attributes
+    ----------
+    angle_deg : float, shape (n,)
+        Scattering angles (degrees), increasing from 0 to 180.
+    elements : float, shape (n, 6)
+        P11, P12, P33, P34, P22 and P44, in any unit: P11 is normalized.
+    """
+
+    angle_deg: np.ndarray
+    elements: np.ndarray
+
+    @classmethod
+    def from_input(cls, value: Any) -> ScatteringMatrix:
+        """Return the matrix for an input.
+
+        Parameters
+        ----------
+        value : ScatteringMatrix, mapping, pandas.DataFrame, xarray.Dataset or path
+            Columns ``angle_deg, P11, P12, P33, P34`` and, where they differ from P11 and P33,
+            ``P22, P44``; or expansion coefficients, see `splits.media.matrix_expansion`; or a CSV
+            file of one of them.  Datasets and netCDF files may have the form of libRadtran, of a
+            single wavelength and size.
+
+        Raises
+        ------
+        ValueError
+            For missing columns, angles that do not reach from 0 to 180, or elements that are no
+            scattering matrix.
+        """
+        if isinstance(value, cls):
+            return value
+        columns = _read_columns(value)
+        if set(COEFFICIENTS) & set(columns):
+            return cls(*sum_expansion(_read_coefficients(columns)))
+        return cls(*_read_elements(columns))
+
+    def __post_init__(self) -> None:
+        p11, p12, p33, p34, p22, p44 = self.elements.T
+        if not (np.isfinite(self.elements).all() and (p11 >= 0.0).all() and p11.max() > 0.0):
+            raise invalid(f"{KEY}.P11", float(p11.min()), "numbers from 0, not all of them 0")
+        allowance = PHYSICAL_TOLERANCE * p11
+        # A matrix is a sum of matrices of single particles if its coherency matrix has no negative
+        # eigenvalue (Cloude 1986, Optik 75, 26); these are its three blocks.
+        is_physical = (
+            (np.hypot(2.0 * p12, np.hypot(p33 + p44, 2.0 * p34)) <= p11 + p22 + allowance)
+            & (np.abs(p33 - p44) <= p11 - p22 + allowance)
+        )  # fmt: skip
+        if not is_physical.all():
+            first = int(np.argmin(is_physical))
+            found = dict(zip(ELEMENTS, self.elements[first].tolist(), strict=True))
+            raise invalid(
+                KEY, found, "a sum of matrices of single particles",
+                f"at {self.angle_deg[first]:g}°; elements are not divided by P11",
+            )  # fmt: skip
+
+    def as_input(self) -> dict[str, np.ndarray]:
+        """Return the input of `from_input` for this matrix, as columns."""
+        columns = dict(zip(ELEMENTS, self.elements.T, strict=True))
+        return {ANGLE: self.angle_deg, **columns}
+
+    def __repr__(self) -> str:
+        """Return the call that constructs the matrix, on one line."""
+        return f"ScatteringMatrix.from_input({format_input(self)})"
+
+    def make_phase_function(self) -> PhaseFunction:
+        """Return the matrix in the form the kernels take."""
+        p11, p12, p33, p34, p22, p44 = self.elements.T
+        # At angles without light, the elements are 0, too.
+        scale = np.divide(1.0, p11, out=np.zeros_like(p11), where=p11 > 0.0)
+        cosines = np.cos(np.radians(self.angle_deg))
+        cosines[[0, -1]] = 1.0, -1.0
+        ratios = np.stack([p12, p22, p33, p34, p44], axis=-1) * scale[:, np.newaxis]
+        return make_tabulated(cosines, p11, ratios)
+
+
+def _read_columns(value: Any) -> Mapping[str, Any]:
+    """Return the columns of an input by name."""
+    if isinstance(value, str | Path):
+        path = expand_path(value, KEY)
+        if path.suffix in NETCDF_SUFFIXES:
+            return _read_netcdf(path)
+        table = read_csv(KEY, path)
+        return {name: table.get_numbers(name) for name in table.column_names}
+    if isinstance(value, xr.Dataset):
+        return _select_variables(value)
+    columns = to_columns(value)
+    if not isinstance(columns, Mapping):
+        raise invalid(KEY, value, ALLOWED)
+    return columns
+
+
+def _read_netcdf(path: Path) -> Mapping[str, Any]:
+    try:
+        with xr.open_dataset(path) as dataset:
+            return _select_variables(dataset.load())
+    except (OSError, ValueError) as error:
+        raise invalid(KEY, str(path), "a netCDF file", str(error)) from None
+
+
+def _select_variables(dataset: xr.Dataset) -> Mapping[str, Any]:
+    """Return the columns of a dataset: its variables, or those of libRadtran."""
+    if not set(NETCDF_NAMES) <= set(dataset.variables):
+        names = (ANGLE, *ELEMENTS, *COEFFICIENTS)
+        return {name: dataset[name].values for name in names if name in dataset.variables}
+    theta, phase, n_angles = (dataset[name].values for name in NETCDF_NAMES)
+    shape = phase.shape[-2:]
+    if phase.size != np.prod(shape):
+        hint = "select one: dataset.isel(nlam=[0], nreff=[0])"
+        raise invalid(KEY, f"of shape {phase.shape}", "one wavelength and one size", hint)
+    theta, phase, n_angles = theta.reshape(shape), phase.reshape(shape), n_angles.reshape(-1)
+    # Angles decrease or increase, and each element has its own.
+    grid = theta[0, : n_angles[0]]
+    columns = {ANGLE: grid}
+    for name, row, angles, size in zip(ELEMENTS, phase, theta, n_angles, strict=False):
+        order = np.argsort(angles[:size])
+        columns[name] = np.interp(grid, angles[:size][order], row[:size][order])
+    return columns
+
+
+def _read_coefficients(columns: Mapping[str, Any]) -> np.ndarray:
+    """Return the coefficients of an expansion, shape (6, orders)."""
+    if set(columns) != set(COEFFICIENTS):
+        raise invalid(KEY, sorted(map(str, columns)), join_names(COEFFICIENTS))
+    rows = [as_1d_array(f"{KEY}.{name}", columns[name]) for name in COEFFICIENTS]
+    sizes = {row.size for row in rows}
+    if len(sizes) != 1 or not rows[0].size or rows[0][0] <= 0.0:
+        found = dict(zip(COEFFICIENTS, [row.size for row in rows], strict=True))
+        raise invalid(KEY, found, "lists of the same length from order 0 on, with alpha1 above 0")
+    return np.stack(rows)
+
+
+def _read_elements(columns: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the angles and the elements of columns, with angles increasing."""
+    given = [name for name in (ANGLE, *ELEMENTS) if name in columns]
+    missing = [name for name in (ANGLE, *REQUIRED_ELEMENTS) if name not in columns]
+    unknown = sorted(set(map(str, columns)) - set(given))
+    if missing or unknown:
+        hint = f"missing {join_names(missing)}" if missing else f"unknown {join_names(unknown)}"
+        raise invalid(KEY, sorted(map(str, columns)), ALLOWED, hint)
+    arrays = dict(zip(given, read_columns(KEY, {n: columns[n] for n in given}), strict=True))
+    for name, other in OPTIONAL_ELEMENTS.items():
+        arrays.setdefault(name, arrays[other])
+    angle = arrays[ANGLE]
+    elements = [arrays[name] for name in ELEMENTS]
+    if len({angle.size, *(one.size for one in elements)}) != 1:
+        found = {name: arrays[name].size for name in given}
+        raise invalid(KEY, found, "columns of the same length")
+    direction = -1 if angle.size > 1 and angle[0] > angle[-1] else 1
+    angle = check_increasing(f"{KEY}.{ANGLE}", angle[::direction])
+    ends = (0.0, 180.0)
+    if angle.size < 2 or not np.allclose(angle[[0, -1]], ends, rtol=0.0, atol=1e-3):
+        raise invalid(f"{KEY}.{ANGLE}", angle[[0, -1]].tolist(), "from 0 to 180 degrees")
+    return np.concatenate([[0.0], angle[1:-1], [180.0]]), np.stack(elements, axis=-1)[::direction]

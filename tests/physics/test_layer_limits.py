@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, compute_z_bound, judge_scatter, judge_z
+from scattering_matrices import make_matrix
 
 import splits
 from splits.instruments.next_event import make_detectors
@@ -129,11 +130,12 @@ def test_polarization_has_no_effect_without_polarizers():
         assert float(np.abs(pair[1][name]).max()) == 0.0
 
 
-@pytest.mark.parametrize("polarized", [False, True])
-def test_brdf_obeys_helmholtz_reciprocity(polarized):
+@pytest.mark.parametrize("particles", ["scalar", "polarized", "matrix"])
+def test_brdf_obeys_helmholtz_reciprocity(particles):
+    matrix = {"scattering_matrix": make_matrix(0.8)} if particles == "matrix" else {}
     layer = splits.ParticleLayer(
-        optical_thickness=3.0, single_scattering_albedo=0.95, asymmetry=0.6, polarized=polarized,
-        bottom_albedo=0.3,
+        optical_thickness=3.0, single_scattering_albedo=0.95, asymmetry=0.6, bottom_albedo=0.3,
+        polarized=particles != "scalar", **matrix,
     )  # fmt: skip
     pairs = [(0.0, 60.0, 0.0), (20.0, 70.0, 180.0), (35.0, 55.0, 90.0), (10.0, 80.0, 45.0)]
     z = []
@@ -147,7 +149,7 @@ def test_brdf_obeys_helmholtz_reciprocity(polarized):
         )  # fmt: skip
         difference = forward.brdf.item() - reverse.brdf.item()
         z.append(difference / math.hypot(forward.brdf_stderr.item(), reverse.brdf_stderr.item()))
-    judge_z(z, f"reciprocity, polarized {polarized}")
+    judge_z(z, f"reciprocity, {particles}")
     assert np.abs(z).max() < 3.0
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from chi2 import judge_z
+from scattering_matrices import make_matrix
 
 import splits
 
@@ -245,13 +246,15 @@ def test_next_event_estimates_of_subdivided_layers_agree(polarized):
 @pytest.mark.parametrize("polarized", [False, True])
 def test_next_event_estimates_of_stacks_agree_with_bins(polarized):
     """Layers of three indices: light is refracted and reflected at each interface."""
+    middle = (
+        {"scattering_matrix": make_matrix(0.9)} if polarized else {"phase_function": "rayleigh"}
+    )
     names = ["brdf", "btdf"]
     names += [f"{name}_{component}" for name in names for component in "quv"] if polarized else []
     stack = splits.Stack(
         [
             splits.ParticleLayer(1.0, 0.9, 0.3, 1.33, None, depth_m=0.1, polarized=polarized),
-            splits.ParticleLayer(0.5, 1.0, 0.0, 1.0, None, phase_function="rayleigh",
-                                 polarized=polarized),
+            splits.ParticleLayer(0.5, 1.0, 0.0, 1.0, None, polarized=polarized, **middle),
             splits.ParticleLayer(2.0, 0.9, 0.6, 1.6, None, polarized=polarized),
         ]
     )  # fmt: skip

@@ -1,0 +1,119 @@
+"""Scattering matrices as inputs: forms, expansions, and messages."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+from splits import ParticleLayer
+from splits.kernels.optics.phase_function import evaluate_scattering_ratios, make_rayleigh
+from splits.media.matrix_expansion import COEFFICIENTS
+from splits.media.scattering_matrix import ELEMENTS, ScatteringMatrix
+
+ANGLE = np.linspace(0.0, 180.0, 91)
+MU = np.cos(np.radians(ANGLE))
+RAYLEIGH = {
+    "angle_deg": ANGLE, "P11": 0.75 * (1.0 + MU**2), "P12": -0.75 * (1.0 - MU**2),
+    "P33": 1.5 * MU, "P34": 0.0 * MU,
+}  # fmt: skip
+EXPANSION = dict(
+    zip(
+        COEFFICIENTS,
+        [[1.0, 0.0, 0.5], [0.0, 0.0, 3.0], [0.0] * 3, [0.0, 1.5, 0.0],
+         [0.0, 0.0, np.sqrt(1.5)], [0.0] * 3],
+        strict=True,
+    )
+)  # fmt: skip
+
+
+def write_libradtran(path):
+    """Write Rayleigh scattering in the form of libRadtran, with decreasing angles."""
+    elements = np.stack([RAYLEIGH[name][::-1] for name in ELEMENTS[:4]])[np.newaxis, np.newaxis]
+    dims = ("nlam", "nreff", "nphamat", "nthetamax")
+    theta = np.broadcast_to(ANGLE[::-1], elements.shape)
+    dataset = xr.Dataset({
+        "theta": (dims, theta.astype("f4")), "phase": (dims, elements.astype("f4")),
+        "ntheta": (dims[:3], np.full((1, 1, 4), ANGLE.size)),
+    })  # fmt: skip
+    dataset.to_netcdf(path)
+    return dataset
+
+
+def test_all_forms_are_the_same_matrix(tmp_path):
+    frame = pd.DataFrame(RAYLEIGH)
+    frame.to_csv(tmp_path / "matrix.csv", index=False)
+    pd.DataFrame(EXPANSION).to_csv(tmp_path / "expansion.csv", index=False)
+    dataset = write_libradtran(tmp_path / "matrix.nc")
+    forms = [
+        RAYLEIGH, frame, frame[::-1], frame.set_index("angle_deg"), tmp_path / "matrix.csv",
+        tmp_path / "matrix.nc", str(tmp_path / "matrix.nc"), dataset, EXPANSION,
+        tmp_path / "expansion.csv", xr.Dataset.from_dataframe(frame.set_index("angle_deg")),
+    ]  # fmt: skip
+    for form in forms:
+        matrix = ScatteringMatrix.from_input(form)
+        for column, name in enumerate(ELEMENTS):
+            expected = RAYLEIGH.get(name, RAYLEIGH["P33" if name == "P44" else "P11"])
+            found = np.interp(ANGLE, matrix.angle_deg, matrix.elements[:, column])
+            assert found == pytest.approx(expected, abs=2e-6)
+
+
+def test_tabulated_rayleigh_scattering_has_the_analytic_ratios():
+    layer = ParticleLayer(scattering_matrix=EXPANSION)
+    analytic, table = make_rayleigh(), layer.kernel_phase_function
+    assert table.g == pytest.approx(0.0, abs=1e-6)
+    for mu in np.linspace(-1.0, 1.0, 23):
+        found, expected = (evaluate_scattering_ratios(one, mu) for one in (table, analytic))
+        assert found == pytest.approx(expected, abs=2e-4)
+
+
+def test_layers_keep_their_matrix():
+    layer = ParticleLayer(scattering_matrix=RAYLEIGH)
+    again = eval(repr(ParticleLayer(scattering_matrix={
+        key: np.round(value[::45], 6) for key, value in RAYLEIGH.items()
+    })), {"ParticleLayer": ParticleLayer})  # fmt: skip
+    assert again.scattering_matrix.angle_deg.tolist() == [0.0, 90.0, 180.0]
+    assert layer == ParticleLayer(scattering_matrix=pd.DataFrame(RAYLEIGH))
+    described = layer.describe()
+    assert described["phase_function"] == "scattering_matrix"
+    assert described["matrix_P12"].tolist() == RAYLEIGH["P12"].tolist()
+
+
+TOO_LARGE = {**RAYLEIGH, "P12": 1.5 * RAYLEIGH["P11"]}
+MESSAGES = [
+    ({key: RAYLEIGH[key] for key in ("angle_deg", "P11")}, "missing P12, P33, P34"),
+    ({**RAYLEIGH, "P13": MU}, "unknown P13"),
+    ({key: value[:-1] for key, value in RAYLEIGH.items()}, "must be from 0 to 180 degrees"),
+    ({**RAYLEIGH, "P34": MU[:-1]}, "columns of the same length"),
+    ({**RAYLEIGH, "P11": -RAYLEIGH["P11"]}, "P11 = -1.5"),
+    ({**RAYLEIGH, "P12": RAYLEIGH["P12"] * np.nan}, "scattering_matrix.P12"),
+    (TOO_LARGE, "a sum of matrices of single particles"),
+    ({**RAYLEIGH, "P44": -RAYLEIGH["P33"]}, "a sum of matrices of single particles"),
+    ({**EXPANSION, "alpha5": [0.0] * 3}, "alpha1"),
+    ({**EXPANSION, "alpha2": [0.0] * 2}, "lists of the same length"),
+    ("no_such_file.csv", "an existing CSV file"),
+    ("no_such_file.nc", "a netCDF file"),
+    (3.0, "columns angle_deg"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("value", "message"), MESSAGES)
+def test_invalid_matrices_have_a_message(value, message):
+    with pytest.raises(ValueError, match="scattering_matrix") as error:
+        ParticleLayer(scattering_matrix=value)
+    assert message in str(error.value)
+
+
+def test_several_wavelengths_have_a_hint(tmp_path):
+    dataset = write_libradtran(tmp_path / "matrix.nc")
+    two = xr.concat([dataset, dataset], "nlam")
+    with pytest.raises(ValueError, match="select one"):
+        ParticleLayer(scattering_matrix=two)
+
+
+def test_a_phase_function_alone_does_not_polarize():
+    table = {"cosine": [-1.0, 1.0], "density": [1.0, 2.0]}
+    assert not ParticleLayer(phase_function=table).polarized
+    with pytest.raises(ValueError, match="polarized = True: must be with scattering_matrix"):
+        ParticleLayer(phase_function=table, polarized=True)

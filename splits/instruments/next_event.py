@@ -153,7 +153,7 @@ def compute_transmission(
         mueller = compute_fresnel_mueller(media[j], media[j + 1], cosine[j, k])
         plus, minus, real, _ = mueller.reflection
         reflectance[j, k] = [plus + minus, plus - minus, real] if polarized else plus
-        plus, minus, root = mueller.transmission
+        plus, minus, root, _ = mueller.transmission
         transmittance[j, k] = [plus + minus, plus - minus, root] if polarized else plus
     direct = np.exp(-thickness[:, np.newaxis] / cosine[1:-1])[..., np.newaxis]
     up, down = range(n_layers), range(n_layers, 2 * n_layers)

@@ -19,6 +19,7 @@ from numba import njit
 
 from splits.kernels.math.vectors import Vector
 from splits.kernels.optics import phase_function, polarized_interface, stokes
+from splits.kernels.optics.interface import ComplexIndex
 
 N_SAMPLES = scale_sample_size(200_000)
 RAYLEIGH = phase_function.make_rayleigh()
@@ -233,7 +234,8 @@ def test_reflected_fraction_of_polarized_light():
             side = 0.28 * E - 0.96 * np.cross(D, E)
             normal = Vector(*(-cos_i * D + math.sqrt(1.0 - cos_i * cos_i) * side).tolist())
             for s in LIGHT.values():
-                beam = ALONG, stokes.Stokes(REFERENCE, *s), normal, n1, n2
+                media = ComplexIndex(n1, 0.0), ComplexIndex(n2, 0.0)
+                beam = ALONG, stokes.Stokes(REFERENCE, *s), normal, *media
                 reflectance = polarized_interface.reflect_polarized(*beam).reflectance
                 transmitted = draw_samples(_sample_transmission, N_SAMPLES // 8, *beam, ray=len(z))
                 if reflectance == 1.0:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from splits.kernels.base.ray import ALIVE
 from splits.kernels.base.sampling_rules import WRONG_SIDE_LOBE
@@ -10,6 +10,7 @@ from splits.kernels.compiler.features import ALL_FEATURES
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.compiler.replace import replace
 from splits.kernels.grains.interaction import (
+    InteractionResult,
     InteractionVariates,
     InterfaceState,
     RelativeIndex,
@@ -19,6 +20,7 @@ from splits.kernels.grains.interaction import (
     relative_index,
 )
 from splits.kernels.grains.microfacet import make_smooth_facet, sample_microfacet
+from splits.kernels.grains.polarized_interaction import reflect_or_refract_polarized
 from splits.kernels.grains.spheroid import compute_chord
 from splits.kernels.grains.state import attenuate, pore_material, refractive_index_of
 from splits.kernels.math.elementary import Angle
@@ -52,9 +54,16 @@ def sample_adjacent_media(state, interface, grain_type, ray, scene, optics):
     return AdjacentMedia(relative_index(near, far), pore_variate)
 
 
+class GrainInteraction(NamedTuple):
+    """An `InteractionResult`, and the `Stokes` (or None) after it."""
+
+    result: InteractionResult
+    stokes: Any
+
+
 @inline_only
-def sample_interaction(state, d, interface, grain, roughness, media, rules):
-    """Sample one interaction at the surface of a grain."""
+def sample_interaction(state, d, stokes, interface, grain, roughness, media, rules):
+    """Sample one interaction at the surface of a grain, a `GrainInteraction`."""
     facet = make_smooth_facet(d, grain, interface.side)
     u = uniform(state)
     while roughness > 0.0:
@@ -67,9 +76,12 @@ def sample_interaction(state, d, interface, grain, roughness, media, rules):
         if sample.accepted or interface.in_lobe:
             facet = sample
             break
-    return reflect_or_refract(
-        d, interface, facet, media, u, rules.wrong_side != WRONG_SIDE_LOBE, ALL_FEATURES
-    )
+    mirror = rules.wrong_side != WRONG_SIDE_LOBE
+    if stokes is None:
+        result = reflect_or_refract(d, interface, facet, media, u, mirror, ALL_FEATURES)
+        return GrainInteraction(result, stokes)
+    polarized = reflect_or_refract_polarized(d, stokes, interface, facet, media, u, mirror)
+    return GrainInteraction(polarized.result, polarized.stokes)
 
 
 @inline_only
@@ -98,16 +110,17 @@ def trace_through_grain(state, ray, grain_sample, entry, scene, optics, path_len
     interface = InterfaceState(0.0, 1.0, False, False)
     while True:
         media = sample_adjacent_media(state, interface, grain_type, ray, scene, optics)
-        result = sample_interaction(
-            state, ray.direction, interface, grain, roughness, media.relative_index, scene.rules
-        )
+        result, stokes = sample_interaction(
+            state, ray.direction, ray.stokes, interface, grain, roughness, media.relative_index,
+            scene.rules,
+        )  # fmt: skip
         ray = replace(ray, pore_variate=media.pore_variate)
         if not result.accepted:
             interface = InterfaceState(
                 interface.shell, interface.side, result.needs_lobe, result.transmitted
             )
             continue
-        ray = replace(ray, direction=result.direction)
+        ray = replace(ray, direction=result.direction, stokes=stokes)
         region = find_next_region(interface, result, float(types.n_shells[grain_type]), True)
         interface = region.interface
         if region.in_pore:

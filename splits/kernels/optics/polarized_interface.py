@@ -16,7 +16,7 @@ from splits.kernels.optics.stokes import compute_azimuth, normalize_stokes, rota
 
 
 class ReflectionMueller(NamedTuple):
-    """Elements R₊, R₋ and a + ib = r_p r_s* of reflection, see `compute_fresnel_mueller`."""
+    """Elements R₊, R₋ and a + ib = r_p r_s* of reflection, see `compute_mueller`."""
 
     plus: float
     minus: float
@@ -25,11 +25,12 @@ class ReflectionMueller(NamedTuple):
 
 
 class TransmissionMueller(NamedTuple):
-    """Elements T₊, T₋ and √(T_s T_p) of refraction, see `compute_fresnel_mueller`."""
+    """Elements T₊, T₋ and c + id = √(T_s T_p) e^(iδ) of refraction, see `compute_mueller`."""
 
     plus: float
     minus: float
-    root: float
+    real: float
+    imaginary: float
 
 
 class InterfaceMueller(NamedTuple):
@@ -78,28 +79,38 @@ class PolarizedInterfaceSample(NamedTuple):
 
 @inline
 def compute_fresnel_mueller(n1, n2, cos_i):
-    """Return the Mueller matrices of an interface between media of real refractive index.
+    """Return `compute_mueller` for real refractive indices before and behind the interface."""
+    return compute_mueller(n2 / n1, (n2 - n1) / n1, 0.0, cos_i)
 
-    Born & Wolf 1999, section 1.5, with the plane of incidence as reference of all three beams.
-    Reflection maps (I, Q, U, V) to
+
+@inline
+def compute_mueller(m, g, k, cos_i):
+    """Return the Mueller matrices of an interface.
+
+    Born & Wolf 1999, sections 1.5 and 14.2, with the plane of incidence as reference of all three
+    beams.  Reflection maps (I, Q, U, V) to
 
         R₊ I + R₋ Q,  R₋ I + R₊ Q,  a U + b V,  a V − b U,   a + ib = r_p r_s*,
 
-    and refraction, in energy flux through the interface, to T₊ I + T₋ Q, T₋ I + T₊ Q, T U, T V with
-    T = √(T_s T_p).  Plus and minus denote (R_p ± R_s)/2; r_p = −r_s at normal incidence, where
-    the reference reverses with the light.  In units of n₁, with w = (n₂/n₁) cosθ_t, imaginary above
-    the critical angle, and c and σ for cosine and sine of the angle of incidence,
+    and refraction, in energy flux through the interface, to T₊ I + T₋ Q, T₋ I + T₊ Q, c U + d V,
+    c V − d U with c + id = √(T_s T_p) e^(iδ) and the phase δ of t_p t_s*, 0 without absorption.
+    Plus and minus denote (R_p ± R_s)/2; r_p = −r_s at normal incidence, where the reference
+    reverses with the light.  In units of the index before the interface, which is taken as real,
+    with w = (m + ik) cosθ_t, c and σ for cosine and sine of the angle of incidence,
 
-        r_s = (c − w)/(c + w) = (1 − n²)/(c + w)²,   r_p = r_s h,   h = (σ² − wc)/(σ² + wc),
+        r_s = (c − w)/(c + w),   r_p = r_s h,   h = (σ² − wc)/(σ² + wc),
+        t_p = t_s (m + ik)/(σ² + wc);
 
-    where n = n₂/n₁; at total reflection r_p r_s* = h = e^(−iδ), tan(δ/2) = c √(σ² − n²)/σ² (their
-    section 1.5.4).  R₋, T₊ and T₋ are expanded: nothing cancels near normal incidence, at grazing
-    incidence or between nearly equal media.
+    at total reflection r_p r_s* = h = e^(−iδ), tan(δ/2) = c √(σ² − m²)/σ² (their section 1.5.4).
+    R₋, T₊ and T₋ are expanded: nothing cancels near normal incidence, at grazing incidence or
+    between nearly equal media.
 
     Parameters
     ----------
-    n1, n2 : float
-        On the side of incidence and on the far side.
+    m, k : float
+        Real and imaginary part of the relative index.
+    g : float
+        m − 1, from the difference of the indices.
     cos_i : float
         Cosine of the angle of incidence, in [0, 1].
 
@@ -108,15 +119,15 @@ def compute_fresnel_mueller(n1, n2, cos_i):
     InterfaceMueller
         R₊ and the `FresnelResult` agree with `fresnel.fresnel`; R₋ ≤ 0, T₊ = 1 − R₊, T₋ = −R₋.
     """
-    m = n2 / n1
-    if m == 1.0:
+    if g == 0.0 and k == 0.0:
         return InterfaceMueller(
             ReflectionMueller(0.0, 0.0, 0.0, 0.0),
-            TransmissionMueller(1.0, 0.0, 1.0),
+            TransmissionMueller(1.0, 0.0, 1.0, 0.0),
             FresnelResult(0.0, 1.0, cos_i),
         )
-    g = (n2 - n1) / n1
     sin2 = (1.0 - cos_i) * (1.0 + cos_i)
+    if k > 0.0:
+        return _compute_absorbing_mueller(m, g, k, cos_i, sin2)
     a, b2 = normal_component(m, g, 0.0, cos_i, False)
     if a == 0.0:
         wc = math.sqrt(b2) * cos_i
@@ -125,7 +136,7 @@ def compute_fresnel_mueller(n1, n2, cos_i):
             1.0, 0.0, (sin2 - wc) * (sin2 + wc) * per, -2.0 * sin2 * wc * per
         )
         return InterfaceMueller(
-            reflection, TransmissionMueller(0.0, 0.0, 0.0), FresnelResult(1.0, 0.0, 0.0)
+            reflection, TransmissionMueller(0.0, 0.0, 0.0, 0.0), FresnelResult(1.0, 0.0, 0.0)
         )
     wc = a * cos_i
     per_s = 1.0 / (cos_i + a)
@@ -140,7 +151,36 @@ def compute_fresnel_mueller(n1, n2, cos_i):
     ratio = 1.0 / math.sqrt(a * a + sin2)
     return InterfaceMueller(
         ReflectionMueller(r_plus, r_minus, rs * h, 0.0),
-        TransmissionMueller(0.5 * ts * (1.0 + t * t), -r_minus, ts * t),
+        TransmissionMueller(0.5 * ts * (1.0 + t * t), -r_minus, ts * t, 0.0),
+        FresnelResult(r_plus, ratio, a * ratio),
+    )
+
+
+@inline_only
+def _compute_absorbing_mueller(m, g, k, cos_i, sin2):
+    """Return `compute_mueller` for an absorbing medium behind the interface."""
+    a, b2 = normal_component(m, g, k, cos_i, True)
+    b = math.sqrt(b2)
+    ac, bc = a * cos_i, b * cos_i
+    plus, minus = sin2 + ac, sin2 - ac
+    per_s = 1.0 / ((cos_i + a) * (cos_i + a) + b2)
+    per_h = 1.0 / (plus * plus + bc * bc)
+    # |r_s|² = |(1 − (m + ik)²)/(c + w)²|².
+    real, imaginary = g * (m + 1.0) - k * k, 2.0 * m * k
+    rs = (real * real + imaginary * imaginary) * per_s * per_s
+    r_plus = min(0.5 * rs * (1.0 + (minus * minus + bc * bc) * per_h), 1.0)
+    r_minus = -2.0 * rs * sin2 * ac * per_h
+    reflection = ReflectionMueller(
+        r_plus, r_minus, rs * (minus * plus - bc * bc) * per_h, -2.0 * rs * sin2 * bc * per_h
+    )
+    t_plus = 1.0 - r_plus
+    root = math.sqrt(max((t_plus - r_minus) * (t_plus + r_minus), 0.0))
+    x, y = m * plus + k * bc, k * plus - m * bc
+    scale = root / math.sqrt(x * x + y * y)
+    ratio = 1.0 / math.sqrt(a * a + sin2)
+    return InterfaceMueller(
+        reflection,
+        TransmissionMueller(t_plus, -r_minus, scale * x, scale * y),
         FresnelResult(r_plus, ratio, a * ratio),
     )
 
@@ -162,31 +202,50 @@ def rotate_to_plane_of_incidence(d, stokes, normal):
 @inline_only
 def _reflect_light(d, normal, incident, mueller):
     """Return the `ReflectedLight` of an `IncidentLight`."""
-    plus, minus, real, imaginary = mueller.reflection
-    _, plane_normal, q, u, v = incident
-    reflectance = plus + minus * q
+    reflectance = mueller.reflection.plus + mueller.reflection.minus * incident.q
     d = normalize(reflect(d, normal))
-    e = normalize(cross(plane_normal, d))
-    stokes = normalize_stokes(
-        e, reflectance, minus + plus * q, real * u + imaginary * v, real * v - imaginary * u
-    )
-    return ReflectedLight(reflectance, d, stokes)
+    return ReflectedLight(reflectance, d, reflect_stokes(d, incident, mueller))
 
 
 @inline_only
 def _refract_light(d, normal, incident, mueller):
     """Return the transmitted `PolarizedInterfaceSample` of an `IncidentLight`."""
-    plus, minus, root = mueller.transmission
-    cos_i, plane_normal, q, u, v = incident
-    d = refract(d, normal, cos_i, mueller.fresnel_result)
+    d = refract(d, normal, incident.cos_incidence, mueller.fresnel_result)
+    return PolarizedInterfaceSample(True, d, transmit_stokes(d, incident, mueller))
+
+
+@inline_only
+def reflect_stokes(d, incident, mueller):
+    """Return the `Stokes` of an `IncidentLight` reflected into the direction d."""
+    plus, minus, real, imaginary = mueller.reflection
+    _, plane_normal, q, u, v = incident
     e = normalize(cross(plane_normal, d))
-    return PolarizedInterfaceSample(
-        True, d, normalize_stokes(e, plus + minus * q, minus + plus * q, root * u, root * v)
+    return normalize_stokes(
+        e, plus + minus * q, minus + plus * q, real * u + imaginary * v, real * v - imaginary * u
+    )
+
+
+@inline_only
+def transmit_stokes(d, incident, mueller):
+    """Return the `Stokes` of an `IncidentLight` refracted into the direction d."""
+    plus, minus, real, imaginary = mueller.transmission
+    _, plane_normal, q, u, v = incident
+    e = normalize(cross(plane_normal, d))
+    return normalize_stokes(
+        e, plus + minus * q, minus + plus * q, real * u + imaginary * v, real * v - imaginary * u
     )
 
 
 @inline
-def reflect_polarized(d, stokes, normal, n1, n2):
+def compute_mueller_between(near, far, cos_i):
+    """Return `compute_mueller` for `ComplexIndex` before and behind the interface."""
+    same = near.n == far.n and near.k == far.k
+    k = 0.0 if same else far.k / near.n
+    return compute_mueller(far.n / near.n, (far.n - near.n) / near.n, k, cos_i)
+
+
+@inline
+def reflect_polarized(d, stokes, normal, near, far):
     """Return the reflectance of a smooth interface, and the reflected light.
 
     Parameters
@@ -196,8 +255,8 @@ def reflect_polarized(d, stokes, normal, n1, n2):
     stokes : Stokes
     normal : Vector
         Normal of the interface against the light, d·n ≤ 0.
-    n1, n2 : float
-        Real refractive indices on the side of incidence and on the far side.
+    near, far : ComplexIndex
+        On the side of incidence, whose real part counts, and on the far side.
 
     Returns
     -------
@@ -205,11 +264,12 @@ def reflect_polarized(d, stokes, normal, n1, n2):
         The reference is in the plane of incidence.
     """
     light = rotate_to_plane_of_incidence(d, stokes, normal)
-    return _reflect_light(d, normal, light, compute_fresnel_mueller(n1, n2, light.cos_incidence))
+    mueller = compute_mueller_between(near, far, light.cos_incidence)
+    return _reflect_light(d, normal, light, mueller)
 
 
 @inline
-def sample_polarized_interface(state, d, stokes, normal, n1, n2):
+def sample_polarized_interface(state, d, stokes, normal, near, far):
     """Sample reflection, with the probability R₊ + R₋ q, or refraction at a smooth interface.
 
     Parameters are those of `reflect_polarized`.
@@ -220,7 +280,7 @@ def sample_polarized_interface(state, d, stokes, normal, n1, n2):
         The reference is in the plane of incidence.
     """
     light = rotate_to_plane_of_incidence(d, stokes, normal)
-    mueller = compute_fresnel_mueller(n1, n2, light.cos_incidence)
+    mueller = compute_mueller_between(near, far, light.cos_incidence)
     reflection = mueller.reflection
     if uniform(state) >= reflection.plus + reflection.minus * light.q:
         return _refract_light(d, normal, light, mueller)

@@ -31,7 +31,7 @@ def reflect_or_refract_ray(state, d, stokes, normal, near, far):
     normal : Vector
         Normal of the facet, against the ray.
     near, far : ComplexIndex
-        Refractive indices on the side of incidence and on the far side; real for polarized rays.
+        Refractive indices on the side of incidence and on the far side.
 
     Returns
     -------
@@ -40,7 +40,7 @@ def reflect_or_refract_ray(state, d, stokes, normal, near, far):
     if stokes is None:
         sample = sample_interface(d, normal, near, far, uniform(state))
         return PolarizedInterfaceSample(sample.transmitted, sample.direction, stokes)
-    return sample_polarized_interface(state, d, stokes, normal, near.n, far.n)
+    return sample_polarized_interface(state, d, stokes, normal, near, far)
 
 
 @inline_only
@@ -57,7 +57,7 @@ def reflect_only(d, stokes, normal, near, far):
         cos_i = min(max(-dot(d, normal), MIN_COS_INCIDENCE), 1.0)
         reflectance = fresnel(near.n, far.n, far.k, cos_i).reflectance
         return ReflectedLight(reflectance, reflect(d, normal), stokes)
-    return reflect_polarized(d, stokes, normal, near.n, far.n)
+    return reflect_polarized(d, stokes, normal, near, far)
 
 
 @inline_only

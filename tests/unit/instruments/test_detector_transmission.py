@@ -23,7 +23,7 @@ def compute_fluxes(index, thickness, polarized=True, has_lower_side=True):
 def get_factors(n1, n2, polar):
     """Return reflectances and transmittances of I + Q, I − Q, and U, for light from outside."""
     mueller = compute_fresnel_mueller(n1, n2, np.cos(polar))
-    (plus, minus, real, _), (t_plus, t_minus, root) = mueller.reflection, mueller.transmission
+    (plus, minus, real, _), (t_plus, t_minus, root, _) = mueller.reflection, mueller.transmission
     return (np.array([plus + minus, plus - minus, real]),
             np.array([t_plus + t_minus, t_plus - t_minus, root]))  # fmt: skip
 

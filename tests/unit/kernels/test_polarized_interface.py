@@ -23,6 +23,7 @@ from polarized_light import (
 
 from splits.kernels.optics import polarized_interface as interface
 from splits.kernels.optics.fresnel import fresnel
+from splits.kernels.optics.interface import ComplexIndex
 from splits.kernels.optics.stokes import rotate_reference_to
 
 COSINES = [*np.logspace(-12, 0, 13), *(1.0 - np.logspace(-15, -1, 8)), 0.3, 0.5, 0.7]
@@ -75,8 +76,9 @@ def draw_incident_light(rng, cos_i, pure):
 def compute_reflection(d, e, s, n, n1, n2):
     """Return the reflectance of an interface and the reflected light."""
     reflectance, d, out = interface.reflect_polarized(
-        to_vector(d), to_kernel_light(e, s), to_vector(n), n1, n2
-    )
+        to_vector(d), to_kernel_light(e, s), to_vector(n), ComplexIndex(n1, 0.0),
+        ComplexIndex(n2, 0.0),
+    )  # fmt: skip
     return reflectance, *to_arrays(d, out)
 
 
@@ -89,7 +91,7 @@ def compute_refraction(d, e, s, n, n1, n2):
     d, n = to_vector(d), to_vector(n)
     light = interface.rotate_to_plane_of_incidence(d, to_kernel_light(e, s), n)
     fresnel_mueller = interface.compute_fresnel_mueller(n1, n2, light.cos_incidence)
-    plus, minus, _ = fresnel_mueller.transmission
+    plus, minus, *_ = fresnel_mueller.transmission
     if plus == 0.0:
         return 0.0, np.array(d), np.array(e), np.zeros(3)
     _, d, out = interface._refract_light(d, n, light, fresnel_mueller)
@@ -143,14 +145,14 @@ def test_mean_reflectance_matches_unpolarized_fresnel(indices):
     for cos_i in COSINES:
         fresnel_mueller = interface.compute_fresnel_mueller(*indices, cos_i)
         plus, minus, real, imaginary = fresnel_mueller.reflection
-        t_plus, t_minus, t_root = fresnel_mueller.transmission
+        t_plus, t_minus, t_root, t_imaginary = fresnel_mueller.transmission
         _, ratio, cos_t = fresnel_mueller.fresnel_result
         expected = fresnel(*indices, 0.0, cos_i)
         assert fresnel_mueller.fresnel_result.reflectance == plus
         assert plus == pytest.approx(expected[0], rel=1e-14)
         assert (ratio, cos_t) == pytest.approx(expected[1:], rel=1e-14)
         assert plus + t_plus == pytest.approx(1.0, abs=4e-15)
-        assert t_minus == -minus
+        assert (t_minus, t_imaginary) == (-minus, 0.0)
         # Neither reflection nor refraction depolarizes: √(R_p R_s) and √(T_p T_s).
         assert real**2 + imaginary**2 == pytest.approx((plus - minus) * (plus + minus), rel=1e-13)
         assert t_root**2 == pytest.approx((t_plus - t_minus) * (t_plus + t_minus), rel=1e-13)
@@ -202,6 +204,41 @@ def test_no_parallel_reflection_at_brewsters_angle():
         assert out == pytest.approx([1.0, 0.0, 0.0], abs=1e-15)
 
 
+@pytest.mark.parametrize("k", [1e-9, 1e-3, 0.3, 3.0])
+@pytest.mark.parametrize("n", [0.7, 1.0, 1.31, 3.0])
+def test_absorbing_media_match_50_digit_arithmetic(n, k):
+    for cos_i in COSINES:
+        mueller = interface.compute_mueller(n, n - 1.0, k, cos_i)
+        plus, minus, real, imaginary = mueller.reflection
+        t_plus, t_minus, t_real, t_imaginary = mueller.transmission
+        with mp.workdps(50):
+            c, m = mp.mpf(cos_i), mp.mpc(n, k)
+            w = mp.sqrt(m * m - 1 + c * c)
+            s, p = (c - w) / (c + w), (m * m * c - w) / (m * m * c + w)
+            ts, tp = 2 * c / (c + w), 2 * m * c / (m * m * c + w)
+            rs, rp, product = abs(s) ** 2, abs(p) ** 2, p * mp.conj(s)
+            phase = tp * mp.conj(ts) / abs(tp * ts)
+            root = mp.sqrt((1 - rs) * (1 - rp)) * phase
+            expected = [
+                float(one)
+                for one in ((rp + rs) / 2, (rp - rs) / 2, product.real, product.imag, root.real,
+                            root.imag)
+            ]  # fmt: skip
+        found = (plus, minus, real, imaginary, t_real, t_imaginary)
+        assert found == pytest.approx(expected, rel=1e-9, abs=3e-8)
+        assert (t_plus, t_minus) == (1.0 - plus, -minus)
+
+
+def test_absorption_of_0_is_the_limit_of_a_small_one():
+    for n in (0.7, 1.31):
+        for cos_i in (0.2, 0.5, 0.9):
+            without, little = (
+                interface.compute_mueller(n, n - 1.0, k, cos_i) for k in (0.0, 1e-14)
+            )
+            for one, other in zip(without[:2], little[:2], strict=True):
+                assert tuple(one) == pytest.approx(tuple(other), abs=1e-9)
+
+
 def test_phase_of_total_reflection_matches_theory():
     n1, n2 = 1.5, 1.0
     n = n2 / n1
@@ -209,7 +246,7 @@ def test_phase_of_total_reflection_matches_theory():
         sine, cosine = math.sin(theta), math.cos(theta)
         delta = 2.0 * math.atan(cosine * math.sqrt(sine**2 - n**2) / sine**2)
         out, transmission, fresnel_result = interface.compute_fresnel_mueller(n1, n2, cosine)
-        assert out[:2] == (1.0, 0.0) and transmission == (0.0,) * 3
+        assert out[:2] == (1.0, 0.0) and transmission == (0.0,) * 4
         assert fresnel_result == (1.0, 0.0, 0.0)
         assert out[2] == pytest.approx(math.cos(delta), abs=1e-9)
         assert out[3] == pytest.approx(-math.sin(delta), abs=1e-9)
@@ -243,7 +280,7 @@ def test_horizontal_interfaces_have_block_diagonal_mueller_matrices():
         fresnel_mueller = interface.compute_fresnel_mueller(1.33, 1.0, abs(d[2]))
         light = np.append(1.0, s)
         plus, minus, real, imaginary = fresnel_mueller.reflection
-        t_plus, t_minus, root = fresnel_mueller.transmission
+        t_plus, t_minus, root, _ = fresnel_mueller.transmission
         reflection = [[plus, minus, 0, 0], [minus, plus, 0, 0]]
         reflection += [[0, 0, real, imaginary], [0, 0, -imaginary, real]]
         transmission = [
@@ -342,8 +379,9 @@ def test_sampled_interaction_is_reflection_or_refraction():
     for i in range(GEOMETRIES):
         d, e, s, n = draw_incident_light(rng, rng.random(), pure=i % 2 == 0)
         passed, *out = interface.sample_polarized_interface(
-            state, to_vector(d), to_kernel_light(e, s), to_vector(n), 1.33, 1.0
-        )
+            state, to_vector(d), to_kernel_light(e, s), to_vector(n), ComplexIndex(1.33, 0.0),
+            ComplexIndex(1.0, 0.0),
+        )  # fmt: skip
         kernel = compute_refraction if passed else compute_reflection
         expected = np.concatenate(kernel(d, e, s, n, 1.33, 1.0)[1:])
         assert np.concatenate(to_arrays(*out)) == pytest.approx(expected, abs=1e-15)

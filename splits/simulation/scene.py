@@ -91,8 +91,14 @@ def compute_optical_constants(medium: Medium, wavelength_nm: np.ndarray) -> Opti
     )
 
 
-def build_scene(medium: Medium, incidence_deg: float | str, analog: bool) -> Scene:
-    """Return an illuminated medium; `analog` samples absorption at each segment."""
+def build_scene(
+    medium: Medium, incidence_deg: float | str, analog: bool, stokes: bool = False
+) -> Scene:
+    """Return an illuminated medium.
+
+    `analog` samples absorption at each segment; `stokes` traces polarization, as a medium may
+    require itself.
+    """
     media = medium.scene_layers
     granular = [layer for layer in media if layer.has_grains]
     particle_layers = [layer for layer in media if not layer.has_grains]
@@ -111,7 +117,7 @@ def build_scene(medium: Medium, incidence_deg: float | str, analog: bool) -> Sce
         False,
         ground_contact=None if bottom_albedo is None else True,
         bottom_albedo=None if has_ground else bottom_albedo,
-        stokes=UNPOLARIZED if medium.polarized else None,
+        stokes=UNPOLARIZED if stokes or medium.polarized else None,
         height_fields=height_fields,
         opaque=True if any(layer.opaque for layer in media) else None,
     )

@@ -144,7 +144,7 @@ def make_tabulated(cosines: Any, values: Any, ratios: Any = None) -> PhaseFuncti
 
 
 @inline
-def _find_interval(nodes, x):
+def find_interval(nodes, x):
     """Return the index i of the interval of nodes that contains x, nodes[i] ≤ x, or 0."""
     low = 0
     high = nodes.size - 1
@@ -190,7 +190,7 @@ def table_quantile(cosines, density, cdf, u):
     A fraction v of the probability of an interval lies within the fraction s of its width,
     v (y₀ + y₁) = 2 y₀ s + (y₁ − y₀) s²; the root in [0, 1] is written without differences.
     """
-    i = _find_interval(cdf, u)
+    i = find_interval(cdf, u)
     v = (u - cdf[i]) / (cdf[i + 1] - cdf[i])
     y0, y1 = density[i], density[i + 1]
     root = math.sqrt((1.0 - v) * y0 * y0 + v * y1 * y1)
@@ -225,7 +225,7 @@ def evaluate_phase_function(phase, mu):
         fraction = phase.dipole_fraction
         dipole = 0.75 * _ISOTROPIC_PER_SR * (1.0 + mu * mu)
         return fraction * dipole + (1.0 - fraction) * _ISOTROPIC_PER_SR
-    i = _find_interval(phase.cosines, mu)
+    i = find_interval(phase.cosines, mu)
     s = (mu - phase.cosines[i]) / (phase.cosines[i + 1] - phase.cosines[i])
     return (1.0 - s) * phase.density[i] + s * phase.density[i + 1]
 
@@ -234,7 +234,7 @@ def evaluate_phase_function(phase, mu):
 def evaluate_scattering_ratios(phase, mu):
     """Return the `ScatteringRatios` at a cosine."""
     if phase.kind == TABLE:
-        i = _find_interval(phase.cosines, mu)
+        i = find_interval(phase.cosines, mu)
         s = (mu - phase.cosines[i]) / (phase.cosines[i + 1] - phase.cosines[i])
         below, above = (1.0 - s), s
         density = below * phase.density[i] + above * phase.density[i + 1]

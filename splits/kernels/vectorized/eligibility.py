@@ -40,7 +40,7 @@ Rounding of positions is then below 1 % of the mean free path.
 def select_features(scene: Scene, optics: Optics) -> Features | None:
     """Return the features of a scene, or None if only the scalar kernel supports it.
 
-    The vectorized kernel does not support layers of particles, grains other than spheroids, pores
+    The vectorized kernel does not support polarization, layers of particles, grains other than spheroids, pores
     of more than two media, analog absorption, more than one coating, samples deeper than
     `MAX_DEPTH_MFP` mean free paths, beams with their first grain above `MIN_FIRST_DEPTH`, and
     indices above `MAX_INDEX` or below its inverse; and it needs the compiler.
@@ -56,7 +56,7 @@ def select_features(scene: Scene, optics: Optics) -> Features | None:
     depth = layers.boundaries[0] - layers.boundaries[-1]
     if (layers.particle_row != NO_PARTICLES).any() or layers.pore_cdf.shape[1] > 0:
         return None
-    if type(types) is not GrainTypes:
+    if type(types) is not GrainTypes or scene.stokes is not None:
         return None
     if (
         rules.analog

@@ -210,6 +210,13 @@ def check_range(
     return x
 
 
+def check_flag(key: str, value: Any) -> bool:
+    """Return a truth value; raise `InvalidValue` for any other type, such as a text."""
+    if not isinstance(value, bool | np.bool_):
+        raise invalid(key, value, "True or False")
+    return bool(value)
+
+
 def check_choice(key: str, value: object, choices: Iterable[str]) -> str:
     """Return `value` after checking that it is one of `choices`."""
     names = sorted(choices)

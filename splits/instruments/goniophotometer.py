@@ -10,7 +10,13 @@ import xarray as xr
 from splits.core.error_target import ErrorTarget
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
-from splits.core.validation import check_choice, check_integer, check_range, invalid
+from splits.core.validation import (
+    check_choice,
+    check_flag,
+    check_integer,
+    check_range,
+    invalid,
+)
 from splits.instruments.angular_bins import DEFAULT_N_BINS, AngularBinTally, compute_bin_centres
 from splits.instruments.angular_dataset import make_angular_dataset
 from splits.instruments.angular_estimate import AngularEstimate, AngularTally
@@ -25,6 +31,7 @@ from splits.instruments.detector_tally import DetectorTally
 from splits.instruments.expansion_tally import MAX_DEGREE, ExpansionTally
 from splits.instruments.next_event import get_detected_layers, make_detectors
 from splits.instruments.solver import AUTO, DISCRETE_ORDINATES, MONTE_CARLO, choose_solver
+from splits.kernels.base.scene import Scene
 from splits.kernels.tallies.angular import make_basis
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
@@ -73,6 +80,7 @@ def goniophotometer(
     estimator: str = "expansion",
     n_bins: tuple[int, int] = DEFAULT_N_BINS,
     max_rays: int = 1_000_000_000,
+    stokes: bool = False,
     threads: int | None = None,
     kernel: str = "auto",
     progress: ProgressCallback = None,
@@ -149,7 +157,7 @@ def goniophotometer(
         unscattered parts, which leave as collimated beams: ``specular_reflectance`` and
         ``direct_transmittance``.  All with their standard errors ``…_stderr``.
 
-        Next-event estimation and bins of a polarized medium add ``brdf_q``, ``brdf_u``, ``brdf_v``
+        Next-event estimation and bins of polarized light add ``brdf_q``, ``brdf_u``, ``brdf_v``
         and the same of the BTDF: Stokes parameters for unpolarized incidence, Q > 0 along the plane
         that contains the normal.  Over a diffuse bottom the BTDF is that of the light that arrives
         there, at angles within the layer; next-event estimation does not compute it.
@@ -178,6 +186,7 @@ def goniophotometer(
     if rays is not None:
         check_integer("rays", rays, 1)
     run = RunOptions.from_arguments(seed, threads, kernel, progress)
+    _check_stokes(stokes, medium, estimator)
     bins = check_n_bins(n_bins) if estimator == "bins" else None
     polar, azimuth = _make_directions(polar_deg, azimuth_deg, bins)
     check_dataset_size(len(wavelengths), len(polar) * len(azimuth))
@@ -196,7 +205,9 @@ def goniophotometer(
         is_fixed = rays is not None or bins is not None
         n_rays = (rays or DEFAULT_BIN_RAYS) if is_fixed else max_rays
         stop = StoppingRule(relative_stderr, n_rays, is_fixed)
-        result = _simulate_angular_result(medium, incidence, request, estimator, bins, stop, run)
+        scene = build_scene(medium, incidence, False, stokes)
+        tally = _make_angular_tally(medium, scene, incidence, request, estimator, bins)
+        result = _simulate_angular_result(tally, scene, request.target, stop, run)
     attributes = {
         **run.make_attributes("Virtual goniophotometer", "goniophotometer", medium),
         "incidence_deg": incidence,
@@ -214,32 +225,37 @@ def goniophotometer(
     )
 
 
-def _simulate_angular_result(
+def _make_angular_tally(
     medium: Medium,
+    scene: Scene,
     incidence: float | str,
     request: AngularRequest,
     estimator: str,
     bins: tuple[int, int] | None,
+) -> AngularTally:
+    """Return the tally of an estimator, see `goniophotometer`."""
+    wavelengths, polar, azimuth, relative_stderr, target = request
+    if estimator == "next_event":
+        layers = get_detected_layers(medium)
+        detectors = make_detectors(layers, scene, polar, azimuth)
+        return DetectorTally(layers, scene, detectors, target, len(wavelengths))
+    index, absorption = compute_optical_constants(medium, wavelengths)
+    tolerance = INTERPOLATION_FRACTION * relative_stderr
+    nodes = choose_nodes(index, medium.list_interfaces(), tolerance)
+    if bins is not None:
+        return AngularBinTally(nodes, absorption, bins, scene.stokes is not None)
+    directions = make_direction_grid(polar, azimuth, make_basis(MAX_DEGREE))
+    return ExpansionTally(nodes, absorption, directions, incidence, target)
+
+
+def _simulate_angular_result(
+    tally: AngularTally,
+    scene: Scene,
+    target: ErrorTarget,
     stop: StoppingRule,
     run: RunOptions,
 ) -> AngularResult:
     """Return the result of a simulation with paths, see `goniophotometer`."""
-    wavelengths, polar, azimuth, relative_stderr, target = request
-    scene = build_scene(medium, incidence, False)
-    tally: AngularTally
-    if estimator == "next_event":
-        layers = get_detected_layers(medium)
-        detectors = make_detectors(layers, scene, polar, azimuth)
-        tally = DetectorTally(layers, scene, detectors, target, len(wavelengths))
-    else:
-        index, absorption = compute_optical_constants(medium, wavelengths)
-        tolerance = INTERPOLATION_FRACTION * relative_stderr
-        nodes = choose_nodes(index, medium.list_interfaces(), tolerance)
-        if bins is not None:
-            tally = AngularBinTally(nodes, absorption, bins, medium.polarized)
-        else:
-            directions = make_direction_grid(polar, azimuth, make_basis(MAX_DEGREE))
-            tally = ExpansionTally(nodes, absorption, directions, incidence, target)
     evaluation = simulate(scene, tally, stop, run)
     estimate: AngularEstimate = evaluation.estimate
     attributes = {
@@ -253,6 +269,17 @@ def make_direction_mask(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
     """Return the directions of the stopping rule: all if only steeper ones are requested."""
     low = polar <= MAX_CONVERGED_POLAR_DEG
     return np.repeat(low if low.any() else ~low, len(azimuth))
+
+
+def _check_stokes(stokes: bool, medium: Medium, estimator: str) -> None:
+    """Check that polarization can be traced in all layers, and that the estimator has it."""
+    if not check_flag("stokes", stokes):
+        return
+    if estimator == "expansion":
+        raise invalid("estimator", estimator, "bins or next_event with stokes")
+    for layer in medium.scene_layers:
+        if not (layer.has_grains or layer.polarized):
+            raise invalid("stokes", stokes, "False", "layers of particles need polarized=True")
 
 
 def _check_estimator(estimator: str, incidence: float | str) -> None:

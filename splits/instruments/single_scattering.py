@@ -9,14 +9,16 @@ import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.uncertainty import Variable, make_variable
-from splits.core.validation import check_choice, check_integer, invalid
+from splits.core.validation import check_choice, check_flag, check_integer, invalid
 from splits.media.checks import check_medium
 from splits.media.medium import GranularMedium
+from splits.media.scattering_matrix import ANGLE, ELEMENTS
 from splits.simulation.arguments import check_wavelengths
 from splits.simulation.grain_optics import (
     INTERPOLATION_TOLERANCE,
     WET_PORE_MODELS,
     GrainOpticsRequest,
+    compute_grain_matrix,
     compute_grain_optics,
 )
 from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
@@ -35,6 +37,8 @@ VARIABLE_LABELS = {
     "extinction": ("extinction coefficient", "m-1"),
     "optical_thickness": ("optical thickness of extinction", "1"),
 }
+MATRIX_ANGLES_DEG = np.linspace(0.0, 180.0, 181)
+"""Scattering angles of the scattering matrix (degrees)."""
 ERROR_COMPONENTS = {
     "_jackknife": (("batch",), "without one batch of the rays:"),
     "_interpolation_bound": ((), "bound on the interpolation error of"),
@@ -52,6 +56,7 @@ def single_scattering(
     threads: int | None = None,
     *,
     wet_pores: str = "saturation",
+    stokes: bool = False,
 ) -> xr.Dataset:
     """Simulate the single-scattering properties of the grains of a medium.
 
@@ -83,6 +88,8 @@ def single_scattering(
         `wet_fraction` S, which is correct where light enters the sample.  "equilibrium" is
         S n²/(S n² + 1 − S), with the index n of water relative to air, which is correct deep in
         the sample, where radiance is proportional to n².
+    stokes : bool
+        Whether the scattering matrix is computed as well, from further rays.
 
     Returns
     -------
@@ -104,6 +111,12 @@ def single_scattering(
         and ``…_interpolation_bound`` is a bound on its error from interpolation between refractive
         indices.
 
+        With `stokes`, the elements of the scattering matrix over ``angle_deg`` (degrees), the
+        scattering angle: ``P11``, ``P12``, ``P33``, ``P34``, ``P22`` and ``P44``, of the Stokes
+        vector with the scattering plane as reference; the mean of ``P11`` over all directions is 1.
+        Elements are means weighted by the linear functions of the cosine between two angles.  The
+        dataset at one wavelength is a `scattering_matrix` of `splits.ParticleLayer`.
+
     Raises
     ------
     ValueError
@@ -122,6 +135,7 @@ def single_scattering(
     rays = GRAIN_RAYS_PER_CHUNK * -(-check_integer("rays", rays, 2) // GRAIN_RAYS_PER_CHUNK)
     run = RunOptions.from_arguments(seed, threads)
     check_choice("wet_pores", wet_pores, WET_PORE_MODELS)
+    check_flag("stokes", stokes)
     scene = build_scene(medium, 0.0, False)
     request = GrainOpticsRequest(moments, rays, wet_pores, run)
     constants = compute_material_constants(medium, wavelengths)
@@ -148,8 +162,16 @@ def single_scattering(
                 variables |= make_variable(
                     f"{name}{suffix}", all_dims, values[name + suffix], None, label, units
                 )
+    coordinates: dict[str, Any] = {}
+    if stokes:
+        matrix = compute_grain_matrix(medium, constants, request, nodes, MATRIX_ANGLES_DEG)
+        for name, values_of, stderr in zip(ELEMENTS, *matrix, strict=True):
+            label = f"element {name} of the scattering matrix"
+            variables |= make_variable(name, ("wavelength", ANGLE), values_of, stderr, label)
+        angle_attributes = {"long_name": "scattering angle", "units": "degree"}
+        coordinates[ANGLE] = (ANGLE, MATRIX_ANGLES_DEG, angle_attributes)
     order_attributes = {"long_name": "order of the Legendre moment", "units": "1"}
-    coordinates = {
+    coordinates |= {
         "wavelength": make_wavelength_coordinate(wavelengths),
         "order": ("order", np.arange(moments + 1), order_attributes),
     }

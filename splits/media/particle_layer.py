@@ -19,6 +19,7 @@ from splits.core.validation import (
     ROUNDING_TOLERANCE,
     as_scalar,
     check_choice,
+    check_flag,
     check_range,
     invalid,
     snap_to_limits,
@@ -166,8 +167,7 @@ class ParticleLayer(ContentEquality, ParticleMedium):
         if self.bottom_albedo is not None:
             put("bottom_albedo", check_range("bottom_albedo", self.bottom_albedo, 0.0, 1.0))
         for name in ("polarized", "opaque"):
-            if not isinstance(getattr(self, name), (bool, np.bool_)):
-                raise invalid(name, getattr(self, name), "true or false")
+            put(name, check_flag(name, getattr(self, name)))
         put("_phase", self._make_phase_function())
         if self.surface is not None:
             put("surface", RoughSurface.from_input(self.surface))

@@ -31,6 +31,10 @@ OPTIONAL_ELEMENTS = {"P22": "P11", "P44": "P33"}
 ELEMENTS = (*REQUIRED_ELEMENTS, *OPTIONAL_ELEMENTS)
 PHYSICAL_TOLERANCE = 2e-3
 """Relative violation of the inequalities of a matrix that rounded elements may have."""
+STDERR = "_stderr"
+N_STDERR = 5.0
+"""Violation of the inequalities, in the largest standard error of an element at an angle, that
+elements with errors may have."""
 KEY = "scattering_matrix"
 ALLOWED = (
     f"columns {ANGLE}, {', '.join(REQUIRED_ELEMENTS)} and perhaps P22, P44, or expansion "
@@ -64,8 +68,8 @@ class ScatteringMatrix(ContentEquality):
         ----------
         value : ScatteringMatrix, mapping, pandas.DataFrame, xarray.Dataset or path
             Columns ``angle_deg, P11, P12, P33, P34`` and, where they differ from P11 and P33,
-            ``P22, P44``; or expansion coefficients, see `splits.media.matrix_expansion`; or a CSV
-            file of one of them.  Datasets and netCDF files may have the form of libRadtran, of a
+            ``P22, P44``, perhaps with standard errors ``…_stderr``; or expansion coefficients, see
+            `splits.media.matrix_expansion`; or a CSV file of one of them.  Datasets and netCDF files may have the form of libRadtran, of a
             single wavelength and size.
 
         Raises
@@ -78,14 +82,21 @@ class ScatteringMatrix(ContentEquality):
             return value
         columns = _read_columns(value)
         if set(COEFFICIENTS) & set(columns):
-            return cls(*sum_expansion(_read_coefficients(columns)))
-        return cls(*_read_elements(columns))
+            matrix = cls(*sum_expansion(_read_coefficients(columns)))
+            matrix._check_physical(np.zeros_like(matrix.angle_deg))
+            return matrix
+        stderr = {name.removesuffix(STDERR): columns[name] for name in columns if STDERR in name}
+        matrix = cls(*_read_elements({n: c for n, c in columns.items() if STDERR not in n}))
+        errors = _read_elements({ANGLE: columns[ANGLE], **stderr})[1] if stderr else 0.0
+        matrix._check_physical(N_STDERR * np.max(errors, axis=-1))
+        return matrix
 
-    def __post_init__(self) -> None:
+    def _check_physical(self, error: np.ndarray) -> None:
+        """Reject a matrix that is no sum of matrices of single particles, within an error."""
         p11, p12, p33, p34, p22, p44 = self.elements.T
-        if not (np.isfinite(self.elements).all() and (p11 >= 0.0).all() and p11.max() > 0.0):
+        if not ((p11 >= 0.0).all() and p11.max() > 0.0):
             raise invalid(f"{KEY}.P11", float(p11.min()), "numbers from 0, not all of them 0")
-        allowance = PHYSICAL_TOLERANCE * p11
+        allowance = PHYSICAL_TOLERANCE * p11 + error
         # A matrix is a sum of matrices of single particles if its coherency matrix has no negative
         # eigenvalue (Cloude 1986, Optik 75, 26); these are its three blocks.
         is_physical = (
@@ -147,8 +158,13 @@ def _read_netcdf(path: Path) -> Mapping[str, Any]:
 def _select_variables(dataset: xr.Dataset) -> Mapping[str, Any]:
     """Return the columns of a dataset: its variables, or those of libRadtran."""
     if not set(NETCDF_NAMES) <= set(dataset.variables):
-        names = (ANGLE, *ELEMENTS, *COEFFICIENTS)
-        return {name: dataset[name].values for name in names if name in dataset.variables}
+        names = [ANGLE, *ELEMENTS, *(f"{name}{STDERR}" for name in ELEMENTS), *COEFFICIENTS]
+        columns = {str(name): dataset[name] for name in names if name in dataset.variables}
+        for name, variable in columns.items():
+            if variable.ndim != 1:
+                hint = "select one: dataset.sel(wavelength=…)"
+                raise invalid(f"{KEY}.{name}", f"over {variable.dims}", "of one wavelength", hint)
+        return {name: variable.values for name, variable in columns.items()}
     theta, phase, n_angles = (dataset[name].values for name in NETCDF_NAMES)
     shape = phase.shape[-2:]
     if phase.size != np.prod(shape):
@@ -157,11 +173,11 @@ def _select_variables(dataset: xr.Dataset) -> Mapping[str, Any]:
     theta, phase, n_angles = theta.reshape(shape), phase.reshape(shape), n_angles.reshape(-1)
     # Angles decrease or increase, and each element has its own.
     grid = theta[0, : n_angles[0]]
-    columns = {ANGLE: grid}
+    elements = {ANGLE: grid}
     for name, row, angles, size in zip(ELEMENTS, phase, theta, n_angles, strict=False):
         order = np.argsort(angles[:size])
-        columns[name] = np.interp(grid, angles[:size][order], row[:size][order])
-    return columns
+        elements[name] = np.interp(grid, angles[:size][order], row[:size][order])
+    return elements
 
 
 def _read_coefficients(columns: Mapping[str, Any]) -> np.ndarray:

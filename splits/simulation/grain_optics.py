@@ -11,6 +11,7 @@ from splits.kernels.base.scene import DRY_PORE, WET_PORE, Scene
 from splits.media.medium import GranularMedium
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
+from splits.simulation.scattering_matrix_tally import MatrixEstimate, ScatteringMatrixTally
 from splits.simulation.scene import OpticalConstants, build_scene
 from splits.simulation.single_scattering_tally import (
     WEIGHTED_MEANS,
@@ -72,6 +73,21 @@ def compute_grain_optics(
         if name.startswith("single_scattering_albedo"):
             values[name] *= grain_extinction / values["extinction"]
     return values
+
+
+def compute_grain_matrix(
+    medium: GranularMedium,
+    constants: OpticalConstants,
+    request: GrainOpticsRequest,
+    nodes: IndexNodes,
+    angle_deg: np.ndarray,
+) -> MatrixEstimate:
+    """Return the scattering matrix of the grains of a medium, see `single_scattering`."""
+    wet_fractions = _compute_wet_fraction(medium.wet_fraction, nodes.index, request.wet_pores)
+    tally = ScatteringMatrixTally(nodes, constants.absorption, wet_fractions, angle_deg)
+    stop = StoppingRule(0.0, request.n_rays * len(nodes.index), fixed=True)
+    simulate(build_scene(medium, 0.0, False, stokes=True), tally, stop, request.run)
+    return tally.estimate_matrix()
 
 
 def estimate_pilot_optics(

@@ -40,10 +40,11 @@ Rounding of positions is then below 1 % of the mean free path.
 def select_features(scene: Scene, optics: Optics) -> Features | None:
     """Return the features of a scene, or None if only the scalar kernel supports it.
 
-    The vectorized kernel does not support polarization, layers of particles, grains other than spheroids, pores
-    of more than two media, analog absorption, more than one coating, samples deeper than
-    `MAX_DEPTH_MFP` mean free paths, beams with their first grain above `MIN_FIRST_DEPTH`, and
-    indices above `MAX_INDEX` or below its inverse; and it needs the compiler.
+    The vectorized kernel does not support polarization, layers of particles, grains other than
+    spheroids, pores of more than two media, analog absorption, more than one coating, samples
+    deeper than `MAX_DEPTH_MFP` mean free paths, beams with their first grain above
+    `MIN_FIRST_DEPTH`, and indices above `MAX_INDEX` or below its inverse; and it needs the
+    compiler.
 
     Parameters
     ----------

@@ -138,6 +138,9 @@ def goniophotometer(
         use bins.  "unresolved_lobe" means that the run has converged except for directions in a
         lobe, where terms that are insignificant individually keep the reported error above the
         requested one (see ``relative_stderr_reached``); request a smaller error.
+    stokes : bool
+        Whether the Stokes vector is traced through grains, with the estimator "bins"; see
+        docs/theory/polarization.md.  Layers of particles are polarized by their own keyword.
     threads : int, optional
         Default: every CPU that this process may use.
     kernel : {"auto", "vectorized", "scalar"}
@@ -186,7 +189,7 @@ def goniophotometer(
     if rays is not None:
         check_integer("rays", rays, 1)
     run = RunOptions.from_arguments(seed, threads, kernel, progress)
-    _check_stokes(stokes, medium, estimator)
+    check_stokes(stokes, medium, estimator)
     bins = check_n_bins(n_bins) if estimator == "bins" else None
     polar, azimuth = _make_directions(polar_deg, azimuth_deg, bins)
     check_dataset_size(len(wavelengths), len(polar) * len(azimuth))
@@ -271,8 +274,8 @@ def make_direction_mask(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
     return np.repeat(low if low.any() else ~low, len(azimuth))
 
 
-def _check_stokes(stokes: bool, medium: Medium, estimator: str) -> None:
-    """Check that polarization can be traced in all layers, and that the estimator has it."""
+def check_stokes(stokes: bool, medium: Medium, estimator: str) -> None:
+    """Reject polarization in layers that do not define it, or with an estimator without it."""
     if not check_flag("stokes", stokes):
         return
     if estimator == "expansion":

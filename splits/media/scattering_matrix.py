@@ -69,8 +69,8 @@ class ScatteringMatrix(ContentEquality):
         value : ScatteringMatrix, mapping, pandas.DataFrame, xarray.Dataset or path
             Columns ``angle_deg, P11, P12, P33, P34`` and, where they differ from P11 and P33,
             ``P22, P44``, perhaps with standard errors ``…_stderr``; or expansion coefficients, see
-            `splits.media.matrix_expansion`; or a CSV file of one of them.  Datasets and netCDF files may have the form of libRadtran, of a
-            single wavelength and size.
+            `splits.media.matrix_expansion`; or a CSV file of one of them.  Datasets and netCDF
+            files may have the form of libRadtran, of a single wavelength and size.
 
         Raises
         ------

@@ -237,8 +237,10 @@ def _check_quantity(simulation: SimulationConfig, figure: FigureSection, medium:
             raise invalid("figure.quantity", "btdf", "brdf over a bottom with local estimation")
         if medium.reflecting_ground is not None:
             raise invalid("figure.quantity", "btdf", "brdf over a ground")
-    if figure.kind == "polarization" and not medium.polarized:
-        raise invalid("medium.polarized", False, "true for figure.kind = 'polarization'")
+    is_polarized = medium.polarized or getattr(simulation.instrument, "stokes", False)
+    if figure.kind == "polarization" and not is_polarized:
+        hint = "or instrument.stokes: true for grains"
+        raise invalid("medium.polarized", False, "true for figure.kind = 'polarization'", hint)
     if "mean_grain_distance" in figure.quantity and not hasattr(medium, "mean_grain_distance_m"):
         hint = "left out: a particle layer has no grains, and a stack has no single distance"
         raise invalid("figure.quantity", "mean_grain_distance", hint)

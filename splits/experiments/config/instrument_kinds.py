@@ -22,7 +22,7 @@ from splits.experiments.config.sections import check_different
 from splits.experiments.config.surface_instruments import Lens, SurfaceMap
 from splits.instruments.angular_bins import DEFAULT_N_BINS
 from splits.instruments.angular_solver import find_angular_obstacle
-from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
+from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG, check_stokes
 from splits.instruments.next_event import get_detected_layers
 from splits.instruments.solver import MONTE_CARLO, choose_solver
 from splits.media.medium import Medium
@@ -104,6 +104,9 @@ class Goniophotometer(OpticalInstrument):
     solver: Solver = "auto"
     estimator: Literal["expansion", "bins", "next_event"] = "expansion"
     """how exiting rays become results"""
+    stokes: bool = False
+    """whether polarization is traced, with `bins` or `next_event`; layers of particles need
+    `polarized: true`"""
     rays: Rays = None
     target: Literal["brdf", "btdf"] = "brdf"
     """quantity to which the target error applies"""
@@ -142,6 +145,8 @@ class Goniophotometer(OpticalInstrument):
                 get_detected_layers(medium)
         if self.target == "btdf" and medium.reflecting_ground is not None:
             raise invalid("instrument.target", "btdf", "brdf over a ground")
+        with key_prefix("instrument"):
+            check_stokes(self.stokes, medium, self.estimator)
 
     def choose_solver(self, medium: Medium) -> str:
         """Return the solver for a medium, see `splits.instruments.solver.choose_solver`."""

@@ -1,0 +1,181 @@
+"""Polarization by grains: scattering matrices, dilute packs, energy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from chi2 import NEEDS_JIT, judge_z, scale_sample_size
+
+import splits
+from splits.media.scattering_matrix import ELEMENTS
+
+NM = [600.0]
+PROJECTED = {"entry_point": "projected"}
+SPHERES = splits.Snow(
+    facetness=(0.0,) * 4, sphericity=(1.0, 1.0, 1.0, 0.0), saturation=0.0, density_kg_m3=1.0,
+    interpretation=PROJECTED,
+)  # fmt: skip
+FACETED = splits.Snow(saturation=0.0, density_kg_m3=1.0, interpretation=PROJECTED)
+SAND = splits.Sand(porosity=0.999, interpretation=PROJECTED)
+STOKES = ("", "_q", "_u", "_v")
+
+
+def compute_sphere_matrix(index: float, angle_deg: np.ndarray, n_rays: int = 400_000) -> np.ndarray:
+    """Return the matrix of a sphere without absorption, by quadrature over the impact parameter.
+
+    Light of order 0 is reflected outside; light of order k is refracted after k − 1 internal
+    reflections.  Amplitudes are those of Fresnel's equations, parallel and perpendicular.
+    """
+    sine = np.sqrt((np.arange(n_rays) + 0.5) / n_rays)
+    i, r = np.arcsin(sine), np.arcsin(sine / index)
+    cos_i, cos_r = np.cos(i), np.cos(r)
+    s = (cos_i - index * cos_r) / (cos_i + index * cos_r)
+    p = (index * cos_i - cos_r) / (index * cos_i + cos_r)
+    t = (1.0 - s**2) * (1.0 - p**2)
+    cosines = np.cos(np.radians(angle_deg[::-1]))
+    sums = np.zeros((len(ELEMENTS), angle_deg.size))
+    for order in range(40):
+        if order == 0:
+            theta, square_s, square_p, product = np.pi - 2.0 * i, s**2, p**2, s * p
+        else:
+            theta = 2.0 * (i - r) + (order - 1) * (np.pi - 2.0 * r)
+            square_s = (1.0 - s**2) ** 2 * s ** (2 * order - 2)
+            square_p = (1.0 - p**2) ** 2 * p ** (2 * order - 2)
+            product = t * (s * p) ** (order - 1)
+        node = np.clip(np.searchsorted(cosines, np.cos(theta)) - 1, 0, angle_deg.size - 2)
+        above = (np.cos(theta) - cosines[node]) / (cosines[node + 1] - cosines[node])
+        mean, difference = 0.5 * (square_p + square_s), 0.5 * (square_p - square_s)
+        for row, element in enumerate((mean, difference, product, 0.0 * mean, mean, product)):
+            for nodes, weight in ((node, 1.0 - above), (node + 1, above)):
+                sums[row] += np.bincount(nodes, weight * element, angle_deg.size)
+    width = np.diff(cosines)
+    weight = 0.5 * (np.append(width, 0.0) + np.append(0.0, width))
+    return (2.0 * sums / n_rays / weight)[:, ::-1]
+
+
+@NEEDS_JIT
+def test_matrix_of_smooth_spheres_is_that_of_geometric_optics():
+    clear = replace(SPHERES, refractive_index={"ice": 1.31})
+    ds = splits.single_scattering(clear, NM, 2, rays=2_000_000, stokes=True).squeeze("wavelength")
+    exact = compute_sphere_matrix(1.31, ds.angle_deg.values)
+    for name, expected in zip(ELEMENTS, exact, strict=True):
+        if name == "P34":
+            # Without total reflection, no phase differs.
+            assert np.abs(ds[name]).max() < 1e-8
+            continue
+        stderr = ds[f"{name}_stderr"].values
+        z = (ds[name].values - expected)[stderr > 0.0] / stderr[stderr > 0.0]
+        # Errors from 32 batches are uncertain by 13 %.
+        judge_z(z, f"sphere, {name}", independent=z.size // 2)
+
+
+@NEEDS_JIT
+@pytest.mark.parametrize("medium", [FACETED, SAND], ids=["snow", "sand"])
+def test_matrices_of_grains_have_their_symmetries(medium):
+    """At 0° and 180°, by symmetry about the direction; bounds of elements; normalization."""
+    ds = splits.single_scattering(medium, NM, 2, rays=1_000_000, stokes=True).squeeze("wavelength")
+    cosines = np.cos(np.radians(ds.angle_deg.values[::-1]))
+    assert 0.5 * np.trapezoid(ds.P11.values[::-1], cosines) == pytest.approx(1.0, abs=1e-9)
+    z = []
+    for angle, sign in ((0.0, 1.0), (180.0, -1.0)):
+        at = ds.sel(angle_deg=angle)
+        z += [float(at[name] / at[f"{name}_stderr"]) for name in ("P12", "P34")]
+        z.append(float((at.P22 - sign * at.P33) / np.hypot(at.P22_stderr, at.P33_stderr)))
+    judge_z(np.array(z), "symmetries", independent=4)
+    splits.ParticleLayer(scattering_matrix=ds)
+    for name in ELEMENTS[1:]:
+        assert (np.abs(ds[name]) <= ds.P11 + 5.0 * (ds[f"{name}_stderr"] + ds.P11_stderr)).all()
+
+
+def make_pair(medium: splits.Snow | splits.Sand) -> tuple:
+    """Return a dilute pack of optical thickness 1, and the layer of particles of its matrix."""
+    ds = splits.single_scattering(
+        medium, NM, 2, rays=scale_sample_size(4_000_000), stokes=True
+    ).squeeze("wavelength")
+    layer = splits.ParticleLayer(
+        optical_thickness=1.0, refractive_index=1.0, bottom_albedo=None, scattering_matrix=ds,
+        single_scattering_albedo=min(float(ds.single_scattering_albedo), 1.0), polarized=True,
+    )  # fmt: skip
+    return replace(medium, depth_m=1.0 / float(ds.extinction)), layer
+
+
+@pytest.mark.long
+@NEEDS_JIT
+@pytest.mark.parametrize("medium", [SPHERES, FACETED, SAND], ids=["spheres", "snow", "sand"])
+def test_dilute_packs_are_layers_of_particles_of_their_matrix(medium):
+    """I, Q, U and V in 60 bins above and below."""
+    bins = {"estimator": "bins", "n_bins": (6, 10), "rays": 1_000_000}
+    pack, layer = make_pair(medium)
+    traced = splits.goniophotometer(pack, NM, 40.0, stokes=True, **bins)
+    expected = splits.goniophotometer(layer, NM, 40.0, seed=2, **bins)
+    z = []
+    for function in ("brdf", "btdf"):
+        for suffix in STOKES:
+            name = f"{function}{suffix}"
+            stderr = np.hypot(traced[f"{name}_stderr"], expected[f"{name}_stderr"]).values
+            # Spheres reflect no light totally: V is that of rounding.
+            if np.abs(expected[name]).max() < 1e-9:
+                continue
+            z.append(((traced[name] - expected[name]).values / stderr)[stderr > 0.0])
+            judge_z(z[-1], f"{name} of a dilute pack")
+    rms = float(np.sqrt(np.mean(np.concatenate(z) ** 2)))
+    print(f"{sum(map(len, z))} comparisons, rms z {rms:.3f}")
+    assert 0.85 < rms < 1.15
+
+
+@NEEDS_JIT
+@pytest.mark.parametrize(
+    "medium",
+    [
+        splits.Snow(depth_m=0.005, refractive_index={"ice": 1.31, "water": 1.33}),
+        splits.Snow(depth_m=0.005, interpretation={"wrong_side_ray": "mirror"}),
+        splits.Sand(depth_m=0.005),
+        splits.Stack(
+            [splits.Snow(depth_m=0.003), splits.Sand(depth_m=0.002)],
+            ground=0.4,
+            interpretation="radiative_transfer",
+        ),
+    ],
+    ids=["clear", "mirror", "sand", "stack"],
+)
+def test_light_is_never_more_than_fully_polarized(medium):
+    bins = {"estimator": "bins", "n_bins": (3, 8), "rays": scale_sample_size(100_000)}
+    polarized, scalar = (
+        splits.goniophotometer(medium, NM, 60.0, seed=seed, stokes=stokes, **bins)
+        for seed, stokes in ((1, True), (2, False))
+    )
+    for function in ("brdf", "btdf") if "btdf" in polarized else ("brdf",):
+        part = sum(polarized[f"{function}{suffix}"] ** 2 for suffix in STOKES[1:])
+        assert (np.sqrt(part) <= polarized[function] * (1.0 + 1e-9)).all()
+    if medium.refractive_index["ice"] == 1.31 if isinstance(medium, splits.Snow) else False:
+        total = polarized.reflectance + polarized.transmittance
+        assert float(total[0]) == pytest.approx(1.0, abs=2e-5)
+    # Polarization changes reflectances by less than a percent.
+    difference = polarized.reflectance - scalar.reflectance
+    stderr = np.hypot(polarized.reflectance_stderr, scalar.reflectance_stderr)
+    assert (np.abs(difference) < 4.0 * stderr + 0.01 * scalar.reflectance).all()
+
+
+def test_bits_of_scalar_results_do_not_depend_on_polarization():
+    """The scalar kernel without polarization is compiled from the same functions."""
+    snow = splits.Snow(depth_m=0.002)
+    bins = {"estimator": "bins", "n_bins": (2, 4), "rays": 2048, "kernel": "scalar"}
+    one, two = (splits.goniophotometer(snow, NM, 30.0, stokes=False, **bins) for _ in range(2))
+    assert (one.brdf == two.brdf).all() and "brdf_q" not in one
+
+
+@pytest.mark.parametrize(
+    ("medium", "keywords", "message"),
+    [
+        (splits.Snow(), {"stokes": True}, "estimator = 'expansion': must be bins or next_event"),
+        (splits.Snow(), {"stokes": "yes", "estimator": "bins"}, "stokes = 'yes'"),
+        (splits.ParticleLayer(), {"stokes": True, "estimator": "bins"}, "polarized=True"),
+        (splits.Snow(), {"stokes": True, "estimator": "next_event"}, "estimator = 'next_event'"),
+    ],
+)
+def test_impossible_requests_have_a_message(medium, keywords, message):
+    with pytest.raises(ValueError, match="must be") as error:
+        splits.goniophotometer(medium, NM, 30.0, rays=10, **keywords)
+    assert message in str(error.value)

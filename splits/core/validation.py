@@ -213,7 +213,7 @@ def check_range(
 def check_flag(key: str, value: Any) -> bool:
     """Return a truth value; raise `InvalidValue` for any other type, such as a text."""
     if not isinstance(value, bool | np.bool_):
-        raise invalid(key, value, "True or False")
+        raise invalid(key, value, "true or false")
     return bool(value)
 
 

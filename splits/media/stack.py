@@ -49,8 +49,9 @@ class Stack(Medium):
         Layers from top to bottom, 1 to 200.  All layers of grains must have the same choices of
         `splits.media.interpretations.TransportInterpretation`, and no layer may have a ground.  A
         `ParticleLayer` must have ``bottom_albedo=None``, and must not be opaque.  Only the lowest
-        layer may be infinite, and only the top layer may have a rough surface.  Polarization
-        requires that all layers are polarized particle layers.
+        layer may be infinite, and only the top layer may have a rough surface.  All
+        layers of particles, or none, must be polarized; polarized light is traced through layers of
+        grains, too.
     ground : number, str, mapping or path, optional
         Lambertian ground below the stack: an albedo, "black", the name of a soil or a table; see
         `splits.media.ground.Ground.from_input`.  By default light leaves through the lower
@@ -106,10 +107,13 @@ class Stack(Medium):
         _check_rounding([layer.depth_m for layer in layers])
         if self.interpretation is not None:
             layers = tuple(self._apply_interpretation(layer) for layer in layers)
-        polarized = [layer.polarized for layer in layers]
-        if any(polarized) and not all(polarized):
-            key = f"layers[{polarized.index(True)}].polarized"
-            raise invalid(key, True, "false, or true for all layers", "grains are not polarized")
+        polarized = {
+            number: layer.polarized for number, layer in enumerate(layers) if not layer.has_grains
+        }
+        if any(polarized.values()) and not all(polarized.values()):
+            first = next(number for number, value in polarized.items() if value)
+            allowed = "false, or true for all layers of particles"
+            raise invalid(f"layers[{first}].polarized", True, allowed)
         granular_layers = [
             (i, layer_i)
             for i, layer_i in enumerate(layers)
@@ -162,7 +166,7 @@ class Stack(Medium):
     @property
     def polarized(self) -> bool:
         """Whether the Stokes vector is traced."""
-        return all(layer.polarized for layer in self.layers)
+        return any(layer.polarized for layer in self.layers)
 
     def truncate(self, depth_m: float, ground: Ground | None) -> Stack:
         """Return the stack with a lowest layer of another depth (m), over a ground."""

@@ -71,8 +71,8 @@ def _trace_total_reflections(state, steps, size, facetness, rules):
         interface_state = InterfaceState(1.0, -1.0, False, False)
         while True:
             result = sample_interaction(
-                state, d, interface_state, grain, 0.5 * facetness, media, rules
-            )
+                state, d, None, interface_state, grain, 0.5 * facetness, media, rules
+            ).result
             if result.accepted:
                 break
             interface_state = InterfaceState(1.0, -1.0, result.needs_lobe, result.transmitted)

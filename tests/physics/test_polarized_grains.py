@@ -125,6 +125,25 @@ def test_dilute_packs_are_layers_of_particles_of_their_matrix(medium):
     assert 0.85 < rms < 1.15
 
 
+@pytest.mark.long
+@NEEDS_JIT
+def test_particles_polarize_light_above_grains():
+    """A stack of a Rayleigh layer above a dilute pack is one of two layers of particles."""
+    air = splits.ParticleLayer(
+        optical_thickness=0.5, single_scattering_albedo=1.0, refractive_index=1.0,
+        bottom_albedo=None, phase_function="rayleigh", polarized=True,
+    )  # fmt: skip
+    bins = {"estimator": "bins", "n_bins": (4, 8), "rays": 1_000_000}
+    traced, expected = (
+        splits.goniophotometer(splits.Stack([air, lower]), NM, 60.0, seed=seed, **bins)
+        for seed, lower in enumerate(make_pair(SPHERES), start=1)
+    )
+    for name in (f"{function}{suffix}" for function in ("brdf", "btdf") for suffix in STOKES[:3]):
+        stderr = np.hypot(traced[f"{name}_stderr"], expected[f"{name}_stderr"]).values
+        z = ((traced[name] - expected[name]).values / stderr)[stderr > 0.0]
+        judge_z(z, f"particles above grains, {name}")
+
+
 @NEEDS_JIT
 @pytest.mark.parametrize(
     "medium",

@@ -151,8 +151,8 @@ def compute_facet_normal(d, facet):
 def attempt_interaction(state, d, interface_state, normal, facetness, media, rules):
     """Return the result of one sampling attempt at a surface."""
     return sample_interaction(
-        state, d, interface_state, make_flat_surface(normal), 0.5 * facetness, media, rules
-    )
+        state, d, None, interface_state, make_flat_surface(normal), 0.5 * facetness, media, rules
+    ).result
 
 
 @njit

@@ -47,6 +47,7 @@ def test_workflow_plans_all_experiments(shipped):
         shipped.folder / "config" / "experiments", shipped.folder / "config" / "media"
     )
     retrieved = [one for one in experiments.values() if one.retrieve]
+    returns = [one for one in experiments.values() if one.retrieve_return]
     with_figure = [
         experiment for experiment in experiments.values() if experiment.figure.kind != "none"
     ]
@@ -54,8 +55,9 @@ def test_workflow_plans_all_experiments(shipped):
         experiment for experiment in experiments.values() if experiment.instrument.kind == "table"
     ]
     for rule, count in (
-        ("simulate", len(experiments) - len(tables)), ("figure", len(with_figure) - len(retrieved)),
-        ("retrieve", len(retrieved)),
+        ("simulate", len(experiments) - len(tables)),
+        ("figure", len(with_figure) - len(retrieved) - len(returns)),
+        ("retrieve", len(retrieved)), ("retrieve_return", len(returns)),
         ("table", len(tables)), ("table_part", sum(map(count_parts, tables))), ("explorer_page", 1),
     ):  # fmt: skip
         assert re.search(rf"^{rule} +{count}$", run.text, re.MULTILINE)

@@ -40,7 +40,7 @@ def test_first_streams_leave_room_for_all_strata():
         importlib.import_module(module.name)
     offsets = sorted([ANALOG_STREAM, *(one.first_stream for one in list_tally_classes())])
     max_streams = MAX_SEPARATE_NODES * max(len(STRATUM_BOUNDS), len(ORDER_CLASSES))
-    assert len(set(offsets)) == len(offsets) == 9
+    assert len(set(offsets)) == len(offsets) == 10
     assert min(np.diff(offsets)) > max_streams
 
 
@@ -55,12 +55,12 @@ def test_strata_have_different_streams():
     traced_medium = SimpleNamespace(
         constants=OpticalConstants(index, absorption), path_fractions=None, planes_m=np.ones(2),
     )  # fmt: skip
-    target = SimpleNamespace(directions=SimpleNamespace(basis=make_basis(2)))
+    directions = SimpleNamespace(basis=make_basis(2))
     tallies = {
         SpectralTally(rows, nodes, scene): 9,
         SpectralTally(rows, nodes, analog_scene): 3,
         FluxTally(nodes, traced_medium, scene, None): 9,
-        ExpansionTally(nodes, absorption, target, True): 3 * len(ORDER_CLASSES),
+        ExpansionTally(nodes, absorption, directions, 30.0, None): 3 * len(ORDER_CLASSES),
         AngularBinTally(nodes, absorption, (2, 2), False): 3,
         BeamSpreadTally(nodes, absorption, 1.0): 3,
         BeamSpreadTally(nodes, absorption, 1.0, first_node=3): 3,

@@ -194,8 +194,9 @@ def goniophotometer(
     polar, azimuth = _make_directions(polar_deg, azimuth_deg, bins)
     check_dataset_size(len(wavelengths), len(polar) * len(azimuth))
     direction_mask = make_direction_mask(polar, azimuth) | (estimator == "next_event")
-    error_target = ErrorTarget(side, direction_mask)
-    request = AngularRequest(wavelengths, polar, azimuth, relative_stderr, error_target)
+    request = AngularRequest(
+        wavelengths, polar, azimuth, relative_stderr, ErrorTarget(side, direction_mask)
+    )
     obstacle = find_angular_obstacle(medium, estimator, rays)
     chosen = choose_solver(solver, [medium], wavelengths, obstacle)
     if chosen == DISCRETE_ORDINATES:
@@ -216,7 +217,7 @@ def goniophotometer(
         "incidence_deg": incidence,
         "estimator": estimator,
         "target": target,
-        "relative_stderr_reached": result.estimate.compute_max_error(error_target),
+        "relative_stderr_reached": result.estimate.compute_max_error(request.target),
         "relative_stderr": relative_stderr,
         "max_rays": max_rays,
         "solver": chosen,

@@ -22,6 +22,7 @@ from splits.simulation.grain_optics import (
     compute_grain_optics,
 )
 from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
+from splits.simulation.scattering_matrix_tally import MatrixEstimate
 from splits.simulation.scene import build_scene, compute_material_constants
 from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK
 from splits.simulation.spectral_nodes import choose_nodes
@@ -162,17 +163,24 @@ def single_scattering(
                 variables |= make_variable(
                     f"{name}{suffix}", all_dims, values[name + suffix], None, label, units
                 )
-    coordinates: dict[str, Any] = {}
-    if stokes:
-        matrix = compute_grain_matrix(medium, constants, request, nodes, MATRIX_ANGLES_DEG)
-        for name, values_of, stderr in zip(ELEMENTS, *matrix, strict=True):
-            label = f"element {name} of the scattering matrix"
-            variables |= make_variable(name, ("wavelength", ANGLE), values_of, stderr, label)
-        angle_attributes = {"long_name": "scattering angle", "units": "degree"}
-        coordinates[ANGLE] = (ANGLE, MATRIX_ANGLES_DEG, angle_attributes)
     order_attributes = {"long_name": "order of the Legendre moment", "units": "1"}
-    coordinates |= {
+    coordinates = {
         "wavelength": make_wavelength_coordinate(wavelengths),
         "order": ("order", np.arange(moments + 1), order_attributes),
     }
-    return xr.Dataset(variables, coordinates, attributes)
+    dataset = xr.Dataset(variables, coordinates, attributes)
+    if not stokes:
+        return dataset
+    matrix = compute_grain_matrix(medium, constants, request, nodes, MATRIX_ANGLES_DEG)
+    return _add_matrix(dataset, matrix)
+
+
+def _add_matrix(dataset: xr.Dataset, matrix: MatrixEstimate) -> xr.Dataset:
+    """Return a dataset with the elements of a scattering matrix and their errors."""
+    variables: dict[str, Variable] = {}
+    for name, element, stderr in zip(ELEMENTS, *matrix, strict=True):
+        label = f"element {name} of the scattering matrix"
+        variables |= make_variable(name, ("wavelength", ANGLE), element, stderr, label)
+    angle_attributes = {"long_name": "scattering angle", "units": "degree"}
+    angle = (ANGLE, MATRIX_ANGLES_DEG, angle_attributes)
+    return dataset.assign(variables).assign_coords({ANGLE: angle})

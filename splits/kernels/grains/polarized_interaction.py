@@ -16,10 +16,9 @@ from splits.kernels.grains.interaction import InteractionResult, reflect_or_refr
 from splits.kernels.grains.microfacet import compute_facet_normal
 from splits.kernels.math.vectors import dot, reflect, scale
 from splits.kernels.optics.polarized_interface import (
+    apply_mueller,
     compute_mueller,
-    reflect_stokes,
     rotate_to_plane_of_incidence,
-    transmit_stokes,
 )
 from splits.kernels.optics.stokes import Stokes, make_unpolarized
 
@@ -63,9 +62,9 @@ def reflect_or_refract_polarized(d, stokes, interface, facet, media, u, mirror_w
     if not (result.accepted or (mirror_wrong_side and result.needs_lobe)):
         return PolarizedInteraction(result, stokes)
     if result.transmitted:
-        stokes = transmit_stokes(result.direction, light, mueller)
+        stokes = apply_mueller(result.direction, light, mueller.transmission)
     else:
-        stokes = reflect_stokes(result.direction, light, mueller)
+        stokes = apply_mueller(result.direction, light, mueller.reflection)
     if not result.accepted:
         # A mirror image reverses the sense of U and V.
         direction = reflect(result.direction, facet.normal)

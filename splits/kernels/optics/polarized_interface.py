@@ -204,31 +204,27 @@ def _reflect_light(d, normal, incident, mueller):
     """Return the `ReflectedLight` of an `IncidentLight`."""
     reflectance = mueller.reflection.plus + mueller.reflection.minus * incident.q
     d = normalize(reflect(d, normal))
-    return ReflectedLight(reflectance, d, reflect_stokes(d, incident, mueller))
+    return ReflectedLight(reflectance, d, apply_mueller(d, incident, mueller.reflection))
 
 
 @inline_only
 def _refract_light(d, normal, incident, mueller):
     """Return the transmitted `PolarizedInterfaceSample` of an `IncidentLight`."""
     d = refract(d, normal, incident.cos_incidence, mueller.fresnel_result)
-    return PolarizedInterfaceSample(True, d, transmit_stokes(d, incident, mueller))
+    return PolarizedInterfaceSample(True, d, apply_mueller(d, incident, mueller.transmission))
 
 
 @inline_only
-def reflect_stokes(d, incident, mueller):
-    """Return the `Stokes` of an `IncidentLight` reflected into the direction d."""
-    plus, minus, real, imaginary = mueller.reflection
-    _, plane_normal, q, u, v = incident
-    e = normalize(cross(plane_normal, d))
-    return normalize_stokes(
-        e, plus + minus * q, minus + plus * q, real * u + imaginary * v, real * v - imaginary * u
-    )
+def apply_mueller(d, incident, elements):
+    """Return the `Stokes` of an `IncidentLight` reflected or refracted into the direction d.
 
-
-@inline_only
-def transmit_stokes(d, incident, mueller):
-    """Return the `Stokes` of an `IncidentLight` refracted into the direction d."""
-    plus, minus, real, imaginary = mueller.transmission
+    Parameters
+    ----------
+    d : Vector
+    incident : IncidentLight
+    elements : ReflectionMueller or TransmissionMueller
+    """
+    plus, minus, real, imaginary = elements
     _, plane_normal, q, u, v = incident
     e = normalize(cross(plane_normal, d))
     return normalize_stokes(

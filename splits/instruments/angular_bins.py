@@ -6,6 +6,8 @@ angle.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from splits.instruments.angular_estimate import (
@@ -14,16 +16,29 @@ from splits.instruments.angular_estimate import (
     add_interpolation_error,
     compute_anisotropy,
 )
-from splits.kernels.tallies.angular import AngularSums, tally_angular_bins
+from splits.instruments.linear_polarization import StokesEstimate
+from splits.kernels.tallies.angular import (
+    WEIGHT,
+    WEIGHT_PRODUCT,
+    tally_angular_bins,
+)
 from splits.kernels.tallies.exits import EXIT_LENGTH, N_STOKES_COLUMNS
 from splits.simulation.exit_tally import ExitTally
+from splits.simulation.interpolation_bounds import INTERPOLATION_FACTOR
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.stopping_rule import Evaluation, StoppingRule
 from splits.simulation.stratum import Stratum
 
 DEFAULT_N_BINS = (18, 72)
 """Bins in polar and in azimuth angle: as many as bins of 5° by 5°."""
-STOKES_NAMES = "quv"
+
+
+class BinScore(NamedTuple):
+    """Sums over the rays of a chunk, see `AngularBinTally`."""
+
+    bins: np.ndarray
+    stokes: np.ndarray
+    unscattered: np.ndarray
 
 
 class AngularBinTally(AngularTally, ExitTally):
@@ -40,9 +55,10 @@ class AngularBinTally(AngularTally, ExitTally):
 
     Attributes
     ----------
-    bin_sums : float, shape (components, 2, 2, node rows, polar, azimuth)
-        Of I and, for polarized exits, of Q, U and V; see
-        `splits.kernels.tallies.angular.tally_angular_bins`.
+    bin_sums : float, shape (2, 2, node rows, polar, azimuth)
+        Of I, see `splits.kernels.tallies.angular.tally_angular_bins`.
+    stokes_sums : float, shape (3, 3, 2, node rows, polar, azimuth)
+        Of Q, U and V, with products; shape (0, ...) for exits without polarization.
     unscattered_sums : float, shape (2, 2, node rows)
     """
 
@@ -58,25 +74,26 @@ class AngularBinTally(AngularTally, ExitTally):
         super().__init__(nodes, absorption)
         self.n_bins = n_bins
         first = EXIT_LENGTH + absorption.shape[1]
-        self.factor_columns = (-1, *range(first, first + N_STOKES_COLUMNS * polarized))
-        n_rows = len(self.rows)
-        self.bin_sums = np.zeros((len(self.factor_columns), 2, 2, n_rows, *n_bins))
+        self.stokes_columns = range(first, first + N_STOKES_COLUMNS * polarized)
+        n_rows, n_components = len(self.rows), len(self.stokes_columns)
+        self.bin_sums = np.zeros((2, 2, n_rows, *n_bins))
+        self.stokes_sums = np.zeros((n_components, 3, 2, n_rows, *n_bins))
         self.unscattered_sums = np.zeros((2, 2, n_rows))
-        self.values_per_row = 4 * (1 + len(self.factor_columns) * n_bins[0] * n_bins[1])
+        self.values_per_row = 4 + (4 + 6 * n_components) * n_bins[0] * n_bins[1]
         self.add_strata()
 
-    def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> AngularSums:
+    def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> BinScore:
         """Return the sums of a chunk of exits."""
-        by_component = [
-            tally_angular_bins(exits, stratum.absorption, *self.n_bins, column)
-            for column in self.factor_columns
-        ]
-        scattered = np.stack([sums.scattered for sums in by_component])
-        return AngularSums(scattered, by_component[0].unscattered)
+        scattered, unscattered = tally_angular_bins(exits, stratum.absorption, *self.n_bins, -1)
+        stokes = np.zeros((len(self.stokes_columns), 3, *scattered.shape[1:]))
+        for sums, column in zip(stokes, self.stokes_columns, strict=True):
+            sums[:] = tally_angular_bins(exits, stratum.absorption, *self.n_bins, column).scattered
+        return BinScore(scattered, stokes, unscattered)
 
-    def merge(self, stratum: Stratum, score: AngularSums) -> None:
+    def merge(self, stratum: Stratum, score: BinScore) -> None:
         """Add the sums of the next chunk of a stratum."""
-        self.bin_sums[:, :, :, stratum.node_rows] += score.scattered
+        self.bin_sums[:, :, stratum.node_rows] += score.bins
+        self.stokes_sums[:, :, :, stratum.node_rows] += score.stokes
         self.unscattered_sums[:, :, stratum.node_rows] += score.unscattered
 
     def evaluate(self, stop: StoppingRule) -> Evaluation:
@@ -85,9 +102,9 @@ class AngularBinTally(AngularTally, ExitTally):
 
     def make_estimate(self) -> AngularEstimate:
         """Estimate BRDF and BTDF of every bin, starting at the zenith."""
-        mean, stderr = self._compute_bin_means(0)
+        mean, stderr = self._compute_bin_means(self.bin_sums)
         n_rows = len(self.absorption)
-        total = self.bin_sums[0].sum(axis=(-2, -1)) + self.unscattered_sums
+        total = self.bin_sums.sum(axis=(-2, -1)) + self.unscattered_sums
         hemispherical = np.concatenate(
             [self.combine_moments(*sums) for sums in (total, self.unscattered_sums)]
         )
@@ -98,30 +115,60 @@ class AngularBinTally(AngularTally, ExitTally):
         return add_interpolation_error(estimate, self.nodes.interpolation_bound)
 
     def make_stokes(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return Q, U and V of BRDF and BTDF with their errors, by name, for polarized exits."""
-        return {
-            f"{function}_{name}": (mean[side], stderr[side])
-            for component, name in enumerate(STOKES_NAMES[: len(self.bin_sums) - 1], start=1)
-            for mean, stderr in [self._compute_bin_means(component)]
-            for side, function in enumerate(("brdf", "btdf"))
-        }
-
-    def _compute_bin_means(self, component: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return a distribution function and its standard errors, shape (2, rows, directions)."""
-        total, square = np.moveaxis(self.bin_sums[component], 2, -1)
+        """Return the variables of polarized exits, see `StokesEstimate`."""
+        if not len(self.stokes_sums):
+            return {}
         # Q, U and V of unseen rays are as small as those of seen ones.
-        largest = 1.0 if component == 0 else 0.0
-        # Shape (2, rows, polar, azimuth), starting at the zenith.
-        mean, stderr = (
-            np.moveaxis(one, -1, 1)[:, :, ::-1]
-            for one in self.combine_moments(total, square, largest)
+        components = [
+            self._compute_bin_means(self.bin_sums),
+            *(self._compute_bin_means(sums[:WEIGHT_PRODUCT], 0.0) for sums in self.stokes_sums),
+        ]
+        mean, stderr = (np.stack(one) for one in zip(*components, strict=True))
+        bound = INTERPOLATION_FACTOR * self.nodes.interpolation_bound[:, np.newaxis]
+        stderr = np.hypot(stderr, bound * mean[0])
+        n_rays = self.count_rays()[:, np.newaxis, np.newaxis]
+        per_node = (
+            self.stokes_sums[:, WEIGHT_PRODUCT] / n_rays
+            - self.stokes_sums[:, WEIGHT] * self.bin_sums[WEIGHT] / n_rays**2
+        ) / n_rays
+        covariance = self._arrange_bins(
+            self.combine_nodes(np.moveaxis(per_node, 2, -1), power=2), 2
         )
+        return StokesEstimate(mean, stderr, covariance).make_variables()
+
+    def _compute_bin_means(
+        self, sums: np.ndarray, largest: float = 1.0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return a distribution function and its standard errors, shape (2, rows, directions).
+
+        Parameters
+        ----------
+        sums : float, shape (2, 2, node rows, polar, azimuth)
+        largest : float
+            See `combine_moments`.
+        """
+        total, square = np.moveaxis(sums, 2, -1)
+        mean, stderr = self.combine_moments(total, square, largest)
+        return self._arrange_bins(mean, 1), self._arrange_bins(stderr, 1)
+
+    def _arrange_bins(self, values: np.ndarray, power: int) -> np.ndarray:
+        """Return fractions of light per projected solid angle, starting at the zenith.
+
+        Parameters
+        ----------
+        values : float, shape (..., polar, azimuth, rows)
+        power : int
+            Power of the fraction, 2 for a variance.
+
+        Returns
+        -------
+        float, shape (..., rows, directions)
+        """
         polar, azimuth = self.n_bins
         edges = np.arange(polar + 1) / polar
         projected_solid_angle = (np.pi / azimuth * np.diff(edges**2))[::-1, np.newaxis]
-        shape = (2, len(self.absorption), polar * azimuth)
-        mean, stderr = mean / projected_solid_angle, stderr / projected_solid_angle
-        return mean.reshape(shape), stderr.reshape(shape)
+        values = np.moveaxis(values, -1, -3)[..., ::-1, :] / projected_solid_angle**power
+        return values.reshape(*values.shape[:-2], polar * azimuth)
 
 
 def compute_bin_centres(n_bins: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:

@@ -33,6 +33,11 @@ DIFFUSE_TOTALS = {
     "transmittance": ("bihemispherical transmittance", 0, 1),
 }
 """Labels of hemispherical quantities, their rows in the estimate, and sides, by illumination."""
+STOKES_LABELS = {
+    "dolp": ("degree of linear polarization", "1"),
+    "aolp": ("angle of linear polarization", "degree"),
+}
+"""Labels and units of variables of polarized light other than Stokes parameters."""
 
 
 def make_angular_dataset(
@@ -49,7 +54,8 @@ def make_angular_dataset(
     ----------
     estimate : AngularEstimate
     stokes : dict
-        Stokes parameters and their errors by name, shape (wavelengths, directions).
+        Variables of polarized light and their errors by name, shape (wavelengths, directions), see
+        `splits.instruments.linear_polarization.StokesEstimate`.
     wavelengths : float, shape (wavelengths,)
         nm.
     angles : (float, float)
@@ -74,9 +80,11 @@ def make_angular_dataset(
     mean, stderr = (one.reshape(shape) for one in (estimate.anisotropy, estimate.anisotropy_stderr))
     variables |= make_variable("anisotropy_factor", grid, mean, stderr, "anisotropy factor")
     for name, (values, error) in stokes.items():
-        label = f"Stokes {name[-1].upper()} of the light of the {name[:4].upper()}"
+        function, _, symbol = name.partition("_")
+        label, units = STOKES_LABELS.get(symbol, (f"Stokes {symbol.upper()}", "sr-1"))
+        label = f"{label} of the light of the {function.upper()}"
         variables |= make_variable(
-            name, grid, values.reshape(shape), error.reshape(shape), label, "sr-1"
+            name, grid, values.reshape(shape), error.reshape(shape), label, units
         )
     for name, (long_name, row, side) in (DIFFUSE_TOTALS if is_diffuse else BEAM_TOTALS).items():
         mean, stderr = estimate.hemispherical[row : row + 2, side]

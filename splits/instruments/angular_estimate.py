@@ -35,7 +35,7 @@ class AngularTally(Tally):
     undefined_variables: tuple[str, ...] = ()
 
     def make_stokes(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return Q, U and V of BRDF and BTDF with their errors, by name, if they are tallied."""
+        """Return variables of polarized light with their errors, by name, if they are tallied."""
         return {}
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from splits.core.error_target import ErrorTarget
 from splits.core.validation import invalid
-from splits.instruments.angular_bins import STOKES_NAMES
 from splits.instruments.angular_estimate import AngularEstimate, AngularTally, compute_anisotropy
+from splits.instruments.linear_polarization import StokesEstimate
 from splits.kernels.base.scene import Scene
 from splits.kernels.transport.history import trace_to_detectors
 from splits.kernels.transport.next_event import Detectors
@@ -52,6 +52,8 @@ class DetectorTally(AngularTally):
         Sums, sums of squares, and the score of largest magnitude of a batch, with its sign: of
         detectors [side, direction, Stokes parameter], then of [reflected, transmitted][all light,
         unscattered light].
+    sums_of_products : float, shape (2, directions, 4)
+        Of the scores of each Stokes parameter with those of I.
     """
 
     first_stream = 7_000_000
@@ -81,6 +83,7 @@ class DetectorTally(AngularTally):
         self.lossless = conservative and scene.bottom_albedo == 1.0
         self.values_per_row = math.prod(self.shape) + 4
         self.sums, self.sums_of_squares, self.max_scores = np.zeros((3, self.values_per_row))
+        self.sums_of_products = np.zeros(self.shape)
         # For forward-peaked phase functions few events dominate the estimate.
         g = max(abs(layer.kernel_phase_function.g) for layer in layers)
         self.pilot_rays = RAYS_PER_CHUNK * int(
@@ -119,6 +122,8 @@ class DetectorTally(AngularTally):
         """Add the score of the next batch."""
         self.sums += score
         self.sums_of_squares += score**2
+        detected, _ = self._split(score)
+        self.sums_of_products += detected[..., :1] * detected
         self.max_scores = np.where(np.abs(score) > np.abs(self.max_scores), score, self.max_scores)
 
     def compute_errors(self) -> tuple[np.ndarray, np.ndarray]:
@@ -149,17 +154,20 @@ class DetectorTally(AngularTally):
         )  # fmt: skip
 
     def make_stokes(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return Q, U and V of BRDF and BTDF, each with its errors, by name."""
+        """Return the variables of polarized light, see `StokesEstimate`."""
+        if not self.polarized:
+            return {}
         mean, stderr, *_ = self._estimate_detectors()
-        shape = (self.n_wavelengths, mean.shape[1])
-        return {
-            f"{function}_{name}": (
-                np.broadcast_to(mean[side, :, component], shape),
-                np.broadcast_to(stderr[side, :, component], shape),
-            )
-            for side, function in enumerate(("brdf", "btdf")[: 1 + self.has_lower_side])
-            for component, name in enumerate(STOKES_NAMES if self.polarized else "", start=1)
-        }
+        n_batches = self.n_rays // RAYS_PER_CHUNK
+        batch_mean, _ = self._split(self.sums / n_batches)
+        product = self.sums_of_products / n_batches
+        covariance = (product - batch_mean[..., :1] * batch_mean)[..., 1:] / n_batches
+        shape = (4, 2, self.n_wavelengths, self.shape[1])
+        by_component = [
+            np.broadcast_to(np.moveaxis(one, -1, 0)[:, :, np.newaxis], (one.shape[-1], *shape[1:]))
+            for one in (mean, stderr, covariance)
+        ]
+        return StokesEstimate(*by_component).make_variables(1 + self.has_lower_side)
 
     def evaluate(self, stop: StoppingRule) -> Evaluation:
         """Return the largest relative error, infinite as long as no light reached the detectors."""

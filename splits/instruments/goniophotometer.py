@@ -12,7 +12,6 @@ from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.validation import (
     check_choice,
-    check_flag,
     check_integer,
     check_range,
     invalid,
@@ -43,6 +42,7 @@ from splits.simulation.arguments import (
     check_wavelengths,
 )
 from splits.simulation.engine import simulate
+from splits.simulation.incident_light import check_stokes, describe_polarization
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import build_scene, compute_optical_constants
 from splits.simulation.spectral_nodes import choose_nodes
@@ -80,7 +80,7 @@ def goniophotometer(
     estimator: str = "expansion",
     n_bins: tuple[int, int] = DEFAULT_N_BINS,
     max_rays: int = 1_000_000_000,
-    stokes: bool = False,
+    stokes: Any = False,
     threads: int | None = None,
     kernel: str = "auto",
     progress: ProgressCallback = None,
@@ -138,9 +138,11 @@ def goniophotometer(
         use bins.  "unresolved_lobe" means that the run has converged except for directions in a
         lobe, where terms that are insignificant individually keep the reported error above the
         requested one (see ``relative_stderr_reached``); request a smaller error.
-    stokes : bool
-        Whether the Stokes vector is traced through grains, with the estimator "bins"; see
-        docs/theory/polarization.md.  Layers of particles are polarized by their own keyword.
+    stokes : bool or array_like
+        Whether polarization is traced, with the estimators "bins" and "next_event", or the Stokes
+        vector (I, Q, U, V) of the incident light, with the plane of incidence as reference; True is
+        unpolarized light.  Layers of particles need ``polarized=True``; see
+        docs/theory/polarization.md.
     threads : int, optional
         Default: every CPU that this process may use.
     kernel : {"auto", "vectorized", "scalar"}
@@ -160,9 +162,11 @@ def goniophotometer(
         unscattered parts, which leave as collimated beams: ``specular_reflectance`` and
         ``direct_transmittance``.  All with their standard errors ``…_stderr``.
 
-        Next-event estimation and bins of polarized light add ``brdf_q``, ``brdf_u``, ``brdf_v``
-        and the same of the BTDF: Stokes parameters for unpolarized incidence, Q > 0 along the plane
-        that contains the normal.  Over a diffuse bottom the BTDF is that of the light that arrives
+        Next-event estimation and bins of polarized light add ``brdf_q``, ``brdf_u``, ``brdf_v``,
+        Stokes parameters with Q > 0 along the plane that contains the normal; ``brdf_dolp`` and
+        ``brdf_aolp``, degree (0 to 1) and angle (degrees from that plane, 0 to 180) of linear
+        polarization, see `splits.instruments.linear_polarization`; and the same of the BTDF.  Over
+        a diffuse bottom the BTDF is that of the light that arrives
         there, at angles within the layer; next-event estimation does not compute it.
 
         Under diffuse light there is no BRDF: ``reflectance_factor`` is then the
@@ -184,12 +188,12 @@ def goniophotometer(
     relative_stderr = check_range("relative_stderr", relative_stderr, 1e-4, 0.5)
     has_ground = medium.reflecting_ground is not None
     side = _get_target_side(target, has_ground)
-    _check_estimator(estimator, incidence)
     max_rays = check_integer("max_rays", max_rays, 1)
     if rays is not None:
         check_integer("rays", rays, 1)
     run = RunOptions.from_arguments(seed, threads, kernel, progress)
-    check_stokes(stokes, medium, estimator)
+    polarization = check_stokes(stokes, medium, incidence)
+    _check_estimator(estimator, incidence, stokes)
     bins = check_n_bins(n_bins) if estimator == "bins" else None
     polar, azimuth = _make_directions(polar_deg, azimuth_deg, bins)
     check_dataset_size(len(wavelengths), len(polar) * len(azimuth))
@@ -209,12 +213,13 @@ def goniophotometer(
         is_fixed = rays is not None or bins is not None
         n_rays = (rays or DEFAULT_BIN_RAYS) if is_fixed else max_rays
         stop = StoppingRule(relative_stderr, n_rays, is_fixed)
-        scene = build_scene(medium, incidence, False, stokes)
+        scene = build_scene(medium, incidence, False, polarization)
         tally = _make_angular_tally(medium, scene, incidence, request, estimator, bins)
         result = _simulate_angular_result(tally, scene, request.target, stop, run)
     attributes = {
         **run.make_attributes("Virtual goniophotometer", "goniophotometer", medium),
         "incidence_deg": incidence,
+        **describe_polarization(polarization),
         "estimator": estimator,
         "target": target,
         "relative_stderr_reached": result.estimate.compute_max_error(request.target),
@@ -275,23 +280,19 @@ def make_direction_mask(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
     return np.repeat(low if low.any() else ~low, len(azimuth))
 
 
-def check_stokes(stokes: bool, medium: Medium, estimator: str) -> None:
-    """Reject polarization in layers that do not define it, or with an estimator without it."""
-    if not check_flag("stokes", stokes):
-        return
-    if estimator == "expansion":
-        raise invalid("estimator", estimator, "bins or next_event with stokes")
-    for layer in medium.scene_layers:
-        if not (layer.has_grains or layer.polarized):
-            raise invalid("stokes", stokes, "False", "layers of particles need polarized=True")
-
-
-def _check_estimator(estimator: str, incidence: float | str) -> None:
-    """Check the estimator, and that it supports the incidence."""
+def _check_estimator(estimator: str, incidence: float | str, stokes: Any) -> None:
+    """Check the estimator, and that it supports the incidence and polarization."""
     check_choice("estimator", estimator, ANGULAR_ESTIMATORS)
+    check_polarized_estimator(stokes, estimator)
     if isinstance(incidence, str) and estimator != "expansion":
         allowed = "an angle for this estimator"
         raise invalid("incidence_deg", incidence, allowed, "expansion allows it")
+
+
+def check_polarized_estimator(stokes: Any, estimator: str) -> None:
+    """Reject an estimator without Stokes parameters for a run with `stokes`."""
+    if stokes is not False and estimator == "expansion":
+        raise invalid("estimator", estimator, "bins or next_event with stokes")
 
 
 def _get_target_side(target: str, has_ground: bool) -> int:

@@ -17,6 +17,7 @@ from splits.simulation.arguments import check_incidence, check_wavelengths
 from splits.simulation.deep_medium import truncate_deep_medium
 from splits.simulation.derivatives import NO_PERTURBATIONS, Perturbations
 from splits.simulation.engine import simulate
+from splits.simulation.incident_light import IncidentPolarization, describe_polarization
 from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 from splits.simulation.scene import build_scene
 from splits.simulation.spectral_nodes import (
@@ -47,6 +48,7 @@ class SpectralRequest(NamedTuple):
     max_stderr: float
     max_rays: int
     run: RunOptions
+    polarization: IncidentPolarization | None = None
 
     @classmethod
     def from_arguments(
@@ -92,7 +94,7 @@ class SpectralRequest(NamedTuple):
         """
         traced = path_sharing if truncation is None else truncation.path_sharing
         rows = self._make_rows(traced, truncation, perturbations)
-        scene = build_scene(traced.media[0], self.incidence, analog)
+        scene = build_scene(traced.media[0], self.incidence, analog, self.polarization)
         above_truncation = (1.0 - ERROR_BUDGET_FRACTION**2) ** 0.5
         target = self.max_stderr * (1.0 if truncation is None else above_truncation)
         for _ in range(MAX_ATTEMPTS):
@@ -175,6 +177,7 @@ def make_spectrum(
         "solver": "monte_carlo",
         "estimator": "spectral",
         "incidence_deg": request.incidence,
+        **describe_polarization(request.polarization),
         "max_stderr": request.max_stderr,
         "stop_reason": estimate.get_stop_reason(request.max_stderr),
         "max_stderr_reached": float(estimate.stderr.max()),

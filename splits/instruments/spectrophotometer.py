@@ -29,6 +29,7 @@ from splits.simulation.derivatives import (
     make_parameter_coordinates,
 )
 from splits.simulation.finite_differences import compute_finite_difference
+from splits.simulation.incident_light import check_stokes
 from splits.simulation.path_reuse import check_path_sharing
 from splits.simulation.run_options import RunOptions
 from splits.simulation.spectral_rows import PathSharingMedia
@@ -49,6 +50,7 @@ def spectrophotometer(
     estimator: str = "spectral",
     jacobian: Sequence[str] = (),
     max_rays: int = 20_000_000,
+    stokes: Any = False,
     threads: int | None = None,
     kernel: str = "auto",
     progress: ProgressCallback = None,
@@ -106,6 +108,9 @@ def spectrophotometer(
     max_rays : int
         Number of rays after which the run stops (the first round is always completed).  The
         attribute ``stop_reason`` indicates whether the error or this limit was reached.
+    stokes : bool or array_like
+        Whether light is polarized on its path, which changes how much of it is reflected, or the
+        Stokes vector (I, Q, U, V) of the incident light; see `splits.goniophotometer`.
     threads : int, optional
         Default: every CPU that this process may use.
     kernel : {"auto", "vectorized", "scalar"}
@@ -174,10 +179,11 @@ def spectrophotometer(
         wavelength_nm, incidence_deg, max_stderr, max_rays, run
     )
     first = next(iter(media.values()))
+    request = request._replace(polarization=check_stokes(stokes, first, request.incidence))
     is_mapping, analog = isinstance(medium, Mapping), estimator == "analog"
     dims = ("medium", "wavelength") if is_mapping else ("wavelength",)
     parameters = _check_jacobian(medium, request, estimator, jacobian)
-    obstacle = "the estimator needs paths" if analog else None
+    obstacle = find_path_obstacle(estimator, stokes)
     wavelengths, error = request.wavelengths, request.max_stderr
     chosen = choose_solver(solver, media.values(), wavelengths, obstacle, parameters, error)
     if chosen == DISCRETE_ORDINATES:
@@ -206,6 +212,13 @@ def spectrophotometer(
         return dataset
     exact = estimate.derivatives
     return _add_jacobian(dataset, request, exact, perturbations, first, parameters)
+
+
+def find_path_obstacle(estimator: str, stokes: Any) -> str | None:
+    """Return why discrete ordinates cannot replace a spectrophotometer, None if they can."""
+    if estimator == "analog":
+        return "the estimator needs paths"
+    return "polarization needs paths" if stokes is not False else None
 
 
 def _check_media(medium: Any, estimator: str) -> dict[str, Medium]:

@@ -22,6 +22,7 @@ QUANTITY_LABELS = {
     "btdf": "BTDF (sr⁻¹)",
     "reflectance_factor": "bidirectional reflectance factor",
     "anisotropy_factor": "anisotropy factor",
+    "brdf_dolp": "degree of linear polarization",
 }
 VIEWING_ANGLE_LABEL = "viewing angle, forward positive (°)"
 SHORT_ANGLE_LABEL = "viewing angle (°)"

@@ -37,6 +37,10 @@ _LOG_SCALE_RATIO = 10.0
 _MIN_RELATIVE_VALUE = 0.01
 """Lower end of a logarithmic colour scale, relative to the largest value."""
 _MAP_HEIGHT_INCHES = 1.75
+_MAX_ANGLE_STDERR_DEG = 20.0
+"""Largest error (degrees) of an angle of linear polarization that is drawn."""
+_LINE_LENGTH_DEG = 9.0
+"""Length of its lines, in degrees of the polar angle."""
 _MIN_AZIMUTH_STEPS = 180
 """Smallest number of azimuth steps for round borders of bins."""
 _MARKER_STYLE: dict[str, Any] = {
@@ -88,6 +92,7 @@ def draw_hemispheres(
 
 def make_maps_note(quantity: Sequence[str]) -> str:
     """Return the note that explains the maps."""
+    lines = "; lines: direction of polarization" if "brdf_dolp" in quantity else ""
     transmitted = "diamond: straight on" if "btdf" in quantity else ""
     reflected = ["circle: towards the source", "diamond: mirror direction"]
     circles = " and ".join(f"{angle:g}°" for angle in RING_ANGLES_DEG)
@@ -97,7 +102,8 @@ def make_maps_note(quantity: Sequence[str]) -> str:
         else reflected + ([f"of BTDF {transmitted}"] if transmitted else [])
     )
     return (
-        f"Maps: rings at {circles} from the normal, up to {MAX_POLAR_DEG:g}°; {'; '.join(marks)}."
+        f"Maps: rings at {circles} from the normal, up to {MAX_POLAR_DEG:g}°; "
+        f"{'; '.join(marks)}{lines}."
     )
 
 
@@ -142,11 +148,15 @@ def draw_dataset_maps(
     name: str,
 ) -> list[Axes]:
     """Draw maps of datasets over ``polar`` and ``azimuth`` only, see `draw_maps`."""
-    norm = _make_colour_scale(np.concatenate([part[name].values.ravel() for part in parts]))
+    values = np.concatenate([part[name].values.ravel() for part in parts])
+    is_degree = name == "brdf_dolp"
+    norm = Normalize(0.0, float(values.max()) or 1.0) if is_degree else _make_colour_scale(values)
     panels = []
     for cell, part, title in zip(grid_cells, parts, titles, strict=True):
         axes = figure.add_subplot(cell, projection="polar")
         image = _draw_map(axes, part, name, norm)
+        if is_degree:
+            _draw_polarization_angles(axes, part)
         axes.set_title(title)
         panels.append(axes)
     label = QUANTITY_LABELS[name]
@@ -218,3 +228,23 @@ def _draw_map(axes: Axes, part: xr.Dataset, name: str, norm: Normalize) -> Any:
         axes.text(0.5, 0.5, "nothing", transform=axes.transAxes, ha="center", va="center",
                   color="white")  # fmt: skip
     return image
+
+
+def _draw_polarization_angles(axes: Axes, part: xr.Dataset) -> None:
+    """Draw the angle of linear polarization as lines, where its error is small.
+
+    Seen from above, the angle increases anticlockwise from the radius of the map.
+    """
+    part = part.isel(
+        polar=slice(None, None, max(1, part.sizes["polar"] // 6)),
+        azimuth=slice(None, None, max(1, part.sizes["azimuth"] // 12)),
+    ).transpose(..., "polar", "azimuth")
+    radius, azimuth = np.meshgrid(part.polar.values, np.radians(part.azimuth.values), indexing="ij")
+    shown = (part.brdf_aolp_stderr.values < _MAX_ANGLE_STDERR_DEG) & (radius > _LINE_LENGTH_DEG)
+    radius, azimuth = radius[shown], azimuth[shown]
+    angle = azimuth + np.radians(part.brdf_aolp.values[shown])
+    ends = [
+        radius * np.exp(1j * azimuth) + sign * 0.5 * _LINE_LENGTH_DEG * np.exp(1j * angle)
+        for sign in (-1.0, 1.0)
+    ]
+    axes.plot(np.angle(ends), np.abs(ends), color="white", lw=0.8)

@@ -47,14 +47,11 @@ def draw_polarization(
             line = select_line(plane, grid_line.labels)
             angle = line.angle.values
             value, error = line.brdf.values, line.brdf_stderr.values
-            q, q_error = line.brdf_q.values, line.brdf_q_stderr.values
-            # The degree of polarization is undefined without light.
-            is_positive = value > 0.0
-            missing = np.full_like(q, np.nan)
-            degree = np.divide(-q, value, out=missing.copy(), where=is_positive)
-            # Errors of Q and I are assumed independent, though they are correlated.
-            degree_error = np.hypot(q_error, degree * error)
-            degree_error = np.divide(degree_error, value, out=missing, where=is_positive)
+            # U is 0 in the principal plane by symmetry, so that -Q/I is the degree with its sign,
+            # and has no bias.  It is undefined without light.
+            missing = np.full_like(value, np.nan)
+            degree = np.divide(-line.brdf_q.values, value, out=missing, where=value > 0.0)
+            degree_error = line.brdf_dolp_stderr.values
             for axes, y, stderr in ((left, value, error), (right, degree, degree_error)):
                 axes.plot(angle, y, label=grid_line.label, **grid_line.to_plot_style())
                 axes.fill_between(
@@ -66,7 +63,7 @@ def draw_polarization(
                     lw=0,
                 )
         left.set(ylabel=QUANTITY_LABELS["brdf"], ylim=(0.0, None))
-        right.set_ylabel("degree of polarization across the plane")
+        right.set_ylabel("degree of polarization, −Q/I")
         right.axhline(0.0, color="0.6", lw=0.6)
         for axes in (left, right):
             axes.set(xlabel=VIEWING_ANGLE_LABEL)

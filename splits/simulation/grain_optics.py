@@ -10,6 +10,7 @@ import xarray as xr
 from splits.kernels.base.scene import DRY_PORE, WET_PORE, Scene
 from splits.media.medium import GranularMedium
 from splits.simulation.engine import simulate
+from splits.simulation.incident_light import IncidentPolarization
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scattering_matrix_tally import MatrixEstimate, ScatteringMatrixTally
 from splits.simulation.scene import OpticalConstants, build_scene
@@ -86,7 +87,7 @@ def compute_grain_matrix(
     wet_fractions = _compute_wet_fraction(medium.wet_fraction, nodes.index, request.wet_pores)
     tally = ScatteringMatrixTally(nodes, constants.absorption, wet_fractions, angle_deg)
     stop = StoppingRule(0.0, request.n_rays * len(nodes.index), fixed=True)
-    simulate(build_scene(medium, 0.0, False, stokes=True), tally, stop, request.run)
+    simulate(build_scene(medium, 0.0, False, IncidentPolarization()), tally, stop, request.run)
     return tally.estimate_matrix()
 
 

@@ -11,12 +11,12 @@ from splits.core.validation import invalid
 from splits.kernels.base.scene import NO_GROUND, NO_PARTICLES, Layers, ParticleScattering, Scene
 from splits.kernels.grains.population import GrainPopulation
 from splits.kernels.optics.source import Source
-from splits.kernels.optics.stokes import UNPOLARIZED
 from splits.kernels.rough_surface.realization import HeightFields
 from splits.kernels.transport.rough_top import MAX_HEIGHT_SIGMA
 from splits.materials.lookup import absorption_coefficient
 from splits.media.interpretations import Interpretation
 from splits.media.medium import Layer, Medium, ParticleMedium
+from splits.simulation.incident_light import IncidentPolarization
 
 COLLISION_COEFFICIENT_RANGE = (1e-12, 1e300)
 """Scatterings per metre of a layer without particles, so that its mean free path is finite, and of
@@ -92,14 +92,19 @@ def compute_optical_constants(medium: Medium, wavelength_nm: np.ndarray) -> Opti
 
 
 def build_scene(
-    medium: Medium, incidence_deg: float | str, analog: bool, stokes: bool = False
+    medium: Medium,
+    incidence_deg: float | str,
+    analog: bool,
+    polarization: IncidentPolarization | None = None,
 ) -> Scene:
     """Return an illuminated medium.
 
-    `analog` samples absorption at each segment; `stokes` traces polarization, as a medium may
-    require itself.
+    `analog` samples absorption at each segment; `polarization` is that of the incident light, None
+    for runs without it.  Polarized layers of particles require it: unpolarized light by default.
     """
     media = medium.scene_layers
+    if polarization is None and medium.polarized:
+        polarization = IncidentPolarization()
     granular = [layer for layer in media if layer.has_grains]
     particle_layers = [layer for layer in media if not layer.has_grains]
     first_materials = np.cumsum([0, *(len(layer.list_materials()) for layer in media)])
@@ -117,7 +122,7 @@ def build_scene(
         False,
         ground_contact=None if bottom_albedo is None else True,
         bottom_albedo=None if has_ground else bottom_albedo,
-        stokes=UNPOLARIZED if stokes or medium.polarized else None,
+        stokes=None if polarization is None else polarization.make_stokes(incidence_deg),
         height_fields=height_fields,
         opaque=True if any(layer.opaque for layer in media) else None,
     )

@@ -62,7 +62,7 @@ FIGURE_LIMITS = {
 """Largest number of wavelengths of kinds of figures, name of what they show, and its limit."""
 QuantityName = Literal[
     "reflectance", "transmittance", "absorptance", "mean_grain_distance",
-    "brdf", "btdf", "reflectance_factor", "anisotropy_factor",
+    "brdf", "btdf", "reflectance_factor", "anisotropy_factor", "brdf_dolp",
 ]  # fmt: skip
 FigureKind = Literal[
     "spectra", "points", "refractive_index", "swatches", "fit",
@@ -238,9 +238,10 @@ def _check_quantity(simulation: SimulationConfig, figure: FigureSection, medium:
         if medium.reflecting_ground is not None:
             raise invalid("figure.quantity", "btdf", "brdf over a ground")
     is_polarized = medium.polarized or getattr(simulation.instrument, "stokes", False)
-    if figure.kind == "polarization" and not is_polarized:
+    shows_polarization = figure.kind == "polarization" or "brdf_dolp" in figure.quantity
+    if shows_polarization and not is_polarized:
         hint = "or instrument.stokes: true for grains"
-        raise invalid("medium.polarized", False, "true for figure.kind = 'polarization'", hint)
+        raise invalid("medium.polarized", False, "true for a figure of polarization", hint)
     if "mean_grain_distance" in figure.quantity and not hasattr(medium, "mean_grain_distance_m"):
         hint = "left out: a particle layer has no grains, and a stack has no single distance"
         raise invalid("figure.quantity", "mean_grain_distance", hint)

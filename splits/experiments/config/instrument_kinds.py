@@ -22,9 +22,14 @@ from splits.experiments.config.sections import check_different
 from splits.experiments.config.surface_instruments import Lens, SurfaceMap
 from splits.instruments.angular_bins import DEFAULT_N_BINS
 from splits.instruments.angular_solver import find_angular_obstacle
-from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG, check_stokes
+from splits.instruments.goniophotometer import (
+    AZIMUTH_DEG,
+    POLAR_DEG,
+    check_polarized_estimator,
+)
 from splits.instruments.next_event import get_detected_layers
 from splits.instruments.solver import MONTE_CARLO, choose_solver
+from splits.instruments.spectrophotometer import find_path_obstacle
 from splits.media.medium import Medium
 from splits.plotting.panels import (
     MAX_AZIMUTH_GAP_DEG,
@@ -33,6 +38,7 @@ from splits.plotting.panels import (
     can_map_hemisphere,
 )
 from splits.simulation.arguments import check_direction_angles, check_n_bins
+from splits.simulation.incident_light import check_stokes
 from splits.tables.axes import ParameterGrid
 from splits.tables.plan import choose_table_solver
 from splits.tables.views import VIEW_AXES, ViewGrid, check_quantities
@@ -53,6 +59,15 @@ Solver = Annotated[
     Field(
         description="paths, or the equation of radiative transfer in plane layers of grains; "
         "`auto` solves it for natural snow where it is accurate enough, and traces paths otherwise"
+    ),
+]
+
+IncidentStokes = Annotated[
+    bool | tuple[float, float, float, float],
+    Field(
+        description="whether polarization is traced (directions: with `bins` or `next_event`), or "
+        "the Stokes vector (I, Q, U, V) of the incident light; layers of particles need "
+        "`polarized: true`"
     ),
 ]
 
@@ -77,15 +92,18 @@ class Spectrophotometer(OpticalInstrument):
     solver: Solver = "auto"
     estimator: Literal["spectral", "analog"] = "spectral"
     """how exiting rays become results"""
+    stokes: IncidentStokes = False
 
     def check_medium(self, medium: Medium) -> None:
         """Reject a medium that the estimator or the solver does not allow."""
         super().check_medium(medium)
         self.choose_solver(medium)
+        with key_prefix("instrument"):
+            check_stokes(self.stokes, medium, self.get_incidence())
 
     def choose_solver(self, medium: Medium, max_stderr: float = math.inf) -> str:
         """Return the solver for a medium, see `splits.instruments.solver.choose_solver`."""
-        obstacle = "the estimator needs paths" if self.estimator == "analog" else None
+        obstacle = find_path_obstacle(self.estimator, self.stokes)
         wavelengths = self.get_wavelengths()
         with key_prefix("instrument"):
             return choose_solver(
@@ -97,16 +115,14 @@ class Goniophotometer(OpticalInstrument):
     """BRDF and BTDF by direction."""
 
     FIGURES: ClassVar = ("principal_plane", "hemisphere", "lobes", "bins", "polarization")
-    QUANTITIES: ClassVar = ("brdf", "btdf", "reflectance_factor", "anisotropy_factor")
+    QUANTITIES: ClassVar = ("brdf", "btdf", "reflectance_factor", "anisotropy_factor", "brdf_dolp")
     MEASURES_BEAM: ClassVar = True
 
     kind: Literal["goniophotometer"]
     solver: Solver = "auto"
     estimator: Literal["expansion", "bins", "next_event"] = "expansion"
     """how exiting rays become results"""
-    stokes: bool = False
-    """whether polarization is traced, with `bins` or `next_event`; layers of particles need
-    `polarized: true`"""
+    stokes: IncidentStokes = False
     rays: Rays = None
     target: Literal["brdf", "btdf"] = "brdf"
     """quantity to which the target error applies"""
@@ -146,7 +162,8 @@ class Goniophotometer(OpticalInstrument):
         if self.target == "btdf" and medium.reflecting_ground is not None:
             raise invalid("instrument.target", "btdf", "brdf over a ground")
         with key_prefix("instrument"):
-            check_stokes(self.stokes, medium, self.estimator)
+            check_polarized_estimator(self.stokes, self.estimator)
+            check_stokes(self.stokes, medium, self.get_incidence())
 
     def choose_solver(self, medium: Medium) -> str:
         """Return the solver for a medium, see `splits.instruments.solver.choose_solver`."""
@@ -166,9 +183,10 @@ class Goniophotometer(OpticalInstrument):
             raise invalid("instrument.azimuth_deg", self.azimuth_deg, "with 0 and 180", hint)
         if self.n_bins is not None and self.n_bins[1] % 2:
             raise invalid("instrument.n_bins", self.n_bins, "an even number around", hint)
-        estimators = {"bins": ("bins",), "polarization": ("next_event", "bins")}.get(kind)
-        if estimators and self.estimator not in estimators:
-            allowed = f"{' or '.join(estimators)} for figure.kind = {kind!r}"
+        if kind == "bins" and self.estimator != "bins":
+            raise invalid("instrument.estimator", self.estimator, "bins for figure.kind = 'bins'")
+        if (kind == "polarization" or "brdf_dolp" in quantities) and self.estimator == "expansion":
+            allowed = "next_event or bins for a figure of polarization"
             raise invalid("instrument.estimator", self.estimator, allowed)
 
     def _check_hemisphere(self) -> None:

@@ -21,6 +21,7 @@ GROUP_TITLES = {
     "interpretations": "Interpretations of the papers",
     "retrievals": "Retrievals from measured spectra",
     "wet_sand": "Wet sand",
+    "polarization": "Polarization",
     "explorer": "Look-up tables",
     "examples": "Examples",
 }

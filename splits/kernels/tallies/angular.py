@@ -28,8 +28,8 @@ from splits.kernels.tallies.exits import (
     compute_path_weight,
 )
 
-WEIGHT, WEIGHT_SQUARED = range(2)
-"""Rows of sums over rays: of the weights, and of their squares."""
+WEIGHT, WEIGHT_SQUARED, WEIGHT_PRODUCT = range(3)
+"""Rows of sums over rays: of the weights, of their squares, and of products with the intensity."""
 _X, _Y, _Z = range(3)
 
 
@@ -177,10 +177,12 @@ def tally_angular_bins(exits, absorption, n_polar, n_azimuth, factor_column):
     -------
     AngularSums
         `scattered` is float64[2, 2, wavelengths, polar, azimuth], [`WEIGHT`,
-        `WEIGHT_SQUARED`][reflected, transmitted]; `unscattered` is the same without bins.
+        `WEIGHT_SQUARED`][reflected, transmitted]; `unscattered` is the same without bins.  With a
+        factor, the first axis of `scattered` also has `WEIGHT_PRODUCT`, of weights with and
+        without the factor.
     """
     wavelengths = absorption.shape[0]
-    sums = np.zeros((2, 2, wavelengths, n_polar, n_azimuth))
+    sums = np.zeros((2 if factor_column < 0 else 3, 2, wavelengths, n_polar, n_azimuth))
     unscattered = np.zeros((2, 2, wavelengths))
     for j in range(exits.shape[0]):
         row = exits[j]
@@ -192,7 +194,8 @@ def tally_angular_bins(exits, absorption, n_polar, n_azimuth, factor_column):
         azimuth_bin = min(int((turn - math.floor(turn)) * n_azimuth), n_azimuth - 1)
         polar_bin = min(int(abs(row[EXIT_DIRECTION + 2]) * n_polar), n_polar - 1)
         for i in range(wavelengths):
-            weight = compute_path_weight(lengths, roulette_weight, absorption, i)
+            intensity = compute_path_weight(lengths, roulette_weight, absorption, i)
+            weight = intensity
             if factor_column >= 0:
                 weight *= row[factor_column]
             if row[EXIT_ORDER] == 0.0:
@@ -201,4 +204,7 @@ def tally_angular_bins(exits, absorption, n_polar, n_azimuth, factor_column):
             else:
                 sums[WEIGHT, side, i, polar_bin, azimuth_bin] += weight
                 sums[WEIGHT_SQUARED, side, i, polar_bin, azimuth_bin] += weight * weight
+                if factor_column >= 0:
+                    product = weight * intensity
+                    sums[WEIGHT_PRODUCT, side, i, polar_bin, azimuth_bin] += product
     return AngularSums(sums, unscattered)

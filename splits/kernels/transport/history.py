@@ -120,7 +120,9 @@ def sample_source(state, scene, optics, rough_top, max_order):
     direction = sample_source_direction(
         source, uniform(state) if source.diffuse_fraction > 0.0 else 1.0
     )
-    stokes = make_unpolarized(direction, scene.stokes)
+    stokes = scene.stokes
+    if source.diffuse_fraction > 0.0:
+        stokes = make_unpolarized(direction, stokes)
     position = compute_entry_position(direction, rough_top)
     ray = make_ray(position, direction, stokes, 0.0, find_first_roulette(scene), max_order)
     if rough_top is None:

@@ -32,7 +32,7 @@ def make_dataset(
     shape = tuple(len(v) for v in coords.values())
     forward = np.sin(np.radians(polar))[:, np.newaxis] * np.cos(np.radians(azimuth))
     values = np.broadcast_to(0.3 + 0.1 * forward, shape)
-    factors = {"brdf": 1.0, "btdf": 0.5, "brdf_q": -0.2}
+    factors = {"brdf": 1.0, "btdf": 0.5, "brdf_q": -0.2, "brdf_dolp": 0.5, "brdf_aolp": 300.0}
     variables = {}
     for name, factor in factors.items():
         variables[name] = (tuple(coords), factor * values)

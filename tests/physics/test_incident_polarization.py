@@ -1,0 +1,156 @@
+"""Polarized incident light, and errors of the degree of polarization."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from chi2 import NEEDS_JIT, judge_z, scale_sample_size
+
+import splits
+
+REFERENCE = Path(__file__).with_name("reference")
+STOKES = {"I": "", "Q": "_q", "U": "_u", "V": "_v"}
+INCIDENT = {"I": (1, 0, 0, 0), "Q": (1, 1, 0, 0), "U": (1, 0, 1, 0), "V": (1, 0, 0, 1)}
+"""Stokes vectors whose differences from the first are the columns of a reflection matrix."""
+SNOW = splits.Snow(depth_m=0.01)
+
+
+@NEEDS_JIT
+@pytest.mark.parametrize("incidence", [30.0, 60.0, 80.0])
+def test_a_smooth_surface_reflects_fresnels_fractions(incidence):
+    """Light polarized along the plane of incidence has R_p, and perpendicular to it R_s."""
+    glass = splits.ParticleLayer(
+        optical_thickness=1.0, single_scattering_albedo=0.0, refractive_index=1.5,
+        bottom_albedo=0.0, polarized=True,
+    )  # fmt: skip
+    cos_i = np.cos(np.radians(incidence))
+    cos_t = np.sqrt(1.0 - (1.0 - cos_i**2) / 1.5**2)
+    r_p = ((1.5 * cos_i - cos_t) / (1.5 * cos_i + cos_t)) ** 2
+    r_s = ((cos_i - 1.5 * cos_t) / (cos_i + 1.5 * cos_t)) ** 2
+    expected = {
+        (1, 1, 0, 0): r_p, (1, -1, 0, 0): r_s, (2, 1, 0, 0): 0.75 * r_p + 0.25 * r_s,
+        (1, 0, 1, 0): 0.5 * (r_p + r_s), (1, 0, 0, -1): 0.5 * (r_p + r_s),
+    }  # fmt: skip
+    z = []
+    for stokes, reflectance in expected.items():
+        ds = splits.spectrophotometer(
+            glass, [550.0], incidence, max_stderr=0.001, stokes=stokes, seed=2
+        )
+        z.append((ds.reflectance.item() - reflectance) / ds.reflectance_stderr.item())
+    judge_z(z, f"Fresnel reflectance at {incidence:g} degrees")
+
+
+@NEEDS_JIT
+@pytest.mark.parametrize("light", [(1.0, 0.0, 0.0), (0.6, -0.8, 0.0), (0.0, 0.6, 0.8)])
+def test_unpolarized_light_is_the_mean_of_opposite_polarizations(light):
+    bins = {"estimator": "bins", "n_bins": (3, 8), "rays": scale_sample_size(100_000)}
+    vectors = (1.0, *light), (1.0, *(-value for value in light)), True
+    plus, minus, unpolarized = (
+        splits.goniophotometer(SNOW, [1590.0], 60.0, seed=seed, stokes=stokes, **bins)
+        for seed, stokes in enumerate(vectors)
+    )
+    z = []
+    for name in (f"brdf{suffix}" for suffix in STOKES.values()):
+        errors = [one[f"{name}_stderr"].values for one in (plus, minus, unpolarized)]
+        stderr = np.sqrt(0.25 * errors[0] ** 2 + 0.25 * errors[1] ** 2 + errors[2] ** 2)
+        mean = 0.5 * (plus[name] + minus[name])
+        z.append(((mean - unpolarized[name]).values / stderr).ravel())
+    judge_z(np.concatenate(z), f"mean of ±{light}")
+
+
+@NEEDS_JIT
+def test_reflectance_is_that_of_the_goniophotometer():
+    wavelengths = [1030.0, 1590.0]
+    bins = {"estimator": "bins", "n_bins": (3, 8), "rays": scale_sample_size(100_000)}
+    z = []
+    for stokes in (True, (1, 1, 0, 0)):
+        one = splits.goniophotometer(SNOW, wavelengths, 70.0, stokes=stokes, **bins)
+        two = splits.spectrophotometer(
+            SNOW, wavelengths, 70.0, max_stderr=0.002, stokes=stokes, seed=2
+        )
+        for name in ("reflectance", "transmittance"):
+            stderr = np.hypot(one[f"{name}_stderr"], two[f"{name}_stderr"])
+            z.append(((one[name] - two[name]) / stderr).values)
+        assert one.attrs["incident_stokes"] == two.attrs["incident_stokes"]
+    judge_z(np.concatenate(z), "spectrophotometer")
+
+
+@NEEDS_JIT
+def test_errors_of_the_degree_of_polarization_are_those_of_independent_runs():
+    rays, n_runs = scale_sample_size(100_000), 60
+    runs = [
+        splits.goniophotometer(
+            SNOW, [1590.0], 60.0, seed=seed, stokes=True, estimator="bins", n_bins=(3, 4), rays=rays
+        )
+        for seed in range(n_runs)
+    ]
+    degree, stderr, angle, angle_stderr = (
+        np.stack([run[name].values.ravel() for run in runs])
+        for name in ("brdf_dolp", "brdf_dolp_stderr", "brdf_aolp", "brdf_aolp_stderr")
+    )
+    # The bias is removed where the degree is well above its error.
+    significant = degree.mean(axis=0) > 5.0 * stderr.mean(axis=0)
+    assert significant.sum() >= 3
+    z = (degree - degree.mean(axis=0)) / stderr * np.sqrt(n_runs / (n_runs - 1))
+    n_independent = (n_runs - 1) * int(significant.sum())
+    judge_z(z[:, significant], "degree of polarization", independent=n_independent)
+    middle = np.degrees(np.angle(np.exp(2j * np.radians(angle)).mean(axis=0))) / 2.0
+    difference = (angle - middle + 90.0) % 180.0 - 90.0
+    z = difference / angle_stderr * np.sqrt(n_runs / (n_runs - 1))
+    judge_z(z[:, significant], "angle of polarization", independent=n_independent)
+
+
+@pytest.mark.long
+@NEEDS_JIT
+def test_reflection_matrix_of_a_semi_infinite_layer():
+    """Reflection matrices of Mishchenko et al. (1999), of orders 0 and 1 at µ = µ0 = 0.5.
+
+    Elements of I and Q from U and V have the factor −sin mφ (de Haan et al. 1987, Eq 73), and
+    those of U and V from I and Q sin mφ.  Their azimuth increases in the other sense, which
+    reverses both; the intercomparison of Emde et al. (2015) determines these signs independently.
+    """
+    expected = {
+        0: [
+            [1.054548, -0.005217, 0.0, 0.0],
+            [-0.005217, 0.262763, 0.0, 0.0],
+            [0.0, 0.0, 0.146687, 0.032284],
+            [0.0, 0.0, -0.032284, 0.208790],
+        ],
+        1: [
+            [0.039998, 0.007864, -0.014080, -0.000034],
+            [0.007864, 0.045349, 0.035117, -0.019115],
+            [-0.014080, 0.035117, 0.164078, -0.032249],
+            [0.000034, 0.019115, 0.032249, 0.114666],
+        ],
+    }
+    layer = splits.ParticleLayer(
+        refractive_index=1.0, bottom_albedo=None, polarized=True, optical_thickness=float("inf"),
+        single_scattering_albedo=1.0, scattering_matrix=REFERENCE / "half_space_coefficients.csv",
+    )  # fmt: skip
+    # Azimuths on both sides: a Fourier coefficient has only coefficients of orders near 24 added.
+    azimuth = np.arange(0.0, 360.0, 15.0)
+    runs = {
+        name: splits.goniophotometer(
+            layer, [550.0], 60.0, rays=50_000, polar_deg=[60.0], azimuth_deg=azimuth,
+            estimator="next_event", seed=seed, stokes=stokes,
+        ).squeeze(("wavelength", "polar"))
+        for seed, (name, stokes) in enumerate(INCIDENT.items(), start=1)
+    }  # fmt: skip
+    z = []
+    for order, matrix in expected.items():
+        for column, run in enumerate(runs.values()):
+            for row, suffix in enumerate(STOKES.values()):
+                columns = {0, column}
+                # Elements between I, Q and U, V are odd in azimuth, the others even.
+                even = sum(matrix[row][k] for k in columns if (row < 2) == (k < 2))
+                odd = sum(matrix[row][k] for k in columns if (row < 2) != (k < 2))
+                for function, exact in ((np.cos, even), (np.sin, odd)):
+                    weight = function(order * np.radians(azimuth)) / azimuth.size
+                    value = np.pi * float((run[f"brdf{suffix}"] * weight).sum())
+                    # Errors of directions are taken as fully correlated, which is a bound.
+                    stderr = np.pi * float((run[f"brdf{suffix}_stderr"] * np.abs(weight)).sum())
+                    if stderr > 0.0:
+                        z.append((value - exact) / stderr)
+    judge_z(np.array(z), "semi-infinite layer", bound_added=True)

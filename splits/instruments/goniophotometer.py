@@ -162,8 +162,9 @@ def goniophotometer(
 
         Next-event estimation and bins of polarized light add ``brdf_q``, ``brdf_u``, ``brdf_v``
         and the same of the BTDF: Stokes parameters for unpolarized incidence, Q > 0 along the plane
-        that contains the normal.  Over a diffuse bottom the BTDF is that of the light that arrives
-        there, at angles within the layer; next-event estimation does not compute it.
+        that contains the normal.  Over a diffuse bottom the BTDF is that of the light that the
+        bottom absorbs, a fraction of the light that arrives there, at angles within the layer;
+        next-event estimation does not compute it.
 
         Under diffuse light there is no BRDF: ``reflectance_factor`` is then the
         hemispherical-directional one, of all light, ``transmittance_factor`` the same below, and

@@ -84,6 +84,7 @@ benchmarks: $(VENV)/dev
 	$(BIN)/python benchmarks/reciprocity.py
 	$(BIN)/python benchmarks/exact_layers.py
 	$(BIN)/python benchmarks/local_estimation.py
+	$(BIN)/python benchmarks/polarization_cost.py
 	$(BIN)/python benchmarks/surface_crossings.py
 	$(BIN)/python benchmarks/irradiance_profile_cost.py
 	$(BIN)/python benchmarks/snowpacks_against_tartes.py

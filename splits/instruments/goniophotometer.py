@@ -165,9 +165,11 @@ def goniophotometer(
         Next-event estimation and bins of polarized light add ``brdf_q``, ``brdf_u``, ``brdf_v``,
         Stokes parameters with Q > 0 along the plane that contains the normal; ``brdf_dolp`` and
         ``brdf_aolp``, degree (0 to 1) and angle (degrees from that plane, 0 to 180) of linear
-        polarization, see `splits.instruments.linear_polarization`; and the same of the BTDF.  Over
-        a diffuse bottom the BTDF is that of the light that arrives
-        there, at angles within the layer; next-event estimation does not compute it.
+        polarization, see `splits.instruments.linear_polarization`; and the same of the BTDF.
+
+        Over a diffuse bottom the BTDF is that of the light that the bottom absorbs, a fraction of
+        the light that arrives there, at angles within the layer; next-event estimation does not
+        compute it.
 
         Under diffuse light there is no BRDF: ``reflectance_factor`` is then the
         hemispherical-directional one, of all light, ``transmittance_factor`` the same below, and

@@ -108,6 +108,9 @@ def compute_mie_matrix(
     elements of the matrix divided by P11, averaged over the angles, change by at most `tolerance`.
     Single angles deviate more, because spheres of some radii have narrow resonances.
 
+    Numba compiles the functions of miepython when they are first used, which takes about 15 s once,
+    unless the environment variable ``MIEPYTHON_USE_JIT`` is 0.
+
     P34 has the sign of `docs/theory/polarization.md` and of the matrices of grains, Im(S2 S1*) with
     the amplitudes of Bohren & Huffman (1983).  It is the opposite for authors whose V is positive
     for the other handedness, such as Emde et al. (2015) and libRadtran.

@@ -1,3 +1,4 @@
+from .analysis.theory.mie import compute_mie_matrix as compute_mie_matrix
 from .analysis.theory.phase_function import phase_function as phase_function
 from .analysis.theory.phase_function import with_diffraction as with_diffraction
 from .core.progress import Progress as Progress

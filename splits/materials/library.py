@@ -157,6 +157,9 @@ _DATASET_LOADERS: dict[str, dict[str, Callable[[], RefractiveIndex]]] = {
     "kaolinite": {"egan_hilgeman_1979": _make_kaolinite},
 }
 
+MATERIALS = tuple(_DATASET_LOADERS)
+"""Names of the materials with datasets."""
+
 
 def list_datasets(material: str) -> list[str]:
     """Return the names of the datasets of a material, the default first."""

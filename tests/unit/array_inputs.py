@@ -230,6 +230,18 @@ CASES = {
     "single_scattering": ArrayCase(
         lambda a: splits.single_scattering(SNOW, a, moments=2, rays=2, threads=1), NM, one=True,
         runs=True),
+    "compute_mie_matrix wavelength_nm": ArrayCase(
+        lambda a: splits.compute_mie_matrix(a, 1.5, radius_um=0.125), NM, one=True),
+    "compute_mie_matrix radius_um": ArrayCase(
+        lambda a: splits.compute_mie_matrix([800.0], 1.5, radius_um=a, number_density=PARAMETERS),
+        [0.125, 0.25, 0.5]),
+    "compute_mie_matrix number_density": ArrayCase(
+        lambda a: splits.compute_mie_matrix([800.0], 1.5, radius_um=[0.125, 0.25, 0.5],
+                                            number_density=a), PARAMETERS,
+        labels=[0.125, 0.25, 0.5]),
+    "compute_mie_matrix angle_deg": ArrayCase(
+        lambda a: splits.compute_mie_matrix([800.0], 1.5, radius_um=0.125, angle_deg=a), POLAR,
+        one=True),
     "lens screen_depth_m": ArrayCase(
         lambda a: splits.lens(SEA, a, 1.0, centre_on="origin", rays=3), [1.0, 2.0], one=True,
         runs=True),

@@ -122,6 +122,7 @@ RESULTS = {
     "lens": lambda: splits.lens(make_rough_layer(), [1.0], 0.1, centre_on="origin", rays=1000),
     "surface_map": lambda: splits.surface_map(make_rough_layer(), 1.0, points=5, realizations=2),
     "single_scattering": compute_grain_optics,
+    "compute_mie_matrix": lambda: splits.compute_mie_matrix(PAIR, "water", 0.1, 0.1),
     "with_diffraction": lambda: splits.with_diffraction(compute_grain_optics()),
     "phase_function": lambda: splits.phase_function(compute_grain_optics(), [0, 90, 180]),
     "build_table": build_small_table,

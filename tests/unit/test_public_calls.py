@@ -84,6 +84,7 @@ INVALID_CALLS = {
     "albedo": lambda: splits.albedo(splits.Snow(ground="camborthid"), "midlatitude_winter"),
     "select_bands": lambda: splits.select_bands(3, [(400, 500)], {}, 0.1),
     "beam_spread": lambda: splits.beam_spread(SNOW, "x"),
+    "compute_mie_matrix": lambda: splits.compute_mie_matrix([500], 1.33, 10.0, 2.0),
     "goniophotometer": lambda: splits.goniophotometer(SNOW, [500], 95),
     "hdrf": lambda: splits.hdrf(SNOW, "midlatitude", [500]),
     "lens": lambda: splits.lens(LAYER, [1], -1),

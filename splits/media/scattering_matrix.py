@@ -2,7 +2,10 @@
 
 The matrix is that of randomly oriented particles with a plane of symmetry: P11, P12 = P21, P22,
 P33, P34 = −P43 and P44, of the Stokes vector (I, Q, U, V) with the scattering plane as reference;
-P12 < 0 polarizes light perpendicular to that plane.
+P12 < 0 polarizes light perpendicular to that plane.  For P34 and V there are two conventions.  That
+of this package (docs/theory/polarization.md) is P34 = Im(S2 S1*) with the amplitudes of Bohren &
+Huffman (1983).  The opposite sign reverses V in results, and is wrong where interfaces reflect
+light totally; libRadtran has it, so that P34 of its files is reversed here.
 """
 
 from __future__ import annotations
@@ -176,7 +179,8 @@ def _select_variables(dataset: xr.Dataset) -> Mapping[str, Any]:
     elements = {ANGLE: grid}
     for name, row, angles, size in zip(ELEMENTS, phase, theta, n_angles, strict=False):
         order = np.argsort(angles[:size])
-        elements[name] = np.interp(grid, angles[:size][order], row[:size][order])
+        values = np.interp(grid, angles[:size][order], row[:size][order])
+        elements[name] = -values if name == "P34" else values
     return elements
 
 

@@ -28,9 +28,10 @@ EXPANSION = dict(
 )  # fmt: skip
 
 
-def write_libradtran(path):
+def write_libradtran(path, **changes):
     """Write Rayleigh scattering in the form of libRadtran, with decreasing angles."""
-    elements = np.stack([RAYLEIGH[name][::-1] for name in ELEMENTS[:4]])[np.newaxis, np.newaxis]
+    matrix = {**RAYLEIGH, **changes}
+    elements = np.stack([matrix[name][::-1] for name in ELEMENTS[:4]])[np.newaxis, np.newaxis]
     dims = ("nlam", "nreff", "nphamat", "nthetamax")
     theta = np.broadcast_to(ANGLE[::-1], elements.shape)
     dataset = xr.Dataset({
@@ -57,6 +58,13 @@ def test_all_forms_are_the_same_matrix(tmp_path):
             expected = RAYLEIGH.get(name, RAYLEIGH["P33" if name == "P44" else "P11"])
             found = np.interp(ANGLE, matrix.angle_deg, matrix.elements[:, column])
             assert found == pytest.approx(expected, abs=2e-6)
+
+
+def test_libradtran_has_the_opposite_sign_of_circular_polarization(tmp_path):
+    p34 = 0.3 * np.sin(np.radians(ANGLE)) ** 2
+    matrix = ScatteringMatrix.from_input(write_libradtran(tmp_path / "matrix.nc", P34=p34))
+    found = np.interp(ANGLE, matrix.angle_deg, matrix.elements[:, ELEMENTS.index("P34")])
+    assert found == pytest.approx(-p34, abs=2e-6)
 
 
 def test_tabulated_rayleigh_scattering_has_the_analytic_ratios():

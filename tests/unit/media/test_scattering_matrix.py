@@ -61,8 +61,10 @@ def test_all_forms_are_the_same_matrix(tmp_path):
 
 
 def test_libradtran_has_the_opposite_sign_of_circular_polarization(tmp_path):
-    p34 = 0.3 * np.sin(np.radians(ANGLE)) ** 2
-    matrix = ScatteringMatrix.from_input(write_libradtran(tmp_path / "matrix.nc", P34=p34))
+    p33 = 0.8 * RAYLEIGH["P33"]
+    p34 = 0.2 * p33 * np.sin(np.radians(ANGLE)) ** 2
+    dataset = write_libradtran(tmp_path / "matrix.nc", P33=p33, P34=p34)
+    matrix = ScatteringMatrix.from_input(dataset)
     found = np.interp(ANGLE, matrix.angle_deg, matrix.elements[:, ELEMENTS.index("P34")])
     assert found == pytest.approx(-p34, abs=2e-6)
 

@@ -91,8 +91,8 @@ class ParticleLayer(ContentEquality, ParticleMedium):
         parallel and perpendicular to the plane of scattering at 90°, for unpolarized light.
     polarized : bool
         Whether polarization is simulated (the Stokes vector of each ray).  A tabulated phase
-        function needs a `scattering_matrix` for this; that of
-        Henyey and Greenstein is combined with the polarization of Rayleigh scattering.
+        function needs a `scattering_matrix` for this; that of Henyey and Greenstein is combined
+        with the polarization of Rayleigh scattering.
     opaque : bool
         Whether all light transmitted by the surface is absorbed; particles and bottom then have
         no effect.

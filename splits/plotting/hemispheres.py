@@ -236,8 +236,8 @@ def _draw_polarization_angles(axes: Axes, part: xr.Dataset) -> None:
     Seen from above, the angle increases anticlockwise from the radius of the map.
     """
     part = part.isel(
-        polar=slice(None, None, max(1, part.sizes["polar"] // 6)),
-        azimuth=slice(None, None, max(1, part.sizes["azimuth"] // 12)),
+        polar=slice(None, None, -(-part.sizes["polar"] // 6)),
+        azimuth=slice(None, None, -(-part.sizes["azimuth"] // 12)),
     ).transpose(..., "polar", "azimuth")
     radius, azimuth = np.meshgrid(part.polar.values, np.radians(part.azimuth.values), indexing="ij")
     shown = (part.brdf_aolp_stderr.values < _MAX_ANGLE_STDERR_DEG) & (radius > _LINE_LENGTH_DEG)

@@ -72,12 +72,13 @@ def make_pair(medium: splits.Snow | splits.Sand) -> tuple:
 @pytest.mark.long
 @NEEDS_JIT
 @pytest.mark.parametrize("medium", [SPHERES, FACETED, SAND], ids=["spheres", "snow", "sand"])
-def test_dilute_packs_are_layers_of_particles_of_their_matrix(medium):
+@pytest.mark.parametrize("stokes", [True, (1, 0.5, -0.4, 0.6)], ids=["natural", "polarized"])
+def test_dilute_packs_are_layers_of_particles_of_their_matrix(medium, stokes):
     """I, Q, U and V in 60 bins above and below."""
     bins = {"estimator": "bins", "n_bins": (6, 10), "rays": 1_000_000}
     pack, layer = make_pair(medium)
-    traced = splits.goniophotometer(pack, NM, 40.0, stokes=True, **bins)
-    expected = splits.goniophotometer(layer, NM, 40.0, seed=2, **bins)
+    traced = splits.goniophotometer(pack, NM, 40.0, stokes=stokes, **bins)
+    expected = splits.goniophotometer(layer, NM, 40.0, seed=2, stokes=stokes, **bins)
     z = []
     for function in ("brdf", "btdf"):
         for suffix in STOKES:

@@ -168,39 +168,6 @@ def test_light_at_a_lambertian_bottom_agrees_with_the_intercomparison(rays):
         judge_z((value - expected) / stderr, f"case A2, bottom, {name}")
 
 
-@pytest.mark.long
-@NEEDS_JIT
-def test_reflection_of_a_semi_infinite_layer():
-    """First columns of the reflection matrices of Mishchenko et al. (1999), at µ = µ0 = 0.5.
-
-    Their azimuth increases in the other sense, which reverses U and V; the intercomparison above
-    determines these signs independently.
-    """
-    expected = {0: (1.054548, -0.005217, 0.0, 0.0), 1: (0.039998, 0.007864, -0.014080, 0.000034)}
-    layer = splits.ParticleLayer(
-        **FREE, optical_thickness=float("inf"), single_scattering_albedo=1.0,
-        scattering_matrix=REFERENCE / "half_space_coefficients.csv",
-    )  # fmt: skip
-    # Azimuths on both sides: a Fourier coefficient has only coefficients of orders near 24 added.
-    azimuth = np.arange(0.0, 360.0, 15.0)
-    ds = splits.goniophotometer(
-        layer, [550.0], 60.0, rays=50_000, polar_deg=[60.0], azimuth_deg=azimuth,
-        estimator="next_event",
-    ).squeeze(("wavelength", "polar"))  # fmt: skip
-    z = []
-    for order, column in expected.items():
-        for (name, suffix), exact in zip(STOKES.items(), column, strict=True):
-            function = np.cos if name in "IQ" else np.sin
-            weight = function(order * np.radians(azimuth)) / azimuth.size
-            value = np.pi * float((ds[f"brdf{suffix}"] * weight).sum())
-            # Errors of directions are taken as fully correlated, which bounds that of the sum.
-            stderr = np.pi * float((ds[f"brdf{suffix}_stderr"] * np.abs(weight)).sum())
-            if stderr > 0.0:
-                z.append((value - exact) / stderr)
-                print(f"order {order}, {name}: {value:.6f} ± {stderr:.6f}, exact {exact:.6f}")
-    judge_z(np.array(z), "semi-infinite layer", bound_added=True)
-
-
 @NEEDS_JIT
 def test_two_layers_of_half_the_thickness_are_the_layer():
     settings = {

@@ -6,8 +6,6 @@ angle.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from splits.instruments.angular_estimate import (
@@ -16,13 +14,16 @@ from splits.instruments.angular_estimate import (
     add_interpolation_error,
     compute_anisotropy,
 )
-from splits.instruments.linear_polarization import StokesEstimate
+from splits.instruments.linear_polarization import SMALLEST_INTENSITY, StokesEstimate
 from splits.kernels.tallies.angular import (
+    FIRST_PRODUCT,
+    FIRST_STOKES,
+    FIRST_STOKES_SQUARED,
+    N_POLARIZED_SUMS,
     WEIGHT,
-    WEIGHT_PRODUCT,
+    AngularSums,
     tally_angular_bins,
 )
-from splits.kernels.tallies.exits import EXIT_LENGTH, N_STOKES_COLUMNS
 from splits.simulation.exit_tally import ExitTally
 from splits.simulation.interpolation_bounds import INTERPOLATION_FACTOR
 from splits.simulation.spectral_nodes import IndexNodes
@@ -31,14 +32,6 @@ from splits.simulation.stratum import Stratum
 
 DEFAULT_N_BINS = (18, 72)
 """Bins in polar and in azimuth angle: as many as bins of 5° by 5°."""
-
-
-class BinScore(NamedTuple):
-    """Sums over the rays of a chunk, see `AngularBinTally`."""
-
-    bins: np.ndarray
-    stokes: np.ndarray
-    unscattered: np.ndarray
 
 
 class AngularBinTally(AngularTally, ExitTally):
@@ -55,10 +48,8 @@ class AngularBinTally(AngularTally, ExitTally):
 
     Attributes
     ----------
-    bin_sums : float, shape (2, 2, node rows, polar, azimuth)
-        Of I, see `splits.kernels.tallies.angular.tally_angular_bins`.
-    stokes_sums : float, shape (3, 3, 2, node rows, polar, azimuth)
-        Of Q, U and V, with products; shape (0, ...) for exits without polarization.
+    bin_sums : float, shape (2 or more, 2, node rows, polar, azimuth)
+        See `splits.kernels.tallies.angular.tally_angular_bins`.
     unscattered_sums : float, shape (2, 2, node rows)
     """
 
@@ -72,28 +63,23 @@ class AngularBinTally(AngularTally, ExitTally):
         polarized: bool,
     ) -> None:
         super().__init__(nodes, absorption)
-        self.n_bins = n_bins
-        first = EXIT_LENGTH + absorption.shape[1]
-        self.stokes_columns = range(first, first + N_STOKES_COLUMNS * polarized)
-        n_rows, n_components = len(self.rows), len(self.stokes_columns)
-        self.bin_sums = np.zeros((2, 2, n_rows, *n_bins))
-        self.stokes_sums = np.zeros((n_components, 3, 2, n_rows, *n_bins))
+        self.n_bins, self.polarized = n_bins, polarized
+        n_rows, n_sums = len(self.rows), N_POLARIZED_SUMS if polarized else 2
+        self.bin_sums = np.zeros((n_sums, 2, n_rows, *n_bins))
         self.unscattered_sums = np.zeros((2, 2, n_rows))
-        self.values_per_row = 4 + (4 + 6 * n_components) * n_bins[0] * n_bins[1]
+        self.values_per_row = 4 + 2 * n_sums * n_bins[0] * n_bins[1]
         self.add_strata()
 
-    def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> BinScore:
+    def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> AngularSums:
         """Return the sums of a chunk of exits."""
-        scattered, unscattered = tally_angular_bins(exits, stratum.absorption, *self.n_bins, -1)
-        stokes = np.zeros((len(self.stokes_columns), 3, *scattered.shape[1:]))
-        for sums, column in zip(stokes, self.stokes_columns, strict=True):
-            sums[:] = tally_angular_bins(exits, stratum.absorption, *self.n_bins, column).scattered
-        return BinScore(scattered, stokes, unscattered)
+        sums: AngularSums = tally_angular_bins(
+            exits, stratum.absorption, *self.n_bins, self.polarized
+        )
+        return sums
 
-    def merge(self, stratum: Stratum, score: BinScore) -> None:
+    def merge(self, stratum: Stratum, score: AngularSums) -> None:
         """Add the sums of the next chunk of a stratum."""
-        self.bin_sums[:, :, stratum.node_rows] += score.bins
-        self.stokes_sums[:, :, :, stratum.node_rows] += score.stokes
+        self.bin_sums[:, :, stratum.node_rows] += score.scattered
         self.unscattered_sums[:, :, stratum.node_rows] += score.unscattered
 
     def evaluate(self, stop: StoppingRule) -> Evaluation:
@@ -102,9 +88,9 @@ class AngularBinTally(AngularTally, ExitTally):
 
     def make_estimate(self) -> AngularEstimate:
         """Estimate BRDF and BTDF of every bin, starting at the zenith."""
-        mean, stderr = self._compute_bin_means(self.bin_sums)
+        mean, stderr = self._compute_bin_means(*self.bin_sums[:FIRST_STOKES])
         n_rows = len(self.absorption)
-        total = self.bin_sums.sum(axis=(-2, -1)) + self.unscattered_sums
+        total = self.bin_sums[:FIRST_STOKES].sum(axis=(-2, -1)) + self.unscattered_sums
         hemispherical = np.concatenate(
             [self.combine_moments(*sums) for sums in (total, self.unscattered_sums)]
         )
@@ -116,39 +102,51 @@ class AngularBinTally(AngularTally, ExitTally):
 
     def make_stokes(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return the variables of polarized exits, see `StokesEstimate`."""
-        if not len(self.stokes_sums):
+        if not self.polarized:
             return {}
-        # Q, U and V of unseen rays are as small as those of seen ones.
+        intensity, square = self.bin_sums[:FIRST_STOKES]
+        # Unseen rays may be fully polarized, but have no more than the mean weight of seen ones.
+        largest = np.divide(
+            square, intensity, out=np.zeros_like(square), where=intensity > SMALLEST_INTENSITY
+        )
+        stokes = self.bin_sums[FIRST_STOKES:FIRST_STOKES_SQUARED]
+        squares = self.bin_sums[FIRST_STOKES_SQUARED:FIRST_PRODUCT]
         components = [
-            self._compute_bin_means(self.bin_sums),
-            *(self._compute_bin_means(sums[:WEIGHT_PRODUCT], 0.0) for sums in self.stokes_sums),
+            self._compute_bin_means(intensity, square),
+            *(
+                self._compute_bin_means(*sums, largest)
+                for sums in zip(stokes, squares, strict=True)
+            ),
         ]
         mean, stderr = (np.stack(one) for one in zip(*components, strict=True))
         bound = INTERPOLATION_FACTOR * self.nodes.interpolation_bound[:, np.newaxis]
         stderr = np.hypot(stderr, bound * mean[0])
+        return StokesEstimate(mean, stderr, self._compute_covariances()).make_variables()
+
+    def _compute_covariances(self) -> np.ndarray:
+        """Return the covariances of I and Q, I and U, and Q and U, see `StokesEstimate`."""
         n_rays = self.count_rays()[:, np.newaxis, np.newaxis]
-        per_node = (
-            self.stokes_sums[:, WEIGHT_PRODUCT] / n_rays
-            - self.stokes_sums[:, WEIGHT] * self.bin_sums[WEIGHT] / n_rays**2
-        ) / n_rays
-        covariance = self._arrange_bins(
-            self.combine_nodes(np.moveaxis(per_node, 2, -1), power=2), 2
-        )
-        return StokesEstimate(mean, stderr, covariance).make_variables()
+        intensity, q, u = self.bin_sums[[WEIGHT, FIRST_STOKES, FIRST_STOKES + 1]] / n_rays
+        products = np.stack([intensity * q, intensity * u, q * u])
+        per_node = (self.bin_sums[FIRST_PRODUCT:] / n_rays - products) / n_rays
+        return self._arrange_bins(self.combine_nodes(np.moveaxis(per_node, 2, -1), power=2), 2)
 
     def _compute_bin_means(
-        self, sums: np.ndarray, largest: float = 1.0
+        self, total: np.ndarray, square: np.ndarray, largest: np.ndarray | float = 1.0
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return a distribution function and its standard errors, shape (2, rows, directions).
 
         Parameters
         ----------
-        sums : float, shape (2, 2, node rows, polar, azimuth)
+        total, square : float, shape (2, node rows, polar, azimuth)
+            Sums of the weights and of their squares.
         largest : float
             See `combine_moments`.
         """
-        total, square = np.moveaxis(sums, 2, -1)
-        mean, stderr = self.combine_moments(total, square, largest)
+        if isinstance(largest, np.ndarray):
+            largest = np.moveaxis(largest, 1, -1)
+        moments = np.moveaxis(total, 1, -1), np.moveaxis(square, 1, -1)
+        mean, stderr = self.combine_moments(*moments, largest)
         return self._arrange_bins(mean, 1), self._arrange_bins(stderr, 1)
 
     def _arrange_bins(self, values: np.ndarray, power: int) -> np.ndarray:

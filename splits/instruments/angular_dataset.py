@@ -95,9 +95,11 @@ def make_angular_dataset(
         "polar": ("polar", polar, {"units": "degree", "long_name": "angle from the normal"}),
         "azimuth": ("azimuth", azimuth, {"units": "degree", "long_name": azimuth_label}),
     }
+    # Without a BTDF, its polarization is undefined, too.
     kept = {
         name: variable
         for name, variable in variables.items()
         if name.removesuffix("_stderr") not in undefined
+        and not ("btdf" in undefined and name.startswith("btdf"))
     }
     return xr.Dataset(kept, coordinates, attributes)

@@ -52,8 +52,8 @@ class DetectorTally(AngularTally):
         Sums, sums of squares, and the score of largest magnitude of a batch, with its sign: of
         detectors [side, direction, Stokes parameter], then of [reflected, transmitted][all light,
         unscattered light].
-    sums_of_products : float, shape (2, directions, 4)
-        Of the scores of each Stokes parameter with those of I.
+    sums_of_products : float, shape (2, directions, 3)
+        Of the scores of I and Q, I and U, and Q and U.
     """
 
     first_stream = 7_000_000
@@ -83,7 +83,7 @@ class DetectorTally(AngularTally):
         self.lossless = conservative and scene.bottom_albedo == 1.0
         self.values_per_row = math.prod(self.shape) + 4
         self.sums, self.sums_of_squares, self.max_scores = np.zeros((3, self.values_per_row))
-        self.sums_of_products = np.zeros(self.shape)
+        self.sums_of_products = np.zeros((*self.shape[:2], 3))
         # For forward-peaked phase functions few events dominate the estimate.
         g = max(abs(layer.kernel_phase_function.g) for layer in layers)
         self.pilot_rays = RAYS_PER_CHUNK * int(
@@ -123,7 +123,7 @@ class DetectorTally(AngularTally):
         self.sums += score
         self.sums_of_squares += score**2
         detected, _ = self._split(score)
-        self.sums_of_products += detected[..., :1] * detected
+        self.sums_of_products += _multiply_pairs(detected)
         self.max_scores = np.where(np.abs(score) > np.abs(self.max_scores), score, self.max_scores)
 
     def compute_errors(self) -> tuple[np.ndarray, np.ndarray]:
@@ -161,13 +161,13 @@ class DetectorTally(AngularTally):
         n_batches = self.n_rays // RAYS_PER_CHUNK
         batch_mean, _ = self._split(self.sums / n_batches)
         product = self.sums_of_products / n_batches
-        covariance = (product - batch_mean[..., :1] * batch_mean)[..., 1:] / n_batches
+        covariance = (product - _multiply_pairs(batch_mean)) / n_batches
         shape = (4, 2, self.n_wavelengths, self.shape[1])
         by_component = [
             np.broadcast_to(np.moveaxis(one, -1, 0)[:, :, np.newaxis], (one.shape[-1], *shape[1:]))
             for one in (mean, stderr, covariance)
         ]
-        return StokesEstimate(*by_component).make_variables(1 + self.has_lower_side)
+        return StokesEstimate(*by_component).make_variables()
 
     def evaluate(self, stop: StoppingRule) -> Evaluation:
         """Return the largest relative error, infinite as long as no light reached the detectors."""
@@ -215,3 +215,8 @@ class DetectorTally(AngularTally):
         """Return the values of detectors, and the hemispherical ones."""
         n_scores = math.prod(self.shape)
         return values[:n_scores].reshape(self.shape), values[n_scores:].reshape(2, 2)
+
+
+def _multiply_pairs(stokes: np.ndarray) -> np.ndarray:
+    """Return the products of I and Q, I and U, and Q and U, along the last axis."""
+    return stokes[..., [0, 0, 1]] * stokes[..., [1, 2, 2]]

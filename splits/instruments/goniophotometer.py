@@ -42,7 +42,11 @@ from splits.simulation.arguments import (
     check_wavelengths,
 )
 from splits.simulation.engine import simulate
-from splits.simulation.incident_light import check_stokes, describe_polarization
+from splits.simulation.incident_light import (
+    check_stokes,
+    describe_polarization,
+    requests_polarization,
+)
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import build_scene, compute_optical_constants
 from splits.simulation.spectral_nodes import choose_nodes
@@ -141,8 +145,8 @@ def goniophotometer(
     stokes : bool or array_like
         Whether polarization is traced, with the estimators "bins" and "next_event", or the Stokes
         vector (I, Q, U, V) of the incident light, with the plane of incidence as reference; True is
-        unpolarized light.  Layers of particles need ``polarized=True``; see
-        docs/theory/polarization.md.
+        unpolarized light.  Layers of particles need ``polarized=True``, which traces polarization
+        without this keyword, too; see docs/theory/polarization.md.
     threads : int, optional
         Default: every CPU that this process may use.
     kernel : {"auto", "vectorized", "scalar"}
@@ -293,7 +297,7 @@ def _check_estimator(estimator: str, incidence: float | str, stokes: Any) -> Non
 
 def check_polarized_estimator(stokes: Any, estimator: str) -> None:
     """Reject an estimator without Stokes parameters for a run with `stokes`."""
-    if stokes is not False and estimator == "expansion":
+    if requests_polarization(stokes) and estimator == "expansion":
         raise invalid("estimator", estimator, "bins or next_event with stokes")
 
 

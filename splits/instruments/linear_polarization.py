@@ -9,6 +9,8 @@ import numpy as np
 STOKES_NAMES = "quv"
 FUNCTIONS = ("brdf", "btdf")
 """Distribution functions of reflected and of transmitted light."""
+SMALLEST_INTENSITY = 1e-100
+"""Intensity below which light has no known polarization, so that no square underflows."""
 MAX_ANGLE_STDERR_DEG = 180.0 / np.sqrt(12.0)
 """Standard deviation of an unknown angle, which is uniform over 180 degrees."""
 
@@ -21,25 +23,22 @@ class StokesEstimate(NamedTuple):
     mean, stderr : float, shape (4, 2, wavelengths, directions)
         I, Q, U and V of the reflected and of the transmitted light (1/sr), and their errors.
     covariance : float, shape (3, 2, wavelengths, directions)
-        Covariances of Q, U and V with I.
+        Covariances of I and Q, I and U, and Q and U.
     """
 
     mean: np.ndarray
     stderr: np.ndarray
     covariance: np.ndarray
 
-    def make_variables(self, n_sides: int = 2) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return Q, U, V, degree and angle of polarization with their errors, by name.
-
-        `n_sides` is 1 without transmitted light.
-        """
+    def make_variables(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Return Q, U, V, degree and angle of polarization with their errors, by name."""
         variables = {
             f"{function}_{name}": (self.mean[component, side], self.stderr[component, side])
             for component, name in enumerate(STOKES_NAMES, start=1)
-            for side, function in enumerate(FUNCTIONS[:n_sides])
+            for side, function in enumerate(FUNCTIONS)
         }
         polarization = compute_linear_polarization(*self)
-        for side, function in enumerate(FUNCTIONS[:n_sides]):
+        for side, function in enumerate(FUNCTIONS):
             degree, degree_stderr, angle, angle_stderr = (one[side] for one in polarization)
             variables[f"{function}_dolp"] = degree, degree_stderr
             variables[f"{function}_aolp"] = angle, angle_stderr
@@ -65,16 +64,16 @@ def compute_linear_polarization(
 
         p − b² (1 − exp(−p²/b²))/(2p),
 
-    where b is the standard error of q and u perpendicular to the direction of polarization.  For
-    degrees above 2b the bias is below b/10; for unpolarized light it is b, of an error of b.
-    Errors of q and u are taken as independent.
+    where b is the standard error perpendicular to the direction of polarization in the plane of q
+    and u.  For degrees above 2b the bias is below b/10; for unpolarized light it is b, of an error
+    of b.
 
     Parameters
     ----------
     mean, stderr : float, shape (3 or more, ...)
         I, Q and U, and their standard errors; further components are ignored.
-    covariance : float, shape (2 or more, ...)
-        Covariances of Q and U with I.
+    covariance : float, shape (3, ...)
+        Covariances of I and Q, I and U, and Q and U.
 
     Returns
     -------
@@ -86,23 +85,20 @@ def compute_linear_polarization(
     ----------
     Plaszczynski, Montier, Levrier & Tristram (2014), Mon. Not. R. Astron. Soc. 439, 4048.
     """
-    intensity = mean[0]
-    has_light = intensity > 0.0
-    per = np.divide(1.0, intensity, out=np.zeros_like(intensity), where=has_light)
+    has_light = mean[0] > SMALLEST_INTENSITY
+    per = np.divide(1.0, mean[0], out=np.zeros_like(mean[0]), where=has_light)
     q, u = mean[1] * per, mean[2] * per
-    # Errors of the ratios, in which the noise that Q and U share with I cancels.
-    var_q, var_u = (
-        np.maximum(
-            stderr[row] ** 2 + (ratio * stderr[0]) ** 2 - 2.0 * ratio * covariance[row - 1], 0.0
-        )
-        * per**2
-        for row, ratio in ((1, q), (2, u))
-    )
+    var_i, var_q, var_u = (stderr[:3] * per) ** 2
+    cov_iq, cov_iu, cov_qu = covariance * per * per
+    # Covariances of the ratios, in which the noise that Q and U share with I cancels.
+    qq = var_q + q * (q * var_i - 2.0 * cov_iq)
+    uu = var_u + u * (u * var_i - 2.0 * cov_iu)
+    qu = cov_qu - q * cov_iu - u * cov_iq + q * u * var_i
     square = q * q + u * u
-    has_degree = square > 0.0
-    cos2 = np.divide(q * q, square, out=np.full_like(square, 0.5), where=has_degree)
-    along = cos2 * var_q + (1.0 - cos2) * var_u
-    across = (1.0 - cos2) * var_q + cos2 * var_u
+    cos2 = np.divide(q * q, square, out=np.full_like(square, 0.5), where=square > 0.0)
+    cos_sin = np.divide(q * u, square, out=np.zeros_like(square), where=square > 0.0)
+    along = np.maximum(cos2 * qq + (1.0 - cos2) * uu + 2.0 * cos_sin * qu, 0.0)
+    across = np.maximum((1.0 - cos2) * qq + cos2 * uu - 2.0 * cos_sin * qu, 0.0)
     # Where Q and U have no scatter there is no bias.
     x = np.divide(square, across, out=np.full_like(square, np.inf), where=across > 0.0)
     bias = np.divide(-np.expm1(-x), 2.0 * x, out=np.full_like(x, 0.5), where=x > 0.0)

@@ -29,7 +29,7 @@ from splits.simulation.derivatives import (
     make_parameter_coordinates,
 )
 from splits.simulation.finite_differences import compute_finite_difference
-from splits.simulation.incident_light import check_stokes
+from splits.simulation.incident_light import check_stokes, requests_polarization
 from splits.simulation.path_reuse import check_path_sharing
 from splits.simulation.run_options import RunOptions
 from splits.simulation.spectral_rows import PathSharingMedia
@@ -218,7 +218,7 @@ def find_path_obstacle(estimator: str, stokes: Any) -> str | None:
     """Return why discrete ordinates cannot replace a spectrophotometer, None if they can."""
     if estimator == "analog":
         return "the estimator needs paths"
-    return "polarization needs paths" if stokes is not False else None
+    return "polarization needs paths" if requests_polarization(stokes) else None
 
 
 def _check_media(medium: Any, estimator: str) -> dict[str, Medium]:

@@ -17,6 +17,7 @@ import xarray as xr
 
 from splits.core.arrays import check_no_gaps
 from splits.core.atomic import atomic_write
+from splits.core.incident_stokes import UNPOLARIZED_LIGHT, get_incident_stokes
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.parameter_names import describe_parameter
 from splits.core.provenance import get_package_version
@@ -126,6 +127,9 @@ def _check_input(
             title = ds.attrs.get("title", "a dataset")
             raise invalid("datasets", title, "the result of splits.goniophotometer for a beam")
         check_no_gaps("datasets", ds[[n for n in ds.data_vars if str(n).startswith("brdf")]])
+        stokes = get_incident_stokes(ds.attrs)
+        if stokes != UNPOLARIZED_LIGHT:
+            raise invalid("datasets", stokes, "of unpolarized incident light", "by this function")
         if _get_medium_attributes(ds.attrs) != _get_medium_attributes(datasets[0].attrs):
             other = "another medium"
             raise invalid("datasets", other, "the same for all", "write a file for each medium")

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from splits.core.incident_stokes import UNPOLARIZED_LIGHT, get_incident_stokes
 from splits.plotting.style import BAND_SIGMA, SMALL_FONT_PT, format_parameter, format_value
 
 Attributes = Mapping[str, Any]
@@ -146,7 +147,11 @@ def _describe_light(dataset: xr.Dataset, select: Mapping[str, Any]) -> str:
         return ""
     if str(incidence) == "diffuse":
         return "diffuse light"
-    return f"incidence {format_value(incidence)}" + ("" if isinstance(incidence, str) else "°")
+    text = f"incidence {format_value(incidence)}" + ("" if isinstance(incidence, str) else "°")
+    stokes = get_incident_stokes(dataset.attrs)
+    if stokes == UNPOLARIZED_LIGHT:
+        return text
+    return f"{text}, Stokes vector ({', '.join(f'{value:g}' for value in stokes)})"
 
 
 def _describe_error(dataset: xr.Dataset, band: str) -> str:

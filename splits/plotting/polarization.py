@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
+from splits.core.incident_stokes import get_incident_stokes
 from splits.io.netcdf import select_points
 from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.direction_axes import (
@@ -29,6 +30,8 @@ def draw_polarization(
 ) -> Figure:
     """Draw the BRDF and its degree of linear polarization in the principal plane.
 
+    The degree has a sign, −Q/I, where U is 0 by symmetry: without U and V of the incident light.
+
     Parameters
     ----------
     dataset : xarray.Dataset
@@ -41,17 +44,14 @@ def draw_polarization(
     dataset = select_points(dataset, select or {})
     plane = extract_plane(dataset)
     lines = make_lines(plane, "brdf")
+    is_symmetric = not any(get_incident_stokes(dataset.attrs)[2:])
     with use_style():
         figure, (left, right) = make_subplots(1, 2, width=TWO_COLUMNS_INCHES, height=2.6)
         for grid_line in lines.lines:
             line = select_line(plane, grid_line.labels)
             angle = line.angle.values
             value, error = line.brdf.values, line.brdf_stderr.values
-            # U is 0 in the principal plane by symmetry, so that -Q/I is the degree with its sign,
-            # and has no bias.  It is undefined without light.
-            missing = np.full_like(value, np.nan)
-            degree = np.divide(-line.brdf_q.values, value, out=missing, where=value > 0.0)
-            degree_error = line.brdf_dolp_stderr.values
+            degree, degree_error = _extract_degree(line, is_symmetric)
             for axes, y, stderr in ((left, value, error), (right, degree, degree_error)):
                 axes.plot(angle, y, label=grid_line.label, **grid_line.to_plot_style())
                 axes.fill_between(
@@ -63,7 +63,7 @@ def draw_polarization(
                     lw=0,
                 )
         left.set(ylabel=QUANTITY_LABELS["brdf"], ylim=(0.0, None))
-        right.set_ylabel("degree of polarization, −Q/I")
+        right.set_ylabel("degree of polarization" + (", −Q/I" if is_symmetric else ""))
         right.axhline(0.0, color="0.6", lw=0.6)
         for axes in (left, right):
             axes.set(xlabel=VIEWING_ANGLE_LABEL)
@@ -72,3 +72,12 @@ def draw_polarization(
             axes.spines[["top", "right"]].set_visible(False)
         lines.add_legend(figure, [left], legend, MAX_INSET_LINES)
         return annotate_figure(figure, [left, right], describe_conditions(dataset, select))
+
+
+def _extract_degree(line: xr.Dataset, is_symmetric: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return the degree of polarization and its error, not a number without light."""
+    degree = line.brdf_dolp
+    if is_symmetric:
+        # This has no bias.
+        degree = -line.brdf_q / line.brdf.where(line.brdf > 0.0)
+    return degree.where(line.brdf > 0.0).values, line.brdf_dolp_stderr.values

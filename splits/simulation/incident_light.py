@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from splits.core.arrays import as_1d_array
-from splits.core.validation import invalid
+from splits.core.incident_stokes import INCIDENT_STOKES
+from splits.core.validation import as_scalar, invalid
 from splits.kernels.math.vectors import Vector
 from splits.kernels.optics.stokes import UNPOLARIZED, Stokes
 from splits.media.medium import Medium
+
+ALLOWED_STOKES = "true, false, or I, Q, U, V of the incident light"
 
 
 class IncidentPolarization(NamedTuple):
@@ -35,7 +36,12 @@ class IncidentPolarization(NamedTuple):
 
 def describe_polarization(polarization: IncidentPolarization | None) -> dict[str, list[float]]:
     """Return the attribute of a dataset: the Stokes vector of the incident light, if any."""
-    return {} if polarization is None else {"incident_stokes": [1.0, *polarization]}
+    return {} if polarization is None else {INCIDENT_STOKES: [1.0, *polarization]}
+
+
+def requests_polarization(stokes: Any) -> bool:
+    """Return whether a value of `stokes` is anything but false."""
+    return as_scalar(stokes) is not False
 
 
 def check_stokes(
@@ -56,15 +62,13 @@ def check_stokes(
     ValueError
         For other values, polarized diffuse light, and layers that define no polarization.
     """
-    allowed = "true, false, or I, Q, U, V of the incident light"
-    if isinstance(stokes, bool | np.bool_):
-        if not stokes:
-            return IncidentPolarization() if medium.polarized else None
-        light = IncidentPolarization()
-    else:
-        values = as_1d_array("stokes", stokes, allowed)
+    if not requests_polarization(stokes):
+        return IncidentPolarization() if medium.polarized else None
+    light = IncidentPolarization()
+    if as_scalar(stokes) is not True:
+        values = as_1d_array("stokes", stokes, ALLOWED_STOKES)
         if values.size != 4:
-            raise invalid("stokes", stokes, allowed)
+            raise invalid("stokes", stokes, ALLOWED_STOKES)
         intensity, *polarized = values.tolist()
         # A relative rounding error of a few digits is allowed.
         if not intensity > 0.0 or math.hypot(*polarized) > intensity * (1.0 + 1e-12):
@@ -72,7 +76,8 @@ def check_stokes(
         light = IncidentPolarization(*(value / intensity for value in polarized))
     if isinstance(incidence_deg, str) and any(light):
         raise invalid("stokes", stokes, "true for diffuse light", "which is unpolarized")
-    for layer in medium.scene_layers:
+    for number, layer in enumerate(medium.scene_layers):
         if not (layer.has_grains or layer.polarized):
-            raise invalid("stokes", stokes, "False", "layers of particles need polarized=True")
+            key = "polarized" if len(medium.scene_layers) == 1 else f"layers[{number}].polarized"
+            raise invalid(key, False, "true with stokes")
     return light

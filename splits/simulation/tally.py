@@ -157,7 +157,8 @@ class Tally(ABC):
         if kernel == "vectorized":
             raise invalid(
                 "kernel", "vectorized", "'auto' or 'scalar' for this sample",
-                "not for particle layers, analog absorption, stacked coatings, extreme inputs",
+                "not for particle layers, polarization, analog absorption, stacked coatings, "
+                "extreme inputs",
             )  # fmt: skip
 
     def trace_job(self, seed: int, scene: Scene, job: Sequence[WorkItem]) -> list[ItemScores]:
@@ -268,7 +269,7 @@ class Tally(ABC):
         return total
 
     def combine_moments(
-        self, total: np.ndarray, square: np.ndarray, largest: float = 1.0
+        self, total: np.ndarray, square: np.ndarray, largest: np.ndarray | float = 1.0
     ) -> tuple[np.ndarray, ...]:
         """Return means and their standard errors, shape (…, rows).
 

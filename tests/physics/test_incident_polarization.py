@@ -102,6 +102,70 @@ def test_errors_of_the_degree_of_polarization_are_those_of_independent_runs():
     judge_z(z[:, significant], "angle of polarization", independent=n_independent)
 
 
+@NEEDS_JIT
+def test_errors_of_sparse_bins_allow_for_unseen_polarized_light():
+    """Most of the rays in a bin were depolarized by the bottom; few were scattered by particles."""
+    layer = splits.ParticleLayer(
+        refractive_index=1.0, optical_thickness=0.1, single_scattering_albedo=1.0,
+        phase_function="rayleigh", bottom_albedo=0.5, polarized=True,
+    )  # fmt: skip
+    counted = splits.goniophotometer(
+        layer, [550.0], 60.0, 5000, estimator="bins", n_bins=(8, 24)
+    ).squeeze("wavelength")  # fmt: skip
+    expected = splits.goniophotometer(
+        layer, [550.0], 60.0, 200_000, estimator="next_event", polar_deg=counted.polar,
+        azimuth_deg=counted.azimuth,
+    ).squeeze("wavelength")  # fmt: skip
+    lit = (counted.brdf > 0.0).values
+    assert (counted.brdf_dolp_stderr.values > 0.0)[lit].all()
+    for name in ("brdf_q", "brdf_u"):
+        z = ((counted[name] - expected[name]) / np.hypot(
+            counted[f"{name}_stderr"], expected[f"{name}_stderr"]
+        )).values[lit]  # fmt: skip
+        judge_z(z, f"sparse bins, {name}", bound_added=True)
+
+
+@NEEDS_JIT
+def test_errors_hold_at_every_angle_of_polarization():
+    """Depolarized and singly scattered rays: Q and U have the same noise at angles near 22.5°."""
+    layer = splits.ParticleLayer(
+        refractive_index=1.0, optical_thickness=0.1, single_scattering_albedo=1.0,
+        phase_function="rayleigh", bottom_albedo=0.3, polarized=True,
+    )  # fmt: skip
+    n_runs, rays = 60, scale_sample_size(150_000)
+    runs = [
+        splits.goniophotometer(
+            layer, [550.0], 60.0, rays, seed, estimator="bins", n_bins=(3, 16)
+        ).squeeze("wavelength")
+        for seed in range(n_runs)
+    ]  # fmt: skip
+    for name, period in (("brdf_dolp", 0.0), ("brdf_aolp", 180.0)):
+        values, stderr, degree, degree_stderr = (
+            np.stack([run[one].values.ravel() for run in runs])
+            for one in (name, f"{name}_stderr", "brdf_dolp", "brdf_dolp_stderr")
+        )
+        deviation = values - np.median(values, axis=0)
+        if period:
+            deviation = (deviation + 0.5 * period) % period - 0.5 * period
+        deviation -= deviation.mean(axis=0)
+        significant = (degree > 8.0 * degree_stderr).all(axis=0)
+        z = (deviation / stderr)[:, significant] * np.sqrt(n_runs / (n_runs - 1))
+        assert significant.sum() >= 20
+        judge_z(z, f"{name} over angles", independent=(n_runs - 1) * int(significant.sum()))
+
+
+@NEEDS_JIT
+def test_rare_light_and_grounds_leave_no_gaps():
+    """Very weak transmitted light, and a ground through which no light leaves."""
+    wavelengths = [800.0, 1000.0, 1200.0, 1300.0, 1400.0, 1500.0, 2000.0]
+    bins = {"stokes": True, "estimator": "bins", "n_bins": (6, 24), "rays": 3000}
+    for snow in (splits.Snow(depth_m=0.02), splits.Snow(depth_m=0.005, ground=0.3)):
+        ds = splits.goniophotometer(snow, wavelengths, 30.0, **bins)
+        assert all(np.isfinite(variable).all() for variable in ds.data_vars.values())
+        names = [name for name in ds.data_vars if name.startswith("btdf")]
+        assert bool(names) == ("btdf" in ds)
+
+
 @pytest.mark.long
 @NEEDS_JIT
 def test_reflection_matrix_of_a_semi_infinite_layer():

@@ -17,7 +17,11 @@ WAVES = splits.ParticleLayer(depth_m=100.0, surface=SURFACE)
 TOTALS = {"reflectance", "transmittance"}
 ANGLES = {"brdf", "btdf", "reflectance_factor", "anisotropy_factor", *TOTALS}
 ANGLES |= {"specular_reflectance", "direct_transmittance"}
-STOKES = {f"{name}_{parameter}" for name in ("brdf", "btdf") for parameter in "quv"}
+STOKES = {
+    f"{name}_{parameter}"
+    for name in ("brdf", "btdf")
+    for parameter in ("q", "u", "v", "dolp", "aolp")
+}
 FEW_DIRECTIONS = {"polar_deg": [0.0, 40.0], "azimuth_deg": [0.0, 180.0]}
 GRAINS = {"single_scattering_albedo", "asymmetry_parameter", "legendre_moment", "wet_fraction"}
 GRAINS |= {"displacement_along_incident", "displacement_along_exit", "mean_square_displacement"}

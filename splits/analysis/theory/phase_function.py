@@ -39,6 +39,7 @@ def with_diffraction(optics: xr.Dataset, radius_um: float | None = None) -> xr.D
     xarray.Dataset
         Extinction, optical thickness, single-scattering albedo, asymmetry parameter and moments
         with diffraction, and their errors.  About 4π radius/wavelength moments resolve the peak.
+        The scattering matrix is left out.
 
     Raises
     ------
@@ -104,7 +105,8 @@ def with_diffraction(optics: xr.Dataset, radius_um: float | None = None) -> xr.D
         optics[f"{MOMENT}_interpolation_bound"].attrs,
     )
     attributes = {**optics.attrs, "diffraction": f"Fraunhofer, radius {radius_um:g} um"}
-    return xr.Dataset(variables, optics.coords, to_netcdf_attributes(attributes))
+    coordinates = {name: optics.coords[name] for name in ("wavelength", "order")}
+    return xr.Dataset(variables, coordinates, to_netcdf_attributes(attributes))
 
 
 def compute_diffraction_moments(

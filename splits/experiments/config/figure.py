@@ -240,8 +240,8 @@ def _check_quantity(simulation: SimulationConfig, figure: FigureSection, medium:
     is_polarized = medium.polarized or getattr(simulation.instrument, "stokes", False)
     shows_polarization = figure.kind == "polarization" or "brdf_dolp" in figure.quantity
     if shows_polarization and not is_polarized:
-        hint = "or instrument.stokes: true for grains"
-        raise invalid("medium.polarized", False, "true for a figure of polarization", hint)
+        hint = "layers of particles also need medium.polarized: true"
+        raise invalid("instrument.stokes", False, "true for a figure of polarization", hint)
     if "mean_grain_distance" in figure.quantity and not hasattr(medium, "mean_grain_distance_m"):
         hint = "left out: a particle layer has no grains, and a stack has no single distance"
         raise invalid("figure.quantity", "mean_grain_distance", hint)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
-from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from splits.core.validation import check_choice, invalid, key_prefix
 from splits.experiments.config.albedo_instrument import Albedo
@@ -38,7 +38,7 @@ from splits.plotting.panels import (
     can_map_hemisphere,
 )
 from splits.simulation.arguments import check_direction_angles, check_n_bins
-from splits.simulation.incident_light import check_stokes
+from splits.simulation.incident_light import ALLOWED_STOKES, check_stokes
 from splits.tables.axes import ParameterGrid
 from splits.tables.plan import choose_table_solver
 from splits.tables.views import VIEW_AXES, ViewGrid, check_quantities
@@ -62,8 +62,20 @@ Solver = Annotated[
     ),
 ]
 
+
+def _check_stokes_setting(value: Any) -> Any:
+    """Return a setting of `stokes` if it has the type of one."""
+    is_number = isinstance(value, list | tuple) and all(
+        isinstance(one, int | float) and not isinstance(one, bool) for one in value
+    )
+    if not isinstance(value, bool) and not (is_number and len(value) == 4):
+        raise invalid("", value, ALLOWED_STOKES)
+    return value
+
+
 IncidentStokes = Annotated[
     bool | tuple[float, float, float, float],
+    BeforeValidator(_check_stokes_setting),
     Field(
         description="whether polarization is traced (directions: with `bins` or `next_event`), or "
         "the Stokes vector (I, Q, U, V) of the incident light; layers of particles need "

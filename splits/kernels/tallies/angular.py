@@ -28,8 +28,11 @@ from splits.kernels.tallies.exits import (
     compute_path_weight,
 )
 
-WEIGHT, WEIGHT_SQUARED, WEIGHT_PRODUCT = range(3)
-"""Rows of sums over rays: of the weights, of their squares, and of products with the intensity."""
+WEIGHT, WEIGHT_SQUARED = range(2)
+"""Rows of sums over rays: of the weights, and of their squares."""
+FIRST_STOKES, FIRST_STOKES_SQUARED, FIRST_PRODUCT = 2, 5, 8
+"""Rows of sums of polarized rays: of Q, U and V, of their squares, and of IQ, IU and QU."""
+N_POLARIZED_SUMS = 11
 _X, _Y, _Z = range(3)
 
 
@@ -160,7 +163,7 @@ def tally_expansion(exits, absorption, max_orders, basis):
 
 
 @entry_point
-def tally_angular_bins(exits, absorption, n_polar, n_azimuth, factor_column):
+def tally_angular_bins(exits, absorption, n_polar, n_azimuth, polarized):
     """Tally the weights of rays and their squares in angular bins of equal solid angle.
 
     Parameters
@@ -170,19 +173,19 @@ def tally_angular_bins(exits, absorption, n_polar, n_azimuth, factor_column):
     n_polar, n_azimuth : int
         Bins from horizon to zenith, equally spaced in the cosine, and in azimuth.  The first
         azimuth bin is centred on the direction of travel of the beam.
-    factor_column : int
-        Column of a factor of the weights, such as a Stokes parameter, or −1.
+    polarized : bool
+        Whether Q, U and V over I follow the path lengths of the exits.
 
     Returns
     -------
     AngularSums
         `scattered` is float64[2, 2, wavelengths, polar, azimuth], [`WEIGHT`,
-        `WEIGHT_SQUARED`][reflected, transmitted]; `unscattered` is the same without bins.  With a
-        factor, the first axis of `scattered` also has `WEIGHT_PRODUCT`, of weights with and
-        without the factor.
+        `WEIGHT_SQUARED`][reflected, transmitted]; with polarization, the first axis also has the
+        rows from `FIRST_STOKES` on.  `unscattered` has the first two rows, without bins.
     """
     wavelengths = absorption.shape[0]
-    sums = np.zeros((2 if factor_column < 0 else 3, 2, wavelengths, n_polar, n_azimuth))
+    n_sums = N_POLARIZED_SUMS if polarized else 2
+    sums = np.zeros((n_sums, 2, wavelengths, n_polar, n_azimuth))
     unscattered = np.zeros((2, 2, wavelengths))
     for j in range(exits.shape[0]):
         row = exits[j]
@@ -194,17 +197,29 @@ def tally_angular_bins(exits, absorption, n_polar, n_azimuth, factor_column):
         azimuth_bin = min(int((turn - math.floor(turn)) * n_azimuth), n_azimuth - 1)
         polar_bin = min(int(abs(row[EXIT_DIRECTION + 2]) * n_polar), n_polar - 1)
         for i in range(wavelengths):
-            intensity = compute_path_weight(lengths, roulette_weight, absorption, i)
-            weight = intensity
-            if factor_column >= 0:
-                weight *= row[factor_column]
+            weight = compute_path_weight(lengths, roulette_weight, absorption, i)
             if row[EXIT_ORDER] == 0.0:
                 unscattered[WEIGHT, side, i] += weight
                 unscattered[WEIGHT_SQUARED, side, i] += weight * weight
-            else:
-                sums[WEIGHT, side, i, polar_bin, azimuth_bin] += weight
-                sums[WEIGHT_SQUARED, side, i, polar_bin, azimuth_bin] += weight * weight
-                if factor_column >= 0:
-                    product = weight * intensity
-                    sums[WEIGHT_PRODUCT, side, i, polar_bin, azimuth_bin] += product
+                continue
+            in_bin = sums[:, side, i, polar_bin, azimuth_bin]
+            in_bin[WEIGHT] += weight
+            in_bin[WEIGHT_SQUARED] += weight * weight
+            if polarized:
+                add_polarized_sums(in_bin, weight, row[EXIT_LENGTH + absorption.shape[1] :])
     return AngularSums(sums, unscattered)
+
+
+@inline
+def add_polarized_sums(in_bin, weight, stokes):
+    """Add the rows of a polarized ray from `FIRST_STOKES` on to the sums of its bin.
+
+    `stokes` is float64[3]: Q, U and V over I.
+    """
+    square = weight * weight
+    for k in range(3):
+        in_bin[FIRST_STOKES + k] += weight * stokes[k]
+        in_bin[FIRST_STOKES_SQUARED + k] += square * stokes[k] * stokes[k]
+    in_bin[FIRST_PRODUCT] += square * stokes[0]
+    in_bin[FIRST_PRODUCT + 1] += square * stokes[1]
+    in_bin[FIRST_PRODUCT + 2] += square * stokes[0] * stokes[1]

@@ -84,6 +84,13 @@ def test_each_line_is_a_value_of_a_dataset(tmp_path):
     assert forward > backward
 
 
+def test_polarized_incidence_is_rejected(tmp_path):
+    """The format has no Stokes vector of the incident light."""
+    ds = make_brdf(30.0).assign_attrs(incident_stokes=[1.0, 0.0, 1.0, 0.0])
+    with pytest.raises(InvalidValue, match="of unpolarized incident light"):
+        write_brdf(tmp_path, ds)
+
+
 def test_polarized_brdfs_are_fractions_of_the_total(tmp_path):
     ds = make_brdf(30.0)
     ds["brdf_q"], ds["brdf_q_stderr"] = 0.2 * ds.brdf, 0.5 * ds.brdf_stderr

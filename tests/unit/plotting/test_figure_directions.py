@@ -173,6 +173,38 @@ def test_degree_of_polarization_is_undefined_without_light():
     assert np.isnan(degree[np.abs(angle) >= 60.0]).all()
 
 
+def test_polarized_incidence_has_the_degree_without_sign():
+    dataset = make_dataset()
+    assert draw_polarization(dataset).axes[1].get_ylabel().endswith("−Q/I")
+    dataset.attrs |= {"incident_stokes": [1.0, 0.0, 1.0, 0.0], "medium": "snow"}
+    figure = draw_polarization(dataset)
+    assert figure.axes[1].get_ylabel() == "degree of polarization"
+    plane = dataset.sel(azimuth=0.0, wavelength=600.0)
+    angle, degree = figure.axes[1].lines[0].get_data()
+    forward = angle > 1.0
+    expected = np.interp(angle[forward], plane.polar, plane.brdf_dolp)
+    np.testing.assert_allclose(degree[forward], expected)
+    assert any(
+        "Stokes vector (1, 0, 1, 0)" in text.get_text().replace("\xa0", " ")
+        for text in figure.texts
+    )
+
+
+def test_maps_of_the_degree_show_the_direction_of_polarization():
+    """Lines are in the plane of the normal for angles of 0, and along the horizon for 90."""
+    for angle, is_radial in ((0.0, True), (90.0, False)):
+        dataset = make_dataset()
+        dataset["brdf_aolp"] = xr.full_like(dataset.brdf, angle)
+        axes = list_map_axes(draw_hemispheres(dataset, ["brdf_dolp"]))[0]
+        lines = [line for line in axes.lines if len(line.get_xdata()) == 2]
+        assert lines
+        for line in lines:
+            ends = line.get_ydata() * np.exp(1j * line.get_xdata())
+            middle = ends.mean()
+            turn = (ends[1] - ends[0]) / middle
+            assert abs(turn.imag if is_radial else turn.real) < 1e-9
+
+
 def test_legend_of_many_lines_lies_outside_the_panels():
     grid = {"incidence_deg": np.arange(0.0, 90.0, 10.0), "density_kg_m3": [200.0, 400.0]}
     figure = draw_principal_planes(make_dataset(grid))

@@ -97,7 +97,8 @@ MISTAKES = [
     ("-0.1", "0.1", "line 7: medium.depth_m = -0.1: must be in (0, 10000] m (or infinite: .inf in "
      "YAML, math.inf in Python)", NO_RANGE),
     ("reflectance", "brdf", "line 20: figure.quantity = 'reflectance': must be one of "
-     "anisotropy_factor, brdf, brdf_dolp, btdf, reflectance_factor (did you mean reflectance_factor?)",
+     "anisotropy_factor, brdf, brdf_dolp, btdf, reflectance_factor (did you mean "
+     "reflectance_factor?)",
      NO_COMPARISON),
 ]  # fmt: skip
 """Wrong texts in the order of the messages, corrections, messages, and what the schema does."""

@@ -216,11 +216,9 @@ def goniophotometer(
             chosen = MONTE_CARLO
     if chosen == MONTE_CARLO:
         check_medium(medium)
-        is_fixed = rays is not None or bins is not None
-        n_rays = (rays or DEFAULT_BIN_RAYS) if is_fixed else max_rays
-        stop = StoppingRule(relative_stderr, n_rays, is_fixed)
         scene = build_scene(medium, incidence, False, polarization)
         tally = _make_angular_tally(medium, scene, incidence, request, estimator, bins)
+        stop = _make_stopping_rule(relative_stderr, rays, max_rays, bins)
         result = _simulate_angular_result(tally, scene, request.target, stop, run)
     attributes = {
         **run.make_attributes("Virtual goniophotometer", "goniophotometer", medium),
@@ -235,9 +233,19 @@ def goniophotometer(
         **result.attributes,
     }
     undefined = {*result.undefined, *(TRANSMITTED_VARIABLES if has_ground else ())}
+    angles = polar, azimuth
     return make_angular_dataset(
-        result.estimate, result.stokes, wavelengths, (polar, azimuth), attributes, undefined
+        result.estimate, result.stokes, wavelengths, angles, attributes, undefined
     )
+
+
+def _make_stopping_rule(
+    relative_stderr: float, rays: int | None, max_rays: int, bins: tuple[int, int] | None
+) -> StoppingRule:
+    """Return the rule of a run: a number of rays where it is given or for bins, or an error."""
+    if rays is None and bins is None:
+        return StoppingRule(relative_stderr, max_rays, fixed=False)
+    return StoppingRule(relative_stderr, rays or DEFAULT_BIN_RAYS, fixed=True)
 
 
 def _make_angular_tally(

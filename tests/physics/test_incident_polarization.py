@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 from chi2 import NEEDS_JIT, judge_z, scale_sample_size
 
 import splits
@@ -15,6 +16,30 @@ STOKES = {"I": "", "Q": "_q", "U": "_u", "V": "_v"}
 INCIDENT = {"I": (1, 0, 0, 0), "Q": (1, 1, 0, 0), "U": (1, 0, 1, 0), "V": (1, 0, 0, 1)}
 """Stokes vectors whose differences from the first are the columns of a reflection matrix."""
 SNOW = splits.Snow(depth_m=0.01)
+
+
+def judge_polarization_errors(
+    runs: list[xr.Dataset], significance: float, min_directions: int
+) -> None:
+    """Compare the scatter of independent runs with stated errors of degree and angle.
+
+    Directions count where the degree exceeds its mean error by a factor, so that it has no bias.
+    """
+    degree, stderr, angle, angle_stderr = (
+        np.stack([run[name].values.ravel() for run in runs])
+        for name in ("brdf_dolp", "brdf_dolp_stderr", "brdf_aolp", "brdf_aolp_stderr")
+    )
+    significant = degree.mean(axis=0) > significance * stderr.mean(axis=0)
+    assert significant.sum() >= min_directions
+    middle = np.degrees(np.angle(np.exp(2j * np.radians(angle)).mean(axis=0))) / 2.0
+    turn = (angle - middle + 90.0) % 180.0 - 90.0
+    n_independent = (len(runs) - 1) * int(significant.sum())
+    for label, deviation, error in (
+        ("degree", degree - degree.mean(axis=0), stderr),
+        ("angle", turn, angle_stderr),
+    ):
+        z = deviation / error * np.sqrt(len(runs) / (len(runs) - 1))
+        judge_z(z[:, significant], f"{label} of polarization", independent=n_independent)
 
 
 @NEEDS_JIT
@@ -86,20 +111,8 @@ def test_errors_of_the_degree_of_polarization_are_those_of_independent_runs():
         )
         for seed in range(n_runs)
     ]
-    degree, stderr, angle, angle_stderr = (
-        np.stack([run[name].values.ravel() for run in runs])
-        for name in ("brdf_dolp", "brdf_dolp_stderr", "brdf_aolp", "brdf_aolp_stderr")
-    )
     # The bias is removed where the degree is well above its error.
-    significant = degree.mean(axis=0) > 5.0 * stderr.mean(axis=0)
-    assert significant.sum() >= 3
-    z = (degree - degree.mean(axis=0)) / stderr * np.sqrt(n_runs / (n_runs - 1))
-    n_independent = (n_runs - 1) * int(significant.sum())
-    judge_z(z[:, significant], "degree of polarization", independent=n_independent)
-    middle = np.degrees(np.angle(np.exp(2j * np.radians(angle)).mean(axis=0))) / 2.0
-    difference = (angle - middle + 90.0) % 180.0 - 90.0
-    z = difference / angle_stderr * np.sqrt(n_runs / (n_runs - 1))
-    judge_z(z[:, significant], "angle of polarization", independent=n_independent)
+    judge_polarization_errors(runs, 5.0, min_directions=3)
 
 
 @NEEDS_JIT
@@ -139,19 +152,7 @@ def test_errors_hold_at_every_angle_of_polarization():
         ).squeeze("wavelength")
         for seed in range(n_runs)
     ]  # fmt: skip
-    for name, period in (("brdf_dolp", 0.0), ("brdf_aolp", 180.0)):
-        values, stderr, degree, degree_stderr = (
-            np.stack([run[one].values.ravel() for run in runs])
-            for one in (name, f"{name}_stderr", "brdf_dolp", "brdf_dolp_stderr")
-        )
-        deviation = values - np.median(values, axis=0)
-        if period:
-            deviation = (deviation + 0.5 * period) % period - 0.5 * period
-        deviation -= deviation.mean(axis=0)
-        significant = (degree > 8.0 * degree_stderr).all(axis=0)
-        z = (deviation / stderr)[:, significant] * np.sqrt(n_runs / (n_runs - 1))
-        assert significant.sum() >= 20
-        judge_z(z, f"{name} over angles", independent=(n_runs - 1) * int(significant.sum()))
+    judge_polarization_errors(runs, 8.0, min_directions=20)
 
 
 @NEEDS_JIT

@@ -105,7 +105,8 @@ class AngularBinTally(AngularTally, ExitTally):
         if not self.polarized:
             return {}
         intensity, square = self.bin_sums[:FIRST_STOKES]
-        # Unseen rays may be fully polarized, but have no more than the mean weight of seen ones.
+        # Unseen rays may be fully polarized.  Their weight is taken as the mean of seen rays,
+        # weighted by themselves.
         largest = np.divide(
             square, intensity, out=np.zeros_like(square), where=intensity > SMALLEST_INTENSITY
         )

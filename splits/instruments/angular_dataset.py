@@ -38,6 +38,7 @@ STOKES_LABELS = {
     "aolp": ("angle of linear polarization", "degree"),
 }
 """Labels and units of variables of polarized light other than Stokes parameters."""
+STOKES_SIDES = {"brdf": "reflected", "btdf": "transmitted"}
 
 
 def make_angular_dataset(
@@ -82,7 +83,7 @@ def make_angular_dataset(
     for name, (values, error) in stokes.items():
         function, _, symbol = name.partition("_")
         label, units = STOKES_LABELS.get(symbol, (f"Stokes {symbol.upper()}", "sr-1"))
-        label = f"{label} of the light of the {function.upper()}"
+        label = f"{label} of {STOKES_SIDES[function]} light"
         variables |= make_variable(
             name, grid, values.reshape(shape), error.reshape(shape), label, units
         )

@@ -108,7 +108,7 @@ def goniophotometer(
     relative_stderr : float
         Largest standard error relative to the value, 1e-4 to 0.5, for polar angles up to
         `splits.instruments.goniophotometer.MAX_CONVERGED_POLAR_DEG`; with ``next_event``, for
-        all.
+        all.  It has no effect on bins.
     solver : {"auto", "discrete_ordinates", "monte_carlo"}
         "discrete_ordinates" solves the equation of radiative transfer in plane layers of point
         grains, such as modelled natural snow (`splits.Snow.natural`), which may be semi-infinite:
@@ -199,7 +199,8 @@ def goniophotometer(
         check_integer("rays", rays, 1)
     run = RunOptions.from_arguments(seed, threads, kernel, progress)
     polarization = check_stokes(stokes, medium, incidence)
-    _check_estimator(estimator, incidence, stokes)
+    _check_estimator(estimator, incidence)
+    check_polarized_estimator(stokes, estimator, medium)
     bins = check_n_bins(n_bins) if estimator == "bins" else None
     polar, azimuth = _make_directions(polar_deg, azimuth_deg, bins)
     check_dataset_size(len(wavelengths), len(polar) * len(azimuth))
@@ -294,19 +295,20 @@ def make_direction_mask(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
     return np.repeat(low if low.any() else ~low, len(azimuth))
 
 
-def _check_estimator(estimator: str, incidence: float | str, stokes: Any) -> None:
-    """Check the estimator, and that it supports the incidence and polarization."""
+def _check_estimator(estimator: str, incidence: float | str) -> None:
+    """Check the estimator, and that it supports the incidence."""
     check_choice("estimator", estimator, ANGULAR_ESTIMATORS)
-    check_polarized_estimator(stokes, estimator)
     if isinstance(incidence, str) and estimator != "expansion":
         allowed = "an angle for this estimator"
         raise invalid("incidence_deg", incidence, allowed, "expansion allows it")
 
 
-def check_polarized_estimator(stokes: Any, estimator: str) -> None:
+def check_polarized_estimator(stokes: Any, estimator: str, medium: Medium) -> None:
     """Reject an estimator without Stokes parameters for a run with `stokes`."""
     if requests_polarization(stokes) and estimator == "expansion":
-        raise invalid("estimator", estimator, "bins or next_event with stokes")
+        has_grains = any(layer.has_grains for layer in medium.scene_layers)
+        allowed = "bins with stokes" if has_grains else "bins or next_event with stokes"
+        raise invalid("estimator", estimator, allowed)
 
 
 def _get_target_side(target: str, has_ground: bool) -> int:

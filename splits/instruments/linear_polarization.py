@@ -65,8 +65,8 @@ def compute_linear_polarization(
         p − b² (1 − exp(−p²/b²))/(2p),
 
     where b is the standard error perpendicular to the direction of polarization in the plane of q
-    and u.  For degrees above 2b the bias is below b/10; for unpolarized light it is b, of an error
-    of b.
+    and u.  For degrees above 2b the bias is below b/10.  Unpolarized light has an estimate of b on
+    average, with a stated error of b.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def compute_linear_polarization(
     q, u = mean[1] * per, mean[2] * per
     var_i, var_q, var_u = (stderr[:3] * per) ** 2
     cov_iq, cov_iu, cov_qu = covariance * per * per
-    # Covariances of the ratios, in which the noise that Q and U share with I cancels.
+    # Variances and covariance of the ratios q and u, in which noise shared with I cancels.
     qq = var_q + q * (q * var_i - 2.0 * cov_iq)
     uu = var_u + u * (u * var_i - 2.0 * cov_iu)
     qu = cov_qu - q * cov_iu - u * cov_iq + q * u * var_i
@@ -99,10 +99,10 @@ def compute_linear_polarization(
     cos_sin = np.divide(q * u, square, out=np.zeros_like(square), where=square > 0.0)
     along = np.maximum(cos2 * qq + (1.0 - cos2) * uu + 2.0 * cos_sin * qu, 0.0)
     across = np.maximum((1.0 - cos2) * qq + cos2 * uu - 2.0 * cos_sin * qu, 0.0)
-    # Where Q and U have no scatter there is no bias.
+    # b² is `across`, and x = p²/b²; where Q and U have no scatter there is no bias.
     x = np.divide(square, across, out=np.full_like(square, np.inf), where=across > 0.0)
-    bias = np.divide(-np.expm1(-x), 2.0 * x, out=np.full_like(x, 0.5), where=x > 0.0)
-    degree = np.sqrt(square) * (1.0 - bias)
+    relative_bias = np.divide(-np.expm1(-x), 2.0 * x, out=np.full_like(x, 0.5), where=x > 0.0)
+    degree = np.sqrt(square) * (1.0 - relative_bias)
     degree_stderr = np.where(has_light, np.minimum(np.sqrt(along), 1.0), 1.0)
     angle = np.degrees(0.5 * np.arctan2(u, q)) % 180.0
     unknown = np.full_like(degree, np.radians(2.0 * MAX_ANGLE_STDERR_DEG))

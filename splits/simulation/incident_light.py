@@ -16,7 +16,10 @@ ALLOWED_STOKES = "true, false, or I, Q, U, V of the incident light"
 
 
 class IncidentPolarization(NamedTuple):
-    """Q, U and V over I of the incident light, for the plane of incidence as reference."""
+    """Q, U and V over I of the incident light, for the plane of incidence as reference.
+
+    None in its place denotes a run without polarization, which differs from unpolarized light.
+    """
 
     q: float = 0.0
     u: float = 0.0
@@ -25,8 +28,8 @@ class IncidentPolarization(NamedTuple):
     def make_stokes(self, incidence_deg: float | str) -> Stokes:
         """Return the `Stokes` of a beam, whose reference is in the plane of incidence.
 
-        At normal incidence that plane contains azimuth 0.  For diffuse light, whose directions are
-        sampled, the reference is arbitrary.
+        The beam travels along (sin θ, 0, −cos θ).  At normal incidence the plane contains azimuth
+        0, the x axis.  For diffuse light, whose directions are sampled, the reference is arbitrary.
         """
         if isinstance(incidence_deg, str):
             return UNPOLARIZED
@@ -70,9 +73,11 @@ def check_stokes(
         if values.size != 4:
             raise invalid("stokes", stokes, ALLOWED_STOKES)
         intensity, *polarized = values.tolist()
-        # A relative rounding error of a few digits is allowed.
-        if not intensity > 0.0 or math.hypot(*polarized) > intensity * (1.0 + 1e-12):
+        total = math.hypot(*polarized)
+        # Values may have been rounded to single precision.
+        if not intensity > 0.0 or total > intensity * (1.0 + 1e-6):
             raise invalid("stokes", stokes, "I > 0 and √(Q² + U² + V²) at most I")
+        intensity = max(intensity, total)
         light = IncidentPolarization(*(value / intensity for value in polarized))
     if isinstance(incidence_deg, str) and any(light):
         raise invalid("stokes", stokes, "true for diffuse light", "which is unpolarized")

@@ -157,7 +157,7 @@ def test_bits_of_scalar_results_do_not_depend_on_polarization():
 @pytest.mark.parametrize(
     ("medium", "keywords", "message"),
     [
-        (splits.Snow(), {"stokes": True}, "estimator = 'expansion': must be bins or next_event"),
+        (splits.Snow(), {"stokes": True}, "estimator = 'expansion': must be bins with stokes"),
         (splits.Snow(), {"stokes": "yes", "estimator": "bins"}, "stokes = 'yes'"),
         (splits.ParticleLayer(), {"stokes": True, "estimator": "bins"}, "polarized=True"),
         (splits.Snow(), {"stokes": True, "estimator": "next_event"}, "estimator = 'next_event'"),

@@ -100,6 +100,9 @@ class GammaSizes:
     @classmethod
     def from_input(cls, radius: Any, variance: Any, tolerance: float) -> GammaSizes:
         """Return sizes from the arguments of a user."""
+        for key, value in (("effective_radius_um", radius), ("effective_variance", variance)):
+            if value is None:
+                raise invalid(key, None, "given, as the other one is")
         return cls(
             check_range("effective_radius_um", radius, *RADIUS_RANGE_UM, "um"),
             check_range("effective_variance", variance, *VARIANCE_RANGE),

@@ -174,7 +174,7 @@ class Goniophotometer(OpticalInstrument):
         if self.target == "btdf" and medium.reflecting_ground is not None:
             raise invalid("instrument.target", "btdf", "brdf over a ground")
         with key_prefix("instrument"):
-            check_polarized_estimator(self.stokes, self.estimator)
+            check_polarized_estimator(self.stokes, self.estimator, medium)
             check_stokes(self.stokes, medium, self.get_incidence())
 
     def choose_solver(self, medium: Medium) -> str:

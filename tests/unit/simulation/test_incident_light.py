@@ -36,6 +36,7 @@ def test_polarization_is_off_by_default(stokes):
         ((2, 1, 0, -1), (0.5, 0.0, -0.5)),
         (np.array([1.0, 0.6, 0.8, 0.0]), (0.6, 0.8, 0.0)),
         (pd.Series([1, 0, 0, 1]), (0.0, 0.0, 1.0)),
+        (np.array([0.5, 0.3, 0.4, 0.0], dtype="f4"), pytest.approx((0.6, 0.8, 0.0))),
     ],
 )
 def test_stokes_vectors_are_relative_to_the_intensity(stokes, expected):
@@ -88,5 +89,5 @@ def test_false_of_numpy_leaves_the_solver_alone():
     assert ds.attrs["solver"] == "discrete_ordinates" and "incident_stokes" not in ds.attrs
     with pytest.raises(InvalidValue, match="polarization needs paths"):
         splits.spectrophotometer(natural, [1000.0], stokes=True, solver="discrete_ordinates")
-    with pytest.raises(InvalidValue, match="bins or next_event with stokes"):
+    with pytest.raises(InvalidValue, match="must be bins with stokes"):
         splits.goniophotometer(SNOW, [1000.0], stokes=True)

@@ -38,6 +38,7 @@ from splits.kernels.optics.polarized_interface import (
 from splits.kernels.optics.stokes import UNPOLARIZED
 from splits.kernels.tallies.exits import N_STOKES_COLUMNS, allocate_exits
 from splits.kernels.transport import history
+from splits.simulation.incident_light import IncidentPolarization
 from splits.simulation.scene import build_scene, compute_optical_constants
 
 RAYLEIGH = {
@@ -181,7 +182,7 @@ def tally_weights(n_rays, counts, scene, index, polarized_paths):
 def compare_weights(rays: int) -> None:
     """Print the second moment of the weight on scalar paths against the number of events."""
     medium = splits.Snow(facetness=(0.0,) * 4, saturation=0.0)
-    scene = build_scene(medium, 0.0, False, stokes=True)
+    scene = build_scene(medium, 0.0, False, IncidentPolarization())
     counts = EVENT_COUNTS
     on_scalar = tally_weights(rays, counts, scene, 1.31, False) / rays
     on_polarized = tally_weights(rays, counts, scene, 1.31, True) / rays

@@ -26,6 +26,7 @@ from splits.kernels.math.rng import start_stream
 from splits.kernels.math.vectors import ORIGIN, UP, Vector, linear_combination
 from splits.kernels.optics.stokes import Stokes, compute_azimuth, rotate_reference_to
 from splits.kernels.tallies.exits import compute_path_weight
+from splits.simulation.incident_light import IncidentPolarization
 from splits.simulation.scene import build_scene
 
 pytestmark = NEEDS_JIT
@@ -99,7 +100,10 @@ def estimate_batches(name: str) -> np.ndarray:
     Those of bins are integrals; the sum of P11 over the bins of 10° is 1.
     """
     medium, wavelength = {**MEDIA, **MIRRORED_MEDIA}[name]
-    scene, optics = build_scene(medium, 0.0, False, stokes=True), compute_optics(medium, wavelength)
+    scene, optics = (
+        build_scene(medium, 0.0, False, IncidentPolarization()),
+        compute_optics(medium, wavelength),
+    )
     sums = np.zeros((N_BATCHES, 3, N_BINS + 2, 4, 3))
     grain = IsolatedGrain(0.0, scene, optics)
     _tally(0, 6_000_000, grain, optics.absorption[np.newaxis], sums)

@@ -159,7 +159,7 @@ def test_bits_of_scalar_results_do_not_depend_on_polarization():
     [
         (splits.Snow(), {"stokes": True}, "estimator = 'expansion': must be bins with stokes"),
         (splits.Snow(), {"stokes": "yes", "estimator": "bins"}, "stokes = 'yes'"),
-        (splits.ParticleLayer(), {"stokes": True, "estimator": "bins"}, "polarized=True"),
+        (splits.ParticleLayer(), {"stokes": True, "estimator": "bins"}, "polarized = False"),
         (splits.Snow(), {"stokes": True, "estimator": "next_event"}, "estimator = 'next_event'"),
     ],
 )

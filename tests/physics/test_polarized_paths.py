@@ -34,6 +34,7 @@ from splits.kernels.rough_surface.realization import (
     sample_realization_if_rough,
 )
 from splits.kernels.transport import events, history, rough_top
+from splits.simulation.incident_light import IncidentPolarization
 from splits.simulation.scene import build_scene, compute_optical_constants
 
 EPSILON = 2.0**-52
@@ -98,7 +99,7 @@ def watch_events(monkeypatch) -> list[tuple[str, float, float, float]]:
 def test_no_event_polarizes_light_by_more_than_its_intensity(name, monkeypatch):
     """q² + u² + v² ≤ 1, and an orthonormal frame, after every event of some rays."""
     medium = MEDIA[name]
-    scene = build_scene(medium, 50.0, False, stokes=True)
+    scene = build_scene(medium, 50.0, False, IncidentPolarization())
     constants = compute_optical_constants(medium, np.array([600.0]))
     optics = make_bounding_optics(constants.indices[0], constants.absorption)
     watched = watch_events(monkeypatch)
@@ -161,7 +162,10 @@ def test_fully_polarized_light_stays_so_through_grains(light, facetness):
         facetness=(facetness, facetness, facetness, 0.0), saturation=0.0,
         refractive_index={"ice": 1.31}, interpretation={"wrong_side_ray": "mirror"},
     )  # fmt: skip
-    scene, optics = build_scene(medium, 0.0, False, stokes=True), compute_optics(medium, 600.0)
+    scene, optics = (
+        build_scene(medium, 0.0, False, IncidentPolarization()),
+        compute_optics(medium, 600.0),
+    )
     # A ray that hits a grain has one event at least.
     errors = _follow_grains(N_EVENTS, np.array(light), scene, optics, np.zeros(optics.n.size))
     print(f"facetness {facetness}, {N_EVENTS} grains: errors {errors}")

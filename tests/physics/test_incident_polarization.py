@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from chi2 import NEEDS_JIT, judge_z, scale_sample_size
+from scattering_matrices import make_matrix
 
 import splits
 
@@ -165,6 +166,52 @@ def test_rare_light_and_grounds_leave_no_gaps():
         assert all(np.isfinite(variable).all() for variable in ds.data_vars.values())
         names = [name for name in ds.data_vars if name.startswith("btdf")]
         assert bool(names) == ("btdf" in ds)
+
+
+def compute_reflection_matrix(
+    layer: splits.ParticleLayer, angles: tuple[float, float], seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a reflection matrix and its errors, shape (4, 4, azimuths).
+
+    `angles` are those of incidence and of view.
+    """
+    incidence, polar = angles
+    runs = [
+        splits.goniophotometer(
+            layer, [550.0], incidence, scale_sample_size(40_000), seed + number,
+            polar_deg=[polar], azimuth_deg=[20.0, 70.0, 140.0], estimator="next_event",
+            stokes=stokes,
+        ).squeeze(("wavelength", "polar"))
+        for number, stokes in enumerate(INCIDENT.values())
+    ]  # fmt: skip
+    values, errors = (
+        np.array(
+            [[run[f"brdf{suffix}{kind}"].values for run in runs] for suffix in STOKES.values()]
+        )
+        for kind in ("", "_stderr")
+    )
+    # The other columns are differences from that of unpolarized light.
+    values[:, 1:] -= values[:, :1]
+    errors[:, 1:] = np.hypot(errors[:, 1:], errors[:, :1])
+    return values, errors
+
+
+@NEEDS_JIT
+def test_reflection_matrix_is_reciprocal():
+    """R(µ, µ0, φ) = D Rᵀ(µ0, µ, φ) D with D = diag(1, 1, 1, −1), all 16 elements.
+
+    Hovenier (1969), J. Atmos. Sci. 26, 488, relations of reciprocity and of mirror symmetry.
+    """
+    layer = splits.ParticleLayer(
+        refractive_index=1.33, optical_thickness=1.0, single_scattering_albedo=0.98,
+        bottom_albedo=None, polarized=True, scattering_matrix=make_matrix(0.9),
+    )  # fmt: skip
+    one, one_stderr = compute_reflection_matrix(layer, (25.0, 60.0), 1)
+    two, two_stderr = compute_reflection_matrix(layer, (60.0, 25.0), 11)
+    sign = np.array([1.0, 1.0, 1.0, -1.0])
+    reverse = np.einsum("i,j,jia->ija", sign, sign, two)
+    z = (one - reverse) / np.hypot(one_stderr, np.swapaxes(two_stderr, 0, 1))
+    judge_z(z, "reciprocity of the reflection matrix")
 
 
 @pytest.mark.long

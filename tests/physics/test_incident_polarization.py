@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,10 @@ STOKES = {"I": "", "Q": "_q", "U": "_u", "V": "_v"}
 INCIDENT = {"I": (1, 0, 0, 0), "Q": (1, 1, 0, 0), "U": (1, 0, 1, 0), "V": (1, 0, 0, 1)}
 """Stokes vectors whose differences from the first are the columns of a reflection matrix."""
 SNOW = splits.Snow(depth_m=0.01)
+THIN_LAYER = splits.ParticleLayer(
+    refractive_index=1.0, optical_thickness=0.1, single_scattering_albedo=1.0,
+    phase_function="rayleigh", polarized=True,
+)  # fmt: skip
 
 
 def judge_polarization_errors(
@@ -119,10 +124,7 @@ def test_errors_of_the_degree_of_polarization_are_those_of_independent_runs():
 @NEEDS_JIT
 def test_errors_of_sparse_bins_allow_for_unseen_polarized_light():
     """Most of the rays in a bin were depolarized by the bottom; few were scattered by particles."""
-    layer = splits.ParticleLayer(
-        refractive_index=1.0, optical_thickness=0.1, single_scattering_albedo=1.0,
-        phase_function="rayleigh", bottom_albedo=0.5, polarized=True,
-    )  # fmt: skip
+    layer = replace(THIN_LAYER, bottom_albedo=0.5)
     counted = splits.goniophotometer(
         layer, [550.0], 60.0, 5000, estimator="bins", n_bins=(8, 24)
     ).squeeze("wavelength")  # fmt: skip
@@ -142,10 +144,7 @@ def test_errors_of_sparse_bins_allow_for_unseen_polarized_light():
 @NEEDS_JIT
 def test_errors_hold_at_every_angle_of_polarization():
     """Depolarized and singly scattered rays: Q and U have the same noise at angles near 22.5°."""
-    layer = splits.ParticleLayer(
-        refractive_index=1.0, optical_thickness=0.1, single_scattering_albedo=1.0,
-        phase_function="rayleigh", bottom_albedo=0.3, polarized=True,
-    )  # fmt: skip
+    layer = replace(THIN_LAYER, bottom_albedo=0.3)
     n_runs, rays = 60, scale_sample_size(150_000)
     runs = [
         splits.goniophotometer(

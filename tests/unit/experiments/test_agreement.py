@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from shipped import CONFIG
 
 from splits.analysis.measured import (
     DIFFUSE_FRACTION,
@@ -22,7 +21,6 @@ from splits.analysis.measured import (
 from splits.experiments.papers.agreement import _compare_with_published
 from splits.io.data_frame import write_data_frame
 
-CONFIG = Path(__file__).parents[3] / "config"
 PUBLISHED = """\
 # made up
 id,quantity,place,published,bar,low,high

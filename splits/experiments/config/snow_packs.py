@@ -73,11 +73,13 @@ def check_pack_experiment(packs: SnowPacks, instrument: Instrument) -> None:
             raise invalid("instrument.solver", instrument.solver, allowed)
         if instrument.estimator == "analog":
             raise invalid("instrument.estimator", "analog", "left out for snow_packs")
-    is_albedo = isinstance(instrument, Albedo)
-    needs_sun = instrument.sky == CLEAR_SKY if is_albedo else instrument.get_incidence() == SUN
+    if isinstance(instrument, Albedo):
+        needs_sun = instrument.sky == CLEAR_SKY
+    else:
+        needs_sun = instrument.get_incidence() == SUN
     if needs_sun and ZENITH_KEY not in packs.dataset:
-        allowed, hint = "with the zenith angles of the sun", "or give latitude_deg and longitude_deg"
-        raise invalid("medium.file", f"without {ZENITH_KEY}", allowed, hint)
+        given, hint = f"without {ZENITH_KEY}", "or give latitude_deg and longitude_deg"
+        raise invalid("medium.file", given, "with the zenith angles of the sun", hint)
     is_wet = np.any(packs.to_arrays().liquid_water_content > 0.0, axis=1)
     wavelengths = instrument.get_wavelengths()
     with key_prefix("instrument"):

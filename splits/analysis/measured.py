@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -32,13 +33,20 @@ def read_measured(path: str | Path, key: str = "measured") -> pd.DataFrame:
 
 
 def read_published(path: str | Path, key: str = "published") -> pd.DataFrame:
-    """Read the table of published numbers, indexed by id; errors name the key."""
+    """Read the table of published numbers, indexed by id; errors name the key.
+
+    The column ``resolution`` is one unit of the last printed digit.
+    """
     table = read_csv(key, path, ["published", "low", "high"])
     columns: dict[str, Any] = {name: table.get_texts(name) for name in ("quantity", "place", "bar")}
     columns["bar"] = [bar or None for bar in columns["bar"]]
     columns |= {
         name: table.get_numbers(name, allow_gaps=True) for name in ("published", "low", "high")
     }
+    columns["resolution"] = [
+        10.0 ** int(Decimal(text).as_tuple().exponent) if np.isfinite(number) else np.nan
+        for text, number in zip(table.get_texts("published"), columns["published"], strict=True)
+    ]
     return pd.DataFrame(columns, index=pd.Index(table.get_texts("id"), name="id"))
 
 

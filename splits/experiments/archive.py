@@ -13,16 +13,18 @@ from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from importlib.metadata import distributions
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 from splits.core.atomic import atomic_write
 from splits.core.escaping import escape_markdown
 from splits.core.paths import expand_path
 from splits.core.validation import invalid
 from splits.core.yaml import dump_yaml, read_yaml
-from splits.experiments.config.medium import list_table_paths, replace_table_paths
+from splits.experiments.config.load import list_media_files
+from splits.experiments.config.medium import list_table_paths
 from splits.experiments.config.settings import DEFAULT_LICENCE, FOLDER_KEYS, Settings
-from splits.io.citation import make_software_info, read_software_files
-from splits.io.member_names import find_name_collision, find_name_problem
+from splits.io.citation import CITATION_FILE, LICENCE_FILE, make_software_info, read_software_files
+from splits.io.member_names import FOLDER_SUFFIXES, find_name_collision, find_name_problem
 from splits.io.ro_crate import (
     METADATA_FILE,
     RO_CRATE_VERSION,
@@ -34,6 +36,8 @@ from splits.io.ro_crate import (
 from splits.io.unarchive import MAX_COMPRESSION_RATIO, MIN_RATIO_CHECK_BYTES, verify_archive
 
 LOCK_FILE = "requirements.txt"
+REPOSITORY_FILES = (LICENCE_FILE, CITATION_FILE, LOCK_FILE)
+"""Files of the repository in an archive."""
 DATE_VARIABLE = "SOURCE_DATE_EPOCH"
 """Environment variable that replaces the current time (seconds since 1970)."""
 README_TEMPLATE = """# Results of splits {version}
@@ -46,7 +50,7 @@ Archived on {date} from commit {commit}. Licence of the results: {licence}. Auth
 | `figures/` | figures of these datasets, PNG, SVG and PDF |
 | `tables/` | tables, CSV |
 | `config/` | configuration of the run: settings (with those of the command line), experiments, \
-own media, measured and published tables, user-defined refractive indices |
+own media, measured and published tables, and all files that media read |
 | `ro-crate-metadata.json` | list of all files with sizes, types and SHA-256, software, authors \
 and licences (RO-Crate {crate}) |
 | `versions.json` | versions of all Python packages in use |
@@ -187,7 +191,7 @@ def list_configuration_files(settings: Settings) -> dict[str, Path]:
         name = read_yaml(path).get("name", path.stem)
         if name in settings.experiments:
             files[f"config/experiments/{path.relative_to(experiments).as_posix()}"] = path
-    for path in sorted(Path(settings.media_folder).glob("*.yaml")):
+    for path in list_media_files(Path(settings.media_folder)):
         files[f"config/media/{path.name}"] = path
     for name, folder in settings.table_folders.items():
         for path in sorted(folder.rglob("*")):
@@ -196,6 +200,15 @@ def list_configuration_files(settings: Settings) -> dict[str, Path]:
                 files[f"config/{name}/{relative_path.as_posix()}"] = path
     _check_member_names(files)
     return files
+
+
+def list_table_files(settings: Settings) -> list[Path]:
+    """Return the users' own tables in an archive: those that its experiments and media name."""
+    names: dict[str, str] = {}
+    for path in list_configuration_files(settings).values():
+        names |= _name_tables(read_yaml(path)) if _is_yaml(path) else {}
+    _check_member_names(names.values())
+    return sorted(map(expand_path, names))
 
 
 def make_configuration_members(settings: Settings) -> dict[str, bytes]:
@@ -207,23 +220,34 @@ def make_configuration_members(settings: Settings) -> dict[str, bytes]:
     """
     members: dict[str, bytes] = {}
     for name, path in list_configuration_files(settings).items():
-        is_yaml = path.suffix in (".yaml", ".yml")
-        members |= _make_members_with_tables(name, path) if is_yaml else {name: path.read_bytes()}
+        members[name] = path.read_bytes()
+        content = read_yaml(path) if _is_yaml(path) else {}
+        tables = _name_tables(content)
+        members |= {member: expand_path(table).read_bytes() for table, member in tables.items()}
+        if any(member != table for table, member in tables.items()):
+            members[name] = dump_yaml(_replace_texts(content, tables)).encode()
     folders = {key: Settings.model_fields[key].default for key in FOLDER_KEYS}
     members["config/config.yaml"] = dump_yaml(settings.model_dump(mode="json") | folders).encode()
     return members
 
 
-def _make_members_with_tables(name: str, path: Path) -> dict[str, bytes]:
-    """Return the members for an experiment or medium file and the users' tables it names."""
-    content = read_yaml(path)
-    tables = [table for table in list_table_paths(content) if expand_path(table).is_file()]
-    names = {table: _get_table_member_name(table) for table in tables}
-    members = {member: expand_path(table).read_bytes() for table, member in names.items()}
-    if all(member == table for table, member in names.items()):
-        return members | {name: path.read_bytes()}
-    replaced = replace_table_paths(content, lambda table: names.get(table, table))
-    return members | {name: dump_yaml(replaced).encode()}
+def _is_yaml(path: Path) -> bool:
+    return path.suffix in (".yaml", ".yml")
+
+
+def _name_tables(content: Mapping[str, Any]) -> dict[str, str]:
+    """Return the name of the member by path of a table that an experiment or medium names."""
+    paths = [path for path in list_table_paths(content) if expand_path(path).is_file()]
+    return {path: _get_table_member_name(path) for path in paths}
+
+
+def _replace_texts(content: Any, names: Mapping[str, str]) -> Any:
+    """Return content with texts replaced, wherever they are: figures also name values of a grid."""
+    if isinstance(content, dict):
+        return {key: _replace_texts(value, names) for key, value in content.items()}
+    if isinstance(content, list):
+        return [_replace_texts(value, names) for value in content]
+    return names.get(content, content) if isinstance(content, str) else content
 
 
 def _get_member_name(root: Path, path: Path) -> str:
@@ -234,9 +258,13 @@ def _get_member_name(root: Path, path: Path) -> str:
 
 
 def _get_table_member_name(table: str) -> str:
-    """Return the member name of a user's table, which keeps its file name."""
+    """Return the member name of a user's table, which keeps its file name.
+
+    Files that are read whatever their suffix are text tables.
+    """
     path = PurePosixPath(table)
-    if path.parts[0] == "config" and ".." not in path.parts:
+    is_allowed = path.suffix.lower() in FOLDER_SUFFIXES["config"]
+    if is_allowed and path.parts[0] == "config" and ".." not in path.parts:
         return str(path)
     digest = hashlib.sha256(expand_path(table).read_bytes()).hexdigest()
-    return f"config/tables/{digest[:16]}/{path.name}"
+    return f"config/tables/{digest[:16]}/{path.name}{'' if is_allowed else '.txt'}"

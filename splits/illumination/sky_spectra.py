@@ -16,7 +16,7 @@ from splits.core.keywords import reject_unknown_arguments
 from splits.core.optional import import_optional
 from splits.core.validation import check_range, invalid, suggest_name
 from splits.illumination.sky import MAX_ZENITH_DEG, SKY_COLUMNS, Sky
-from splits.materials.csv_table import read_user_table, to_columns
+from splits.materials.csv_table import is_csv_path, read_user_table, to_columns
 
 _SNICAR_CSV = Path(__file__).with_name("skies.csv")
 CLOUDY_SUFFIX = "_cloudy"
@@ -123,7 +123,7 @@ def sky(
                 "sky", sorted(map(str, spectrum)), "a mapping of " + ", ".join(SKY_COLUMNS)
             )
         return _make_user_sky("table", zenith, [spectrum[name] for name in SKY_COLUMNS])
-    if isinstance(spectrum, Path) or name.endswith(".csv"):
+    if isinstance(spectrum, Path) or is_csv_path(name):
         columns, digest = read_user_table("sky", spectrum, SKY_COLUMNS)
         return _make_user_sky(Path(spectrum).name, zenith, columns, digest)
     if name not in list_sky_names():

@@ -8,6 +8,9 @@ numbers have different checksums.
 
 The last bytes of a file, after those that netCDF reads, are the SHA-256 of all bytes before them.
 HDF5 crashes or hangs on some damaged files, so the bytes are verified before HDF5 opens the file.
+Only this package writes them.  A file without them is of another program, which may have copied
+the attribute from a file of this package: if it does not match the content, the program changed the
+content, and the file counts as one without checksums.
 """
 
 from __future__ import annotations
@@ -97,12 +100,13 @@ def write_checksums(path: str | Path) -> None:
 def verify_checksums(path: str | Path) -> dict[str, Any]:
     """Verify the checksums of a netCDF file and return its attributes.
 
-    A file without checksums passes if it can be read.
+    The attributes lack `CHECKSUM_ATTRIBUTE` if another program wrote or changed the content, which
+    then cannot be verified.
 
     Raises
     ------
     DamagedFileError
-        If a checksum differs, or the file cannot be read as netCDF.
+        If bytes differ from those that this package wrote, or the file cannot be read as netCDF.
     OSError
         If the file cannot be opened.
     """
@@ -130,13 +134,13 @@ def verify_checksums(path: str | Path) -> dict[str, Any]:
         text = str(error).replace(f": {str(path)!r}", "")
         problem = " ".join(text.split()) or type(error).__name__
         raise _make_damaged_error(path, f"cannot be read: {problem}") from None
-    if not has_trailer and attributes.get(CHECKSUM_ATTRIBUTE, digest) != digest:
-        raise _make_damaged_error(path, "the checksum of its content differs")
+    if not has_trailer and attributes.get(CHECKSUM_ATTRIBUTE) != digest:
+        attributes.pop(CHECKSUM_ATTRIBUTE, None)
     return attributes
 
 
 def find_damage(path: str | Path, experiment: str = "") -> str:
-    """Return a one-line description of damage of a dataset of a workflow, or an empty text.
+    """Return a one-line reason why a file is not a dataset of a workflow, or an empty text.
 
     Parameters
     ----------
@@ -145,9 +149,12 @@ def find_damage(path: str | Path, experiment: str = "") -> str:
         Experiment whose dataset the file must hold, or "" for none.
     """
     try:
-        owner = verify_checksums(path).get("experiment", "")
+        attributes = verify_checksums(path)
     except DamagedFileError as error:
         return str(error)
+    if CHECKSUM_ATTRIBUTE not in attributes:
+        return f"{path}: another program wrote or changed it ({REMEDY_HINT})"
+    owner = attributes.get("experiment", "")
     if owner != experiment:
         content = f"the dataset of experiment {owner}" if owner else "no experiment's dataset"
         return f"{path}: holds {content}, not of {experiment or 'several'} ({REMEDY_HINT})"

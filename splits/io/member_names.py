@@ -16,7 +16,21 @@ ROOT_MEMBERS = (
 )  # fmt: skip
 """Members of the root folder."""
 FOLDER_SUFFIXES = {
-    "config": (".csv", ".dat", ".md", ".tsv", ".txt", ".yaml", ".yml"),
+    "config": (
+        ".csv",
+        ".dat",
+        ".md",
+        ".tsv",
+        ".txt",
+        ".yaml",
+        ".yml",
+        ".nc",
+        ".nc4",
+        ".netcdf",
+        ".cdf",
+        ".caaml",
+        ".xml",
+    ),
     "data": (".nc",),
     "figures": (".pdf", ".png", ".svg"),
     "tables": (".csv",),

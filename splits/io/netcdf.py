@@ -197,12 +197,13 @@ def _check_dataset(dataset: Any, name: str) -> xr.Dataset:
 def load(path: str | Path) -> xr.Dataset:
     """Read a dataset into memory, and verify its origin and its checksums.
 
-    A file of another schema version raises an error.  A file without checksum gives a warning.
+    A file of another schema version raises an error.  A file that another program wrote or changed
+    gives a warning, because damage of it cannot be detected.
 
     Raises
     ------
     splits.io.integrity.DamagedFileError
-        A ValueError: if the file cannot be read, or its content differs from what was written.
+        A ValueError: if the file cannot be read, or its bytes differ from what was written.
     ValueError
         If the file has no provenance of this package, or another schema version.
     OSError
@@ -227,17 +228,17 @@ def _check_origin(dataset: xr.Dataset, path: str | Path) -> xr.Dataset:
     if CHECKSUM_ATTRIBUTE not in dataset.attrs:
         reason = "another program wrote or changed it"
         warnings.warn(
-            f"{path}: has no checksum, so damage cannot be detected ({reason})", stacklevel=2
+            f"{path}: has no valid checksum, so damage cannot be detected ({reason})", stacklevel=2
         )
     dataset.attrs.pop(CHECKSUM_ATTRIBUTE, None)
     return dataset
 
 
 def _read_file(path: str | Path, *, lazy: bool = False) -> xr.Dataset:
-    """Return the dataset in a file with its coordinates restored, including the checksum."""
+    """Return the dataset in a file with its coordinates restored, and its checksum if valid."""
     path = expand_path(path)
     with NETCDF_LOCK:
-        verify_checksums(path)
+        attributes = verify_checksums(path)
         dataset = xr.open_dataset(path, engine="netcdf4")
         if not lazy:
             with dataset as file:
@@ -245,6 +246,8 @@ def _read_file(path: str | Path, *, lazy: bool = False) -> xr.Dataset:
     for variable in dataset.variables.values():
         # Otherwise a later write would repeat it, even after coordinates have changed.
         variable.encoding.pop("coordinates", None)
+    if CHECKSUM_ATTRIBUTE not in attributes:
+        dataset.attrs.pop(CHECKSUM_ATTRIBUTE, None)
     return decode_from_netcdf(dataset)
 
 

@@ -22,7 +22,8 @@ METADATA_FILE = "ro-crate-metadata.json"
 ORCID_URL = "https://orcid.org/"
 RO_CRATE_VERSION = "1.2"
 MEDIA_TYPES = {
-    ".nc": "application/netcdf",
+    **dict.fromkeys((".nc", ".nc4", ".netcdf", ".cdf"), "application/netcdf"),
+    **dict.fromkeys((".caaml", ".xml"), "application/xml"),
     ".png": "image/png",
     ".svg": "image/svg+xml",
     ".csv": "text/csv",

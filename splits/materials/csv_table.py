@@ -105,6 +105,11 @@ def _suggest_fix(cell: str) -> str:
     return "; write decimals with a point, thousands without commas" if "," in cell else ""
 
 
+def is_csv_path(text: str) -> bool:
+    """Return whether a text in place of a name is the path of a CSV file."""
+    return text.lower().endswith(".csv")
+
+
 def read_csv(key: str, path: str | Path, required: Sequence[str] = ()) -> CsvTable:
     """Return the content of a CSV file with comments after ``#``.
 

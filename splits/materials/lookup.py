@@ -17,7 +17,7 @@ from splits.core.validation import (
     check_range,
     invalid,
 )
-from splits.materials.csv_table import read_user_table, to_columns
+from splits.materials.csv_table import is_csv_path, read_user_table, to_columns
 from splits.materials.library import list_datasets, load_dataset
 from splits.materials.refractive_index import (
     ConstantIndex,
@@ -68,7 +68,7 @@ def parse_refractive_index(
     if isinstance(spec, str):
         if spec in dataset_names:
             return load_dataset(material, spec)
-        if spec.endswith(".csv"):
+        if is_csv_path(spec):
             return _load_user_index(key, Path(spec))
         try:
             return ConstantIndex(complex(spec.replace(" ", "")))

@@ -15,7 +15,7 @@ import xarray as xr
 from splits.core.arrays import check_array_range, check_increasing, read_columns
 from splits.core.equality import ContentEquality
 from splits.core.validation import check_number, check_range, invalid, suggest_name
-from splits.materials.csv_table import read_user_table, to_columns
+from splits.materials.csv_table import is_csv_path, read_user_table, to_columns
 from splits.materials.refractive_index import check_wavelength_range
 from splits.media.formatting import format_input
 
@@ -75,7 +75,7 @@ class Ground(ContentEquality):
         if is_ground_spectrum(value):
             labels = value.index if isinstance(value, pd.Series) else value[WAVELENGTH_DIM]
             value = {"wavelength_nm": labels.to_numpy(), "albedo": value.to_numpy()}
-        if isinstance(value, Path) or (isinstance(value, str) and value.endswith(".csv")):
+        if isinstance(value, Path) or (isinstance(value, str) and is_csv_path(value)):
             return _load_ground(Path(value))
         if isinstance(value, str):
             return _find_ground(value)

@@ -22,6 +22,7 @@ from splits.core.arrays import as_1d_array, check_increasing, read_columns
 from splits.core.equality import ContentEquality
 from splits.core.paths import expand_path
 from splits.core.validation import invalid, join_names
+from splits.io.netcdf import NETCDF_SUFFIXES
 from splits.kernels.optics.phase_function import PhaseFunction, make_tabulated
 from splits.materials.csv_table import read_csv, to_columns
 from splits.media.formatting import format_input
@@ -43,7 +44,7 @@ ALLOWED = (
     f"columns {ANGLE}, {', '.join(REQUIRED_ELEMENTS)} and perhaps P22, P44, or expansion "
     f"coefficients {', '.join(COEFFICIENTS)}, as a mapping, table or file (.csv, .nc)"
 )
-NETCDF_SUFFIXES = (".nc", ".cdf")
+MATRIX_NETCDF_SUFFIXES = (*NETCDF_SUFFIXES, ".cdf")
 NETCDF_NAMES = ("theta", "phase", "ntheta")
 """Variables of the netCDF files of libRadtran, whose matrix elements have the order `ELEMENTS`."""
 
@@ -138,7 +139,7 @@ def _read_columns(value: Any) -> Mapping[str, Any]:
     """Return the columns of an input by name."""
     if isinstance(value, str | Path):
         path = expand_path(value, KEY)
-        if path.suffix in NETCDF_SUFFIXES:
+        if path.suffix.lower() in MATRIX_NETCDF_SUFFIXES:
             return _read_netcdf(path)
         table = read_csv(KEY, path)
         return {name: table.get_numbers(name) for name in table.column_names}

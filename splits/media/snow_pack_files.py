@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import xarray as xr
 
+from splits.core.optional import import_optional
 from splits.core.paths import expand_path
-from splits.core.validation import invalid
+from splits.core.validation import check_range, invalid
 from splits.io.crocus import THICKNESS
 from splits.io.netcdf import NETCDF_SUFFIXES, SCHEMA_ATTRIBUTE, load
 from splits.media.snow_pack_input import DEFAULT_LABEL
@@ -23,7 +25,11 @@ PACK_SUFFIXES = (".csv", *NETCDF_SUFFIXES, *CAAML_SUFFIXES)
 
 
 def read_snow_packs(
-    file: str | Sequence[str], ground: Any = None, point: int | None = None
+    file: str | Sequence[str],
+    ground: Any = None,
+    point: int | None = None,
+    latitude_deg: float | None = None,
+    longitude_deg: float | None = None,
 ) -> SnowPacks:
     """Read snowpacks from a file.
 
@@ -37,11 +43,16 @@ def read_snow_packs(
         Ground below all snowpacks, as for `splits.SnowPacks`, in place of that of the file.
     point : int, optional
         Position along the points of Crocus.
+    latitude_deg, longitude_deg : float, optional
+        Place of the snowpacks (degrees, north and east are positive).  The zenith angles of the sun
+        are then those at the times of the snowpacks (UTC), in place of those of the file.
 
     Raises
     ------
     ValueError
-        For a missing file, an unknown suffix, and invalid content.
+        For a missing file, an unknown suffix, invalid content, and a place without times.
+    ModuleNotFoundError
+        Without pvlib for a place.
     """
     files = [expand_path(one, "file") for one in ([file] if isinstance(file, str) else file)]
     suffixes = {one.suffix.lower() for one in files}
@@ -55,7 +66,30 @@ def read_snow_packs(
         packs = read_caaml(files)
     else:
         packs = _read_csv(files[0]) if suffixes == {".csv"} else _read_netcdf(files[0], point)
-    return packs if ground is None else packs.with_ground(ground)
+    packs = packs if ground is None else packs.with_ground(ground)
+    place = {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg}
+    if all(value is None for value in place.values()):
+        return packs
+    for (key, value), limit in zip(place.items(), (90.0, 180.0), strict=True):
+        place[key] = check_range(key, value, -limit, limit, "degrees")
+    return packs.with_sun_zenith(_compute_sun_zenith(packs, *place.values()))
+
+
+def _compute_sun_zenith(packs: SnowPacks, latitude_deg: Any, longitude_deg: Any) -> np.ndarray:
+    """Return the zenith angle of the sun (degrees) at the time of each snowpack, with refraction.
+
+    By the algorithm of Reda & Andreas (2004), Solar Energy 76, 577-589.
+    """
+    labels = packs.dataset.get_index(packs.label)
+    if DEFAULT_LABEL in labels.names:
+        labels = labels.get_level_values(DEFAULT_LABEL)
+    if not isinstance(labels, pd.DatetimeIndex):
+        hint = f"their labels are {packs.label}"
+        raise invalid("latitude_deg", latitude_deg, "left out for snowpacks without times", hint)
+    positions = import_optional("pvlib.solarposition", "sky", "positions of the sun need")
+    sun = positions.get_solarposition(labels.tz_localize("UTC"), latitude_deg, longitude_deg)
+    zenith: np.ndarray = sun["apparent_zenith"].to_numpy()
+    return zenith
 
 
 def _read_csv(path: Path) -> SnowPacks:

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import pytest
 from chi2 import NEEDS_JIT
+from shipped import CONFIG
 
 import splits
 from splits.core.yaml import ConfigError
@@ -29,7 +30,6 @@ from splits.io.unarchive import ArchiveError, unpack_archive
 N_DAMAGES = int(os.environ.get("DAMAGES", "4"))
 pytestmark = pytest.mark.long
 
-CONFIG = Path(__file__).parents[2] / "config"
 SHIPPED_FILES = sorted((CONFIG / "experiments").rglob("*.yaml"))
 PROGRAM = """
 import splits

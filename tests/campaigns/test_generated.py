@@ -26,6 +26,7 @@ import pytest
 from chi2 import NEEDS_JIT
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
+from shipped import CONFIG
 
 from splits.core.yaml import ConfigError
 from splits.experiments.config.accuracy import Accuracy
@@ -43,7 +44,7 @@ MAX_LINE_CHARS = 500
 TIME_LIMIT_S = 20.0
 """Limit of CPU time for reading one file."""
 TINY_ACCURACY = Accuracy(max_stderr=0.3, relative_stderr=0.5, max_rays=2000)
-MEDIA = Path(__file__).parents[2] / "config" / "media"
+MEDIA = CONFIG / "media"
 
 
 class TimeLimitExceeded(BaseException):

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from _numbers.gallery_images import MAX_IMAGE_BYTES, MAX_WIDTH_PX, compress_figure, write_gallery
+from shipped import CONFIG
 
 import splits
 from splits.core.yaml import read_yaml
@@ -108,7 +109,7 @@ def test_documented_limits_and_defaults_match_the_models():
 def test_every_experiment_has_a_page_and_an_image():
     shown = {page.name: page for page in gallery.pages()}
     assert len(shown) == len(gallery.pages())
-    for path in (ROOT / "config" / "experiments").rglob("*.yaml"):
+    for path in (CONFIG / "experiments").rglob("*.yaml"):
         page, figure = shown[path.stem], read_yaml(path).get("figure", {})
         assert path.read_text(encoding="utf-8").rstrip() in page.text()
         assert f"snakemake --cores 2 {path.stem}\n" in page.text()
@@ -117,7 +118,7 @@ def test_every_experiment_has_a_page_and_an_image():
 
 def test_every_figure_of_a_study_has_a_page_and_an_image():
     shown = {page.name: page for page in gallery.pages() if page.folder == gallery.STUDIES}
-    studies = load_settings(read_yaml(ROOT / "config" / "config.yaml")).studies
+    studies = load_settings(read_yaml(CONFIG / "config.yaml")).studies
     for name, study in studies.items():
         for paths in study.list_product_paths(name).values():
             for path in paths:

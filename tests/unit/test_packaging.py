@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from shipped import CONFIG
 
 from splits.experiments import Settings
 
@@ -119,7 +120,7 @@ def test_lock_files_contain_no_hosts(lock):
 
 
 def test_main_configuration_contains_every_setting():
-    shipped = yaml.safe_load((ROOT / "config" / "config.yaml").read_text(encoding="utf-8"))
+    shipped = yaml.safe_load((CONFIG / "config.yaml").read_text(encoding="utf-8"))
     assert set(shipped) == set(Settings.model_fields)
     Settings.model_validate(shipped)
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from shipped import CONFIG
 
 ROOT = Path(__file__).parents[2]
 
@@ -85,7 +86,7 @@ def make_project(environment):
 
     def make(folder, shipped=False):
         leave_out = None if shipped else shutil.ignore_patterns("experiments")
-        shutil.copytree(ROOT / "config", folder / "config", ignore=leave_out)
+        shutil.copytree(CONFIG, folder / "config", ignore=leave_out)
         return Project(folder, environment)
 
     return make

@@ -133,3 +133,24 @@ def test_number_of_threads_does_not_change_results(finished, project):
             drop_run_specific_attributes(two),
             drop_run_specific_attributes(one),
         )
+
+
+@pytest.mark.long
+def test_changed_files_of_media_run_their_experiments_again(project):
+    layer = "kind: particle_layer, optical_thickness: 1, single_scattering_albedo: 0.9"
+    (project.folder / "kept").mkdir()
+    table = project.folder / "kept" / "mie.txt"
+    rows = [f"{angle},{angle + 1},0,0,0" for angle in (0, 90, 180)]
+    table.write_text("\n".join(["angle_deg,P11,P12,P33,P34", *rows, ""]), encoding="utf-8")
+    (project.folder / "link").symlink_to(table)
+    for name, path in (("linked", "link"), ("dotted", "./kept/mie.txt"), ("full", table)):
+        instrument = "{wavelength_nm: [550]}\nfigure: none"
+        text = f"medium: {{{layer}, scattering_matrix: {path}}}\ninstrument: {instrument}\n"
+        project.put(name, text)
+    names = ("linked", "dotted", "full")
+    run = project.snakemake(*names, "--cores", 1)
+    assert run.code == 0, run.text
+    assert project.snakemake(*names, "--dry-run").jobs() == []
+    table.write_text(table.read_text("utf-8").replace("0,1,0", "0,300,0"), encoding="utf-8")
+    expected = ["Simulating dotted", "Simulating full", "Simulating linked"]
+    assert project.snakemake(*names, "--dry-run").jobs() == expected

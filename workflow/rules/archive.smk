@@ -1,4 +1,10 @@
-from splits.experiments.archive import get_packing_time, list_configuration_files
+from splits.experiments.archive import (
+    REPOSITORY_FILES,
+    get_packing_time,
+    list_configuration_files,
+    list_table_files,
+)
+from splits.experiments.config.sections import check_path
 
 ARCHIVED = SETTINGS.select_archived(SELECTED)
 ARCHIVED_NAMES = [name for name in ARCHIVED.experiments if name in EXPERIMENTS]
@@ -6,11 +12,11 @@ if "archive" in sys.argv[1:]:
     # Invalid values are rejected before anything runs.
     try:
         get_packing_time()
+        CONFIGURATION_FILES = list_configuration_files(ARCHIVED).values()
+        for path in map(str, [*CONFIGURATION_FILES, *list_table_files(ARCHIVED)]):
+            check_path("archive", path)
     except ValueError as error:
         raise WorkflowError(str(error)) from None
-    for path in map(str, list_configuration_files(SETTINGS).values()):
-        if {"{", "}"} & set(path):
-            raise WorkflowError(f"archive = {path!r}: must be paths without {{ and }}")
 
 
 rule archive:
@@ -22,13 +28,12 @@ rule archive:
             else []
         ),
         configuration=lambda wildcards: list_configuration_files(ARCHIVED).values(),
-        tables=lambda wildcards: sorted(
-            {
-                t
-                for name in ARCHIVED_NAMES
-                for t in EXPERIMENTS[name].list_table_paths()
-            }
-        ),
+        tables=lambda wildcards: list_table_files(ARCHIVED),
+        software=[
+            path
+            for path in map(Path(workflow.basedir).joinpath, REPOSITORY_FILES)
+            if path.is_file()
+        ],
     output:
         f"{RESULTS}/archive/splits-results.zip",
     log:

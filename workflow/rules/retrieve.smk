@@ -33,6 +33,7 @@ rule retrieve_return:
         measured=lambda wildcards: list_measured_files(
             EXPERIMENTS[wildcards.experiment].retrieve_return
         ),
+        media=lambda wildcards: EXPERIMENTS[wildcards.experiment].list_table_paths(),
     output:
         table=f"{RESULTS}/tables/{{experiment}}_retrieved.csv",
         figure=multiext(f"{RESULTS}/figures/{{experiment}}", *FIGURE_SUFFIXES),

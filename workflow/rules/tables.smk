@@ -28,7 +28,8 @@ rule table_part:
 
 rule table:
     input:
-        lambda wildcards: list_table_parts(wildcards.experiment),
+        parts=lambda wildcards: list_table_parts(wildcards.experiment),
+        tables=lambda wildcards: EXPERIMENTS[wildcards.experiment].list_table_paths(),
     output:
         f"{RESULTS}/data/{{experiment}}.nc",
     log:

@@ -16,9 +16,9 @@ with open_progress_log(snakemake.log[0]) as log:
         SimulationConfig.model_validate(snakemake.params.experiment),
         Accuracy.model_validate(snakemake.params.accuracy),
         snakemake.params.seed,
-        Path(snakemake.input[0]).parent,
+        Path(snakemake.input.parts[0]).parent,
         Path(snakemake.output[0]),
         snakemake.threads,
         log,
     )
-delete_unused_blocks([Path(manifest) for manifest in snakemake.input])
+delete_unused_blocks([Path(manifest) for manifest in snakemake.input.parts])

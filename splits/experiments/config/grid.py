@@ -12,6 +12,7 @@ import numpy as np
 from splits.core.arrays import MAX_NUMBERS
 from splits.core.parameter_names import describe_parameter, parse_layer_parameter
 from splits.core.validation import check_number, format_key, invalid, suggest_name
+from splits.experiments.config.medium import get_keyword, is_table_path
 from splits.experiments.config.sections import MAX_LABEL_CHARS, check_text
 
 MEAN_FUNCTIONS: dict[str, Callable[[Sequence[float]], float]] = {
@@ -118,7 +119,10 @@ def _label_values(parameter: str, values: Any) -> dict[str, Any]:
     if isinstance(values, Mapping) and _is_spacing(values):
         values = expand_spacing(key, values)
     if not isinstance(values, Mapping):
-        labels = [make_label(key, value) for value in values]
+        # Files are labelled by their name, without the folder.
+        keyword = get_keyword(parameter)
+        names = [PurePath(v).name if is_table_path(keyword, v) else v for v in values]
+        labels = [make_label(key, name) for name in names]
         if len(set(labels)) < len(labels):
             raise invalid(key, values, "different values", "or name them")
         values = dict(zip(labels, values, strict=True))
@@ -191,8 +195,7 @@ def make_label(key: str, value: Any) -> str:
 
 def _format_label(key: str, value: Any) -> str:
     if not _is_number(value):
-        # Tables are labelled by their file name, without the folder.
-        return PurePath(value).name if str(value).endswith(".csv") else str(value)
+        return str(value)
     return f"{value:g}" if isinstance(value, float) else f"{check_number(key, value):g}"
 
 

@@ -178,7 +178,7 @@ def _apply_bases(medium: Any, key: str, folder: Path) -> Any:
 def _read_base(base: Any, key: str, folder: Path) -> dict[str, Any]:
     """Return the settings of a named medium, or of a file of the folder of media."""
     own_files: dict[str, Path] = {}
-    for path in _list_media_files(folder):
+    for path in list_media_files(folder):
         if path.stem in own_files and path.stem == base:
             raise invalid(key, base, "the name of one file", f"{own_files[base]} and {path}")
         own_files[path.stem] = path
@@ -192,7 +192,8 @@ def _read_base(base: Any, key: str, folder: Path) -> dict[str, Any]:
     return read_yaml(own_files[base])
 
 
-def _list_media_files(folder: Path) -> list[Path]:
+def list_media_files(folder: Path) -> list[Path]:
+    """Return the files of own media in a folder, which need not exist."""
     return sorted(folder.glob("*.y*ml"))
 
 
@@ -229,7 +230,7 @@ def load_experiments(
     files: dict[str, Path] = {}
     errors: list[str] = []
     media = expand_path(media_folder, "media_folder")
-    for path in _list_media_files(media):
+    for path in list_media_files(media):
         try:
             _read_base(path.stem, f"{path}: base", media)
         except ValueError as error:

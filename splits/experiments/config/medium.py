@@ -8,13 +8,13 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from splits.core.keywords import list_keywords
-from splits.core.parameter_names import parse_layer_parameter
+from splits.core.parameter_names import parse_impurity_parameter, parse_layer_parameter
 from splits.core.paths import expand_path
 from splits.core.validation import check_choice, format_key, invalid, unknown_key
+from splits.materials.csv_table import is_csv_path
 from splits.media.interpretations import merge_interpretations
 from splits.media.kinds import LAYER_CLASSES, LAYERS_KEY, get_kind, iter_layers
 from splits.media.measured_inputs import override_keywords
-from splits.media.snow_pack_files import PACK_SUFFIXES
 
 SAMPLE_KEY = "medium"
 """Grid dimension whose values are media: their settings replace those of the base medium."""
@@ -97,31 +97,59 @@ def merge_values(key: str, given: list[Any]) -> Any:
     return given[-1]
 
 
-TABLE_KEYS = ("refractive_index", "ground", "impurities_ng_g", "file", "scattering_matrix")
+PATH_KEYWORDS = ("file", "scattering_matrix", "impurities_ng_g")
+"""Keywords in whose values every text is the path of a file."""
+NAME_OR_PATH_KEYWORDS = ("ground", "refractive_index")
+"""Keywords in whose values a text is a name, or the path of a CSV file."""
 
 
-def replace_table_paths(settings: Any, replace: Callable[[str], str], inside: bool = False) -> Any:
-    """Return settings with the path of every user's table replaced.
+def is_table_path(keyword: str, value: Any) -> bool:
+    """Return whether a value of a keyword of a medium is the path of a file that is then read."""
+    if not isinstance(value, str):
+        return False
+    is_csv = keyword in NAME_OR_PATH_KEYWORDS and is_csv_path(value)
+    return is_csv or keyword in PATH_KEYWORDS
+
+
+def get_keyword(parameter: str) -> str:
+    """Return the keyword of a medium that a parameter of a grid sets, perhaps for a layer."""
+    impurity, layer = parse_impurity_parameter(parameter), parse_layer_parameter(parameter)
+    return impurity[0] if impurity else layer[1] if layer else parameter
+
+
+def replace_table_paths(
+    settings: Mapping[str, Any], replace: Callable[[str], str]
+) -> dict[str, Any]:
+    """Return settings with the path of every file that their media read replaced.
 
     Parameters
     ----------
-    settings : mapping, list or value
-        Content of the YAML file of an experiment or medium, or a part of it.
+    settings : mapping
+        Content of the file of an experiment or medium, or keywords of a medium.
     replace : callable
         From a path to its replacement.
-    inside : bool
-        Whether `settings` is the value of one of `TABLE_KEYS`, or of a path that ends in one.
     """
-    if isinstance(settings, dict):
-        return {
-            k: replace_table_paths(v, replace, inside or str(k).rpartition(".")[2] in TABLE_KEYS)
-            for k, v in settings.items()
-        }
-    if isinstance(settings, (list, tuple)):
-        return [replace_table_paths(value, replace, inside) for value in settings]
-    if inside and isinstance(settings, str) and settings.endswith(PACK_SUFFIXES):
-        return replace(settings)
-    return settings
+
+    def replace_in(keyword: str, value: Any) -> Any:
+        if isinstance(value, Mapping) and keyword in (SAMPLE_KEY, LAYERS_KEY):
+            return replace_table_paths(value, replace)
+        if isinstance(value, Mapping):
+            return {key: replace_in(keyword, one) for key, one in value.items()}
+        if isinstance(value, (list, tuple)):
+            return [replace_in(keyword, one) for one in value]
+        return replace(value) if is_table_path(keyword, value) else value
+
+    def replace_in_grid(parameter: str, values: Any) -> Any:
+        keyword = get_keyword(parameter)
+        if isinstance(values, Mapping):
+            return {label: replace_in(keyword, value) for label, value in values.items()}
+        return replace_in(keyword, values)
+
+    replaced = {key: replace_in(key, value) for key, value in settings.items() if key != "grid"}
+    if "grid" in settings:
+        grid = settings["grid"].items()
+        replaced["grid"] = {name: replace_in_grid(name, values) for name, values in grid}
+    return replaced
 
 
 def identify_by_content(path: str) -> str:
@@ -134,8 +162,8 @@ def identify_by_content(path: str) -> str:
     return f"{file.name} sha256:{digest}"
 
 
-def list_table_paths(settings: Any) -> list[str]:
-    """Return the paths of all users' tables that settings name."""
+def list_table_paths(settings: Mapping[str, Any]) -> list[str]:
+    """Return the paths of all files that the media of settings read, see `replace_table_paths`."""
     paths: set[str] = set()
 
     def collect(path: str) -> str:

@@ -18,6 +18,7 @@ from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
 
 from splits.core.keywords import list_keywords
 from splits.core.parameter_names import parse_impurity_parameter, parse_layer_parameter
+from splits.core.paths import expand_path
 from splits.core.validation import InvalidValue, check_choice, format_key, invalid, unknown_key
 from splits.experiments.config.grid import MAX_GRID_POINTS, label_grid
 from splits.experiments.config.instrument import USE_GRID_HINT, OpticalInstrument
@@ -230,8 +231,10 @@ class SimulationConfig(ConfigSection):
             raise invalid("instrument.wavelength_nm", None, allowed, hint)
 
     def list_table_paths(self) -> list[str]:
-        """Return the paths of users' own tables, on which the results depend."""
-        return list_table_paths([settings for _, settings, _ in self.iter_settings()])
+        """Return the paths of all files that the media read, on which the results depend."""
+        points = [settings for _, settings, _ in self.iter_settings()]
+        paths = {path for settings in points for path in list_table_paths(settings)}
+        return sorted(str(expand_path(path)) for path in paths)
 
     def iter_points(self) -> Iterator[tuple[dict[str, str], Medium, float | str]]:
         """Yield the labels, the medium and the angle of incidence of each point of the grid."""

@@ -16,6 +16,7 @@ from splits.experiments.config.albedo_instrument import Albedo
 from splits.experiments.config.instrument import Instrument
 from splits.experiments.config.instrument_kinds import Spectrophotometer
 from splits.experiments.config.medium import list_table_paths
+from splits.illumination.sky_spectra import CLEAR_SKY
 from splits.instruments.pack_run import SUN, check_pack_wavelengths
 from splits.instruments.solver import MONTE_CARLO
 from splits.media.snow_pack_files import read_snow_packs
@@ -72,9 +73,13 @@ def check_pack_experiment(packs: SnowPacks, instrument: Instrument) -> None:
             raise invalid("instrument.solver", instrument.solver, allowed)
         if instrument.estimator == "analog":
             raise invalid("instrument.estimator", "analog", "left out for snow_packs")
-    needs_sun = isinstance(instrument, Albedo) or instrument.get_incidence() == SUN
+    if isinstance(instrument, Albedo):
+        needs_sun = instrument.sky == CLEAR_SKY
+    else:
+        needs_sun = instrument.get_incidence() == SUN
     if needs_sun and ZENITH_KEY not in packs.dataset:
-        raise invalid("medium.file", f"without {ZENITH_KEY}", "with the zenith angles of the sun")
+        given, hint = f"without {ZENITH_KEY}", "or give latitude_deg and longitude_deg"
+        raise invalid("medium.file", given, "with the zenith angles of the sun", hint)
     is_wet = np.any(packs.to_arrays().liquid_water_content > 0.0, axis=1)
     wavelengths = instrument.get_wavelengths()
     with key_prefix("instrument"):

@@ -28,6 +28,10 @@ from splits.experiments.papers.snow_trends import (
 
 MIN_VERDICT_SIGMA = 2.0
 """Smallest distance to a tolerance limit, in standard errors, that permits a verdict."""
+AT_BAR_VERDICT = "at the bar"
+"""Verdict on a number whose distance to a tolerance limit and whose error are both less than one
+unit of the last printed digit of the published number, so that a smaller error decides nothing.
+The tolerance is larger than that unit."""
 AVIRIS_BANDS_NM = {"842": 842.25, "1074": 1073.76, "1238": 1237.93}
 
 
@@ -86,8 +90,11 @@ def _compare_with_published(
         high = np.inf if pd.isna(row.high) else row.high
         bar = f"{low:g} to {high:g}" if np.isfinite(low) else f"at most {high:g}"
     verdict = "agrees" if low <= ours <= high else "outside"
-    if min(abs(ours - low), abs(ours - high)) < MIN_VERDICT_SIGMA * stderr:
-        verdict = UNRESOLVED_VERDICT
+    distance = min(abs(ours - low), abs(ours - high))
+    if distance < MIN_VERDICT_SIGMA * stderr:
+        tolerance = min(row.published - low, high - row.published)
+        is_at_bar = max(distance, stderr) < row.resolution < tolerance
+        verdict = AT_BAR_VERDICT if is_at_bar else UNRESOLVED_VERDICT
     numbers = {"ours": ours, "stderr": stderr, "difference": ours - row.published}
     return {**fixed, **numbers, "bar": bar, "verdict": verdict}
 

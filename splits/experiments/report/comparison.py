@@ -12,7 +12,7 @@ from splits.experiments.config.reproduces import PAPERS, parse_place
 from splits.experiments.report.contents import ReportSection
 from splits.experiments.report.tables import Cell, make_cell
 
-VERDICTS = ("agrees", "outside", "not resolved", "not reproducible")
+VERDICTS = ("agrees", "outside", "at the bar", "not resolved", "not reproducible")
 """Beginnings of the verdicts in the tables."""
 MEASURED_ID = "measured"
 """Identifier of comparisons with measured spectra in the tables."""

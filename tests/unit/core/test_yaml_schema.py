@@ -8,12 +8,13 @@ from pathlib import Path
 
 import pytest
 import yaml
+from shipped import CONFIG
 
 from splits.core.yaml import MAX_NUMBER_CHARS, ConfigError, dump_yaml, read_yaml
 from splits.experiments import load_experiment
 
 ROOT = Path(__file__).parents[3]
-SHIPPED_FILES = [*sorted((ROOT / "config").rglob("*.y*ml")), ROOT / "CITATION.cff"]
+SHIPPED_FILES = [*sorted(CONFIG.rglob("*.y*ml")), ROOT / "CITATION.cff"]
 NUMBERS = {
     "045": 45, "0500": 500, "08": 8, "-012": -12, "+7": 7, "0o17": 15, "0x1F": 31, "0": 0,
     "1e5": 1e5, "1E-3": 1e-3, ".5": 0.5, "1.": 1.0, "-.5e1": -5.0, "012.5": 12.5,

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from shipped import CONFIG
 
 from splits.analysis.measured import (
     DIFFUSE_FRACTION,
@@ -20,9 +19,9 @@ from splits.analysis.measured import (
     read_published,
 )
 from splits.experiments.papers.agreement import _compare_with_published
+from splits.experiments.papers.snow_trends import UNRESOLVED_VERDICT
 from splits.io.data_frame import write_data_frame
 
-CONFIG = Path(__file__).parents[3] / "config"
 PUBLISHED = """\
 # made up
 id,quantity,place,published,bar,low,high
@@ -31,6 +30,10 @@ relative,q,p,0.5,3%,,
 negative,q,p,-2,10%,,
 between,q,p,0.026,,0.020,0.032
 at_most,q,p,3.6,,,6
+printed,q,p,0.938,0.1,,
+trailing,q,p,0.890,3%,,
+zero,q,p,0,0.001,,
+power,q,p,4.3e-4,3%,,
 """
 VERDICTS = [
     ("absolute", 0.529, "agrees"), ("absolute", 0.531, "outside"), ("absolute", 0.471, "agrees"),
@@ -60,11 +63,38 @@ def test_a_number_agrees_within_its_tolerance(published, name, ours, verdict):
 
 @pytest.mark.parametrize(
     ("name", "ours", "stderr"),
-    [("absolute", 0.531, 0.001), ("at_most", 5.0, 0.6), ("at_most", 6.0, 1e-9)],
+    [("absolute", 0.531, 0.001), ("at_most", 5.0, 0.6)],
 )
 def test_a_number_with_large_error_has_no_verdict(published, name, ours, stderr):
     row = _compare_with_published(name, published.loc[name], (ours, stderr))
     assert row["verdict"] == "not resolved at this accuracy"
+
+
+@pytest.mark.parametrize(
+    ("name", "ours", "stderr", "verdict"),
+    [
+        ("printed", 0.8374, 0.0009, "at the bar"), ("printed", 0.8386, 0.0009, "at the bar"),
+        ("printed", 1.0376, 0.0009, "at the bar"),
+        ("printed", 0.8374, 0.0011, "not resolved at this accuracy"),
+        ("printed", 0.8369, 0.0009, "not resolved at this accuracy"),
+        ("printed", 0.8374, 0.0002, "outside"), ("printed", 0.8386, 0.0002, "agrees"),
+        ("trailing", 0.9163, 0.0009, "at the bar"),
+        ("at_most", 6.0, 1e-9, "at the bar"), ("at_most", 6.05, 0.04, "at the bar"),
+        ("at_most", 6.05, 0.2, UNRESOLVED_VERDICT),
+        ("zero", 0.0009, 0.0002, "not resolved at this accuracy"),
+    ],
+)  # fmt: skip
+def test_a_number_is_at_the_bar_within_the_last_printed_digit(
+    published, name, ours, stderr, verdict
+):
+    row = _compare_with_published(name, published.loc[name], (ours, stderr))
+    assert row["verdict"] == verdict
+
+
+def test_the_resolution_is_that_of_the_printed_number(published):
+    given = {"absolute": 0.1, "negative": 1.0, "between": 0.001, "trailing": 0.001, "zero": 1.0}
+    given["power"] = 1e-5
+    assert published.resolution[list(given)].to_dict() == pytest.approx(given)
 
 
 def test_tolerances_are_stated_as_applied(published):

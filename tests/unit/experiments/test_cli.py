@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 import yaml
 from chi2 import NEEDS_JIT
+from shipped import CONFIG
 
 import splits
 from splits import cli
@@ -22,8 +23,8 @@ grid: {saturation: [0, 0.5]}
 """
 
 
-def test_accuracy_presets_match_the_shipped_configuration(pytestconfig):
-    shipped = yaml.safe_load((pytestconfig.rootpath / "config" / "config.yaml").read_text("utf-8"))
+def test_accuracy_presets_match_the_shipped_configuration():
+    shipped = yaml.safe_load((CONFIG / "config.yaml").read_text("utf-8"))
     presets = {
         name: {"max_stderr": absolute, "relative_stderr": relative}
         for name, (absolute, relative) in cli.ACCURACY_PRESETS.items()

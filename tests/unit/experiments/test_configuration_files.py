@@ -5,14 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from shipped import CONFIG
 
 from splits.core.yaml import ConfigError
 from splits.experiments import load_experiment, load_experiments, load_settings
 from splits.experiments.config.load import read_yaml
 
 ROOT = Path(__file__).parents[3]
-MEDIA = ROOT / "config" / "media"
-SETTINGS = read_yaml(ROOT / "config" / "config.yaml")
+MEDIA = CONFIG / "media"
+SETTINGS = read_yaml(CONFIG / "config.yaml")
 INVALID_FILES = [
     ("titel: x", "titel: unknown key.*did you mean title"),
     ("instrument: {wavelength: [500]}", r"instrument\.wavelength: unknown key.*wavelength_nm"),

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shipped import CONFIG
 
 from splits import Snow
 from splits.core.yaml import ConfigError
@@ -20,9 +21,9 @@ from splits.experiments.config.messages import validate_content
 from splits.experiments.config.simulation import SimulationConfig
 
 ROOT = Path(__file__).parents[3]
-SHIPPED = load_experiments(ROOT / "config" / "experiments", ROOT / "config" / "media")
-SETTINGS = read_yaml(ROOT / "config" / "config.yaml")
-SETTINGS |= {f"{name}_folder": str(ROOT / "config" / name) for name in ("measured", "published")}
+SHIPPED = load_experiments(CONFIG / "experiments", CONFIG / "media")
+SETTINGS = read_yaml(CONFIG / "config.yaml")
+SETTINGS |= {f"{name}_folder": str(CONFIG / name) for name in ("measured", "published")}
 
 
 def list_points(**content):

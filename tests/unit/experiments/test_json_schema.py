@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from jsonschema import Draft202012Validator
+from shipped import CONFIG
 
 from splits import cli
 from splits.core.yaml import read_yaml
@@ -13,7 +14,6 @@ from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.schema import make_schema
 from splits.experiments.config.settings import Settings
 
-CONFIG = Path(__file__).parents[3] / "config"
 EXPERIMENTS = Draft202012Validator(make_schema(ExperimentConfig))
 SETTINGS = Draft202012Validator(make_schema(Settings))
 

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+from shipped import CONFIG
 
 from splits.core.yaml import ConfigError, read_yaml
 from splits.experiments import load_experiments, load_settings
@@ -16,7 +17,7 @@ ROOT = Path(__file__).parents[3]
 
 def test_settings_of_several_files_are_located(tmp_path):
     first, second = tmp_path / "config.yaml", tmp_path / "mine.yaml"
-    first.write_text((ROOT / "config" / "config.yaml").read_text("utf-8"), "utf-8")
+    first.write_text((CONFIG / "config.yaml").read_text("utf-8"), "utf-8")
     second.write_text(
         "seed: 2\nstudies:\n  mine:\n    kind: bands\n    inputs: {a: explorer_snow}\n"
         "    fixed: {incidence_deg: 99}\n    n_band: 2\n",
@@ -29,7 +30,7 @@ def test_settings_of_several_files_are_located(tmp_path):
         load_settings(content, *files)
     del content["studies"]["mine"]["n_band"]
     second.write_text(second.read_text("utf-8").replace("    n_band: 2\n", ""), "utf-8")
-    available = load_experiments(ROOT / "config" / "experiments")
+    available = load_experiments(CONFIG / "experiments")
 
     def read_message_of_selection(**changes):
         changed = content | changes

@@ -7,13 +7,14 @@ from pathlib import Path
 
 import pytest
 import yaml
+from shipped import CONFIG
 
 from splits.core.yaml import ConfigError
 from splits.experiments import load_experiment, load_experiments, load_settings
 from splits.experiments.config.load import read_yaml
 
 ROOT = Path(__file__).parents[3]
-MEDIA = ROOT / "config" / "media"
+MEDIA = CONFIG / "media"
 WAVES = {"rms_height_m": 1, "wave_number_per_m": 0.1, "waves": 8, "correlation": "gaussian"}
 ROUGH = {"medium": {"kind": "particle_layer", "depth_m": 100, "surface": WAVES}}
 GLASS = {"kind": "particle_layer", "opaque": True}
@@ -260,7 +261,7 @@ def test_all_invalid_files_are_reported_at_once(tmp_path):
     ],
 )  # fmt: skip
 def test_settings_of_wrong_types_are_described(change, message):
-    settings = {**read_yaml(ROOT / "config" / "config.yaml"), **change}
+    settings = {**read_yaml(CONFIG / "config.yaml"), **change}
     with pytest.raises(ConfigError, match=f"^config/config.yaml: {re.escape(message)}"):
         load_settings(settings)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from shipped import CONFIG
 
 from splits.core.yaml import ConfigError, dump_yaml, read_yaml
 from splits.experiments import load_experiment, load_experiments, load_settings
@@ -17,9 +18,9 @@ from splits.experiments.papers.sensitivity_table import (
 )
 
 ROOT = Path(__file__).parents[3]
-SETTINGS_CONTENT = read_yaml(ROOT / "config" / "config.yaml")
+SETTINGS_CONTENT = read_yaml(CONFIG / "config.yaml")
 SETTINGS_CONTENT |= {
-    f"{name}_folder": str(ROOT / "config" / name) for name in ("media", "measured", "published")
+    f"{name}_folder": str(CONFIG / name) for name in ("media", "measured", "published")
 }
 DENSITIES = {"medium": {"base": "splitsnow_table1"}}
 
@@ -64,8 +65,8 @@ def test_published_numbers_of_all_pairs_are_required(tmp_path):
 
 
 def test_tables_of_studies_need_their_columns(tmp_path):
-    shipped = load_experiments(ROOT / "config" / "experiments", ROOT / "config" / "media")
-    shutil.copytree(ROOT / "config" / "measured", tmp_path / "measured")
+    shipped = load_experiments(CONFIG / "experiments", CONFIG / "media")
+    shutil.copytree(CONFIG / "measured", tmp_path / "measured")
     file = tmp_path / "measured" / "aviris_ng_varsa2021.csv"
     file.write_text(file.read_text("utf-8").replace("reflectance_min", "smallest"), "utf-8")
     content = {**SETTINGS_CONTENT, "measured_folder": str(tmp_path / "measured")}

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import pytest
 from pydantic import ValidationError
+from shipped import CONFIG, ROOT
 
 import splits
 from splits.core.yaml import ConfigError
@@ -18,7 +18,7 @@ from splits.experiments.run import run
 from splits.io.netcdf import save
 from splits.plotting.style import format_parameter
 
-MEDIA = Path(__file__).parents[3] / "config" / "media"
+MEDIA = CONFIG / "media"
 STACK_TEXT = """
 medium:
   kind: stack
@@ -174,7 +174,7 @@ def test_tables_by_path_are_identified_by_content(tmp_path):
 
 
 def test_the_documented_example_is_valid(tmp_path):
-    text = (MEDIA.parents[1] / "docs" / "how-to" / "layers-of-snow.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "how-to" / "layers-of-snow.md").read_text(encoding="utf-8")
     example = text.partition("```yaml\n")[2].partition("```")[0]
     assert len(example.splitlines()) <= 12
     assert len(list(load_text(tmp_path, example).iter_points())) == 6

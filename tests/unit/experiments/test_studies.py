@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from shipped import CONFIG
 
 from splits.core.yaml import ConfigError
 from splits.experiments import ExperimentConfig, load_experiments, load_settings
@@ -17,15 +18,15 @@ from splits.experiments.papers.brdf_trends import make_brdf_trend_rows
 from splits.experiments.studies.checks import find_incomplete_studies, select_studies
 
 ROOT = Path(__file__).parents[3]
-SETTINGS_CONTENT = read_yaml(ROOT / "config" / "config.yaml")
+SETTINGS_CONTENT = read_yaml(CONFIG / "config.yaml")
 SETTINGS_CONTENT |= {
-    f"{name}_folder": str(ROOT / "config" / name) for name in ("media", "measured", "published")
+    f"{name}_folder": str(CONFIG / name) for name in ("media", "measured", "published")
 }
 
 
 @pytest.fixture(scope="module")
 def shipped():
-    return load_experiments(ROOT / "config" / "experiments", ROOT / "config" / "media")
+    return load_experiments(CONFIG / "experiments", CONFIG / "media")
 
 
 @pytest.fixture
@@ -247,7 +248,7 @@ def test_names_of_retrieval_tables_are_unique(shipped):
 
 
 def test_tables_of_studies_are_read_before_the_run(shipped, tmp_path):
-    shutil.copytree(ROOT / "config" / "measured", tmp_path / "measured")
+    shutil.copytree(CONFIG / "measured", tmp_path / "measured")
     file = tmp_path / "measured" / "aviris_ng_varsa2021.csv"
     file.write_text(file.read_text(encoding="utf-8").replace("0.890", "89%"), encoding="utf-8")
     content = {**SETTINGS_CONTENT, "measured_folder": str(tmp_path / "measured")}

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from pydantic import Field
+from shipped import CONFIG
 
 from splits.core.yaml import read_yaml
 from splits.experiments import load_experiments, load_settings
@@ -98,7 +99,7 @@ def test_values_are_sorted_by_numbers_or_means():
 
 
 def test_missing_names_are_always_reported():
-    config = ROOT / "config"
+    config = CONFIG
     shipped, main_file = load_experiments(config / "experiments"), read_yaml(config / "config.yaml")
     assert load_settings(main_file).list_warnings(shipped) == []
     studies = {

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 from jsonschema import Draft202012Validator
+from shipped import CONFIG
 
 from splits import cli
 from splits.core.yaml import ConfigError, read_yaml
@@ -13,7 +12,7 @@ from splits.experiments import load_experiment
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.schema import make_schema
 
-MEDIA = Path(__file__).parents[3] / "config" / "media"
+MEDIA = CONFIG / "media"
 WRONG = """name: Mine
 title: 2024
 captoin: BRDF

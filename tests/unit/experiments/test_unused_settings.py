@@ -10,6 +10,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from chi2 import NEEDS_JIT
+from shipped import CONFIG
 
 import splits
 from splits import cli
@@ -19,7 +20,7 @@ from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.run import run
 
 ROOT = Path(__file__).parents[3]
-MEDIA = ROOT / "config" / "media"
+MEDIA = CONFIG / "media"
 SPECTRUM = "instrument: {wavelength_nm: [500, 600]}\n"
 GRID = "grid: {saturation: [0, 0.1]}\n"
 MEASURED = "measured: aviris_ng_varsa2021.csv"

@@ -10,6 +10,12 @@ import pytest
 import xarray as xr
 
 import splits
+from splits.io.integrity import (
+    CHECKSUM_ATTRIBUTE,
+    find_damage,
+    verify_checksums,
+    write_checksums,
+)
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 
 VALUES = np.linspace(0.1, 0.9, 24).reshape(2, 3, 4)
@@ -99,7 +105,40 @@ DAMAGE_FUNCTIONS = {
     for damage in (
         flip_data, flip_header, flip_text, flip_label, truncate, zero_fill, zero_block, empty_file,
         write_text,
-        change_attribute, change_values, delete_variable,
+    )
+}  # fmt: skip
+
+
+def copy(path):
+    xr.load_dataset(path).to_netcdf(path)
+
+
+def compress(path):
+    xr.load_dataset(path).to_netcdf(path, encoding={"reflectance": {"zlib": True}})
+
+
+def pack_as_integers(path):
+    packing = {"dtype": "int16", "scale_factor": 1e-4, "add_offset": 0.5, "_FillValue": -32768}
+    xr.load_dataset(path).to_netcdf(path, encoding={"reflectance": packing})
+
+
+def store_as_netcdf3(path):
+    xr.load_dataset(path).to_netcdf(path, format="NETCDF3_64BIT")
+
+
+def join(path):
+    xr.concat([xr.load_dataset(path)] * 2, "sample").to_netcdf(path)
+
+
+def add_variable(path):
+    xr.Dataset({"noise": ("wavelength", np.ones(4))}).to_netcdf(path, mode="a")
+
+
+CHANGE_FUNCTIONS = {
+    change.__name__: change
+    for change in (
+        change_attribute, change_values, delete_variable, copy, compress, pack_as_integers,
+        store_as_netcdf3, join, add_variable,
     )
 }  # fmt: skip
 
@@ -117,20 +156,53 @@ def test_damage_is_reported_in_one_line(tmp_path, damage):
     assert "\n" not in line
 
 
+@pytest.mark.parametrize("change", CHANGE_FUNCTIONS)
+def test_files_changed_by_other_programs_are_read_with_a_warning(tmp_path, change):
+    path = tmp_path / "made.nc"
+    splits.save(make_dataset(), path)
+    CHANGE_FUNCTIONS[change](path)
+    with pytest.warns(UserWarning, match=r"made\.nc: has no valid checksum.*changed it") as warned:
+        loaded = splits.load(path)
+    assert len(warned) == 1
+    assert "content_sha256" not in loaded.attrs
+    expected = VALUES if change != "join" else np.stack([VALUES, VALUES])
+    np.testing.assert_allclose(loaded.reflectance, expected, rtol=0, atol=1e-4)
+    assert loaded.medium.values.tolist() == ["dune", "beach"]
+    splits.save(loaded, path)
+    xr.testing.assert_equal(splits.load(path), loaded)
+
+
+@pytest.mark.parametrize("damage", ["flip_data", "truncate", "zero_fill", "empty_file"])
+def test_damage_of_a_copy_by_another_program_is_detected(tmp_path, damage):
+    path = tmp_path / "made.nc"
+    splits.save(make_dataset(), path)
+    copy(path)
+    DAMAGE_FUNCTIONS[damage](path)
+    with pytest.raises(ValueError, match=r"made\.nc: damaged, "):
+        splits.load(path)
+
+
+def test_the_workflow_makes_changed_files_again(tmp_path):
+    path = tmp_path / "first.nc"
+    splits.save(make_dataset(), path)
+    change_values(path)
+    line = find_damage(path, "first")
+    assert line.startswith(f"{path}: another program wrote or changed it")
+    assert "\n" not in line
+
+
 def test_a_missing_checksum_gives_a_warning(tmp_path):
     path = tmp_path / "made.nc"
     splits.save(make_dataset(), path)
     with netCDF4.Dataset(path, "a") as file:
         file.delncattr("content_sha256")
-    with pytest.warns(UserWarning, match=r"made\.nc: has no checksum") as warned:
+    with pytest.warns(UserWarning, match=r"made\.nc: has no valid checksum") as warned:
         loaded = splits.load(path)
     assert len(warned) == 1
     xr.testing.assert_identical(loaded, make_dataset().assign_attrs(loaded.attrs))
 
 
 def test_the_dataset_of_another_experiment_is_reported(tmp_path):
-    from splits.io.integrity import find_damage
-
     path = tmp_path / "first.nc"
     splits.save(make_dataset("second"), path)
     assert find_damage(path, "second") == ""
@@ -151,8 +223,6 @@ def test_any_flipped_bit_is_detected(tmp_path):
 
 
 def test_checksum_is_independent_of_the_encoding(tmp_path):
-    from splits.io.integrity import CHECKSUM_ATTRIBUTE, verify_checksums, write_checksums
-
     path, other = tmp_path / "made.nc", tmp_path / "other.nc"
     splits.save(make_dataset(), path)
     with xr.open_dataset(path) as file:

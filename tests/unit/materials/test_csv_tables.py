@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from shipped import CONFIG
 
 import splits
 from splits.analysis.measured import read_measured
@@ -16,7 +17,7 @@ from splits.illumination.bands import as_bands
 from splits.materials.csv_table import MAX_TABLE_BYTES, read_user_table
 
 ROOT = Path(__file__).parents[3]
-SHIPPED_TABLES = sorted((ROOT / "config" / "measured").glob("*.csv"))
+SHIPPED_TABLES = sorted((CONFIG / "measured").glob("*.csv"))
 
 EXPERIMENTS = {
     "figure": "medium: {kind: snow, depth_m: 0.01}\ninstrument: {wavelength_nm: [400, 500]}\n"

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import pytest
+from shipped import CONFIG
 
 import splits
 from splits.core.yaml import ConfigError
@@ -13,7 +13,7 @@ from splits.experiments.config.load import load_experiment
 from splits.media.measured_inputs import override_keywords
 from splits.media.natural_snow import NATURAL_GRAIN_SHAPE
 
-MEDIA = Path(__file__).parents[3] / "config" / "media"
+MEDIA = CONFIG / "media"
 
 
 @pytest.mark.parametrize("area", [0.25, 5.0, 20.0, 60.0, 1900.0])

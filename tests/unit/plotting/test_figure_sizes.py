@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import xarray as xr
+from shipped import CONFIG
 
 from splits.core.yaml import ConfigError
 from splits.experiments import ExperimentConfig, load_experiment
 from splits.plotting import draw, draw_spectra, save_figure
 from splits.plotting.panels import MAX_LINES, MAX_PANELS, MAX_ROWS, choose_panel_parameters
 
-MEDIA = Path(__file__).parents[3] / "config" / "media"
+MEDIA = CONFIG / "media"
 X = np.linspace(400.0, 1000.0, 13)
 
 

@@ -1,12 +1,14 @@
 """Units of input data: recognized spellings, and conversion to the unit of a variable.
 
 Only conversions that need no other quantity are known.  A unit is compared without spaces, dots,
-``^``, ``*`` and ``_``, so ``kg m-3``, ``kg.m-3`` and ``kg m^-3`` are the same.
+``^``, ``*`` and ``_``, with superscripts as digits, and without regard to capital letters other
+than the M of mega: ``kg m-3``, ``kg.m-3``, ``Kg m^-3`` and ``kg m⁻³`` are the same.
 """
 
 from __future__ import annotations
 
 import re
+import unicodedata
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,7 +37,8 @@ def _list_spellings(*groups: tuple[str, float]) -> dict[str, Conversion]:
 CONVERSIONS: dict[str, dict[str, Conversion]] = {
     "m": _list_spellings(
         ("m | metre | meter | metres | meters", 1.0), ("cm | centimetre | centimeter", 1e-2),
-        ("mm | millimetre | millimeter", 1e-3),
+        ("mm | millimetre | millimeter", 1e-3), ("in | inch | inches", 0.0254),
+        ("ft | foot | feet", 0.3048),
     ),
     "um": _list_spellings(
         ("um | micrometre | micrometer | micron", 1.0), ("mm | millimetre | millimeter", 1e3),
@@ -62,8 +65,9 @@ CONVERSIONS: dict[str, dict[str, Conversion]] = {
 
 def normalize_unit(unit: object) -> str:
     """Return the spelling of a unit in which spellings are compared."""
-    text = str(unit).replace("µ", "u").replace("μ", "u")
-    return re.sub(r"[\s.^*_·]", "", text)
+    text = unicodedata.normalize("NFKC", str(unit)).replace("μ", "u").replace("−", "-")
+    text = re.sub(r"[\s.^*_·⋅]", "", text)
+    return text if re.search("M([gm]|$)", text) else text.lower()
 
 
 _NORMALIZED = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,8 @@ from splits.illumination.sensors import SENSORS, sensor_bands
 from splits.materials.csv_table import read_user_table, to_columns
 
 BAND_COLUMNS = ("wavelength_nm", "response")
+BAND_STEP_NM = 5.0
+"""Largest distance of wavelengths (nm) that are chosen for bands."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -105,6 +107,65 @@ def as_bands(bands: Any) -> dict[str, SpectralBand]:
         raise invalid("bands", bands, allowed)
     named = to_text_keys("bands", bands)
     return {name: SpectralBand.from_input(f"bands.{name}", band) for name, band in named.items()}
+
+
+def check_bands(bands: Any) -> dict[str, SpectralBand]:
+    """Return the bands of a user's value, at least one, after checking them."""
+    named = as_bands(bands)
+    if not named:
+        raise invalid("bands", bands, "at least one band, or left out")
+    return named
+
+
+def choose_band_wavelengths(
+    bands: Mapping[str, SpectralBand], low_nm: float = 0.0, high_nm: float = np.inf
+) -> np.ndarray:
+    """Return wavelengths (nm) across all bands, as far as these are within two limits (nm)."""
+    limits = np.sort([band.limits_nm for band in bands.values()], axis=0)
+    limits = np.clip(limits, low_nm, high_nm)
+    # Sorted lows and highs: a gap is where a band begins above the ends of as many bands.
+    is_start = np.concatenate([[True], limits[1:, 0] > limits[:-1, 1]])
+    is_end = np.concatenate([is_start[1:], [True]])
+    grids = [
+        np.linspace(low, high, 1 + max(1, int(np.ceil((high - low) / BAND_STEP_NM))))
+        for low, high in zip(limits[is_start, 0], limits[is_end, 1], strict=True)
+    ]
+    return np.unique(np.concatenate(grids))
+
+
+class BandMatrix(NamedTuple):
+    """Linear operators from a spectrum to response-weighted means over bands.
+
+    Attributes
+    ----------
+    weights, error_weights : float, shape (bands, wavelengths)
+        Of the means, and of their errors, of either sign, due to interpolation between wavelengths.
+    """
+
+    weights: np.ndarray
+    error_weights: np.ndarray
+
+    @classmethod
+    def from_bands(cls, bands: Mapping[str, SpectralBand], wavelengths: np.ndarray) -> BandMatrix:
+        """Return the operators for a spectrum at wavelengths (nm), which all bands must be within.
+
+        The error of a linear interpolation is proportional to the square of the distance of its
+        nodes: a mean without every other wavelength of a band has four times the error.
+        """
+        weights, error_weights = np.zeros((2, len(bands), wavelengths.size))
+        for row, error_row, (name, band) in zip(weights, error_weights, bands.items(), strict=True):
+            row[:] = compute_response_weights(name, band, wavelengths)
+            first, last = np.flatnonzero(row)[[0, -1]]
+            left_out = np.arange(first + 1, last, 2)
+            if not left_out.size:
+                # Of two wavelengths around a band, one is interpolated from the next one.
+                left_out = np.array([last if last + 1 < wavelengths.size else first])
+            if left_out[0] == 0:
+                continue
+            kept = np.delete(np.arange(wavelengths.size), left_out)
+            error_row[:] = row / 3.0
+            error_row[kept] -= compute_response_weights(name, band, wavelengths[kept]) / 3.0
+        return cls(weights, error_weights)
 
 
 def compute_response_weights(name: str, band: SpectralBand, wavelengths: np.ndarray) -> np.ndarray:

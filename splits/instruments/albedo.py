@@ -9,21 +9,14 @@ import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
-from splits.core.uncertainty import (
-    Variable,
-    compute_weighted_error,
-    make_deviation_variable,
-    make_variable,
-)
+from splits.core.uncertainty import make_deviation_variable, make_variable
 from splits.core.validation import check_range
-from splits.illumination.bands import SpectralBand
 from splits.illumination.sky import Sky
 from splits.instruments.pack_albedo import compute_pack_albedo
 from splits.instruments.sky_mixing import (
     as_sky,
+    average_over_bands,
     choose_wavelengths,
-    compute_band_weights,
-    make_coverage_variable,
     make_sky_attributes,
     mix_direct_and_diffuse,
 )
@@ -137,31 +130,4 @@ def albedo(
         "direct_fraction": ("wavelength", direct_fraction, direct_attributes),
     }
     spectrum = xr.Dataset(variables, axes, attributes)
-    return spectrum.assign(_average_over_bands(spectrum, sky_spectrum, named))
-
-
-def _average_over_bands(
-    spectrum: xr.Dataset, sky: Sky, bands: Mapping[str, SpectralBand]
-) -> dict[str, Variable]:
-    """Return the albedo of every band, its error, and the fraction of its light that is covered."""
-    weights, band_irradiance = compute_band_weights(sky, bands, spectrum.wavelength.values)
-    normalized = xr.DataArray(
-        weights / weights.sum(axis=1, keepdims=True),
-        {"wavelength": spectrum.wavelength},
-        ("band", "wavelength"),
-    )
-    dims = (*(str(dim) for dim in spectrum.albedo.dims if dim != "wavelength"), "band")
-    values, stderr, deviations = (
-        array.transpose(..., *dims).values
-        for array in (
-            (normalized * spectrum.albedo).sum("wavelength"),
-            compute_weighted_error(spectrum, "albedo", normalized),
-            (normalized * spectrum.albedo_batches).sum("wavelength"),
-        )
-    )
-    label = "albedo over a band, weighted by irradiance"
-    return {
-        **make_variable("band_albedo", dims, values, stderr, label),
-        **make_deviation_variable("band_albedo", dims, deviations, label),
-        **make_coverage_variable(weights, band_irradiance),
-    }
+    return spectrum.assign(average_over_bands(spectrum, "albedo", sky_spectrum, named, "albedo"))

@@ -10,10 +10,13 @@ import xarray as xr
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import make_variable
+from splits.core.validation import invalid
+from splits.illumination.bands import check_bands, choose_band_wavelengths
 from splits.illumination.sky import Sky
 from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG, goniophotometer
 from splits.instruments.sky_mixing import (
     as_sky,
+    average_over_bands,
     choose_wavelengths,
     make_sky_attributes,
     mix_direct_and_diffuse,
@@ -28,13 +31,14 @@ from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 def hdrf(
     medium: Medium,
     sky: Sky | str | Mapping[str, Any],
-    wavelength_nm: Any,
+    wavelength_nm: Any = None,
     relative_stderr: float = 0.02,
     seed: int = 1,
     *,
     solver: str = "auto",
     polar_deg: Any = POLAR_DEG,
     azimuth_deg: Any = AZIMUTH_DEG,
+    bands: Mapping[str, Any] | str | None = None,
     threads: int | None = None,
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
@@ -45,8 +49,9 @@ def hdrf(
     medium : Medium
     sky : Sky, str or mapping
         See `splits.sky`.
-    wavelength_nm : array_like
-        Strictly increasing vacuum wavelengths (nm) within the spectrum of the sky.
+    wavelength_nm : array_like, optional
+        Strictly increasing vacuum wavelengths (nm) within the spectrum of the sky, at least two
+        with `bands`; by default those of `bands`, at most 5 nm apart.
     relative_stderr : float
         Largest standard error relative to the value, separately for direct sunlight and for diffuse
         light, see `splits.goniophotometer`.
@@ -56,6 +61,8 @@ def hdrf(
         As for `splits.goniophotometer`.
     polar_deg, azimuth_deg : array_like
         Directions of view, see `splits.goniophotometer`; azimuth 0 is forward, away from the sun.
+    bands : mapping or str, optional
+        As for `splits.albedo`.
     threads : int, optional
         Default: every CPU that this process may use.
     progress : callable or bool, optional
@@ -66,7 +73,10 @@ def hdrf(
     xarray.Dataset
         ``reflectance_factor`` and its error ``reflectance_factor_stderr`` over ``wavelength``,
         ``polar`` and ``azimuth``: the radiance over that of a white Lambertian surface in the same
-        light.  The specular reflection of sunlight at a smooth boundary is excluded.
+        light.  The specular reflection of sunlight at a smooth boundary is excluded.  With bands,
+        ``band_reflectance_factor`` is its mean over ``band`` in place of ``wavelength``, weighted
+        by irradiance times response, and ``irradiance_covered`` the fraction of the band's light
+        within the wavelengths.
 
     Raises
     ------
@@ -78,7 +88,13 @@ def hdrf(
     Schaepman-Strub et al. (2006), Remote Sensing of Environment 103, 27-42, section 2.
     """
     sky_spectrum = as_sky(sky)
-    wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 1)
+    named = {} if bands is None else check_bands(bands)
+    if wavelength_nm is None:
+        if not named:
+            raise invalid("wavelength_nm", None, "given, or bands")
+        wavelength_nm = choose_band_wavelengths(named, *sky_spectrum.wavelength_nm[[0, -1]])
+    wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 2 if named else 1)
+    sky_spectrum.check_bands(named, wavelengths)
     run = RunOptions.from_arguments(seed, threads, progress=progress)
     check_medium(medium, allow_semi_infinite=solver != MONTE_CARLO)
 
@@ -98,4 +114,9 @@ def hdrf(
     attributes = run.make_attributes("Reflectance factor under a sky", "hdrf", medium)
     requested = {"relative_stderr": relative_stderr, **mixed.attrs}
     mixed = mixed.assign_coords(wavelength=make_wavelength_coordinate(wavelengths))
-    return mixed.assign_attrs(attributes | make_sky_attributes(sky_spectrum) | requested)
+    attributes |= {f"band_{key}_sha256": one.sha256 for key, one in named.items() if one.sha256}
+    mixed = mixed.assign_attrs(attributes | make_sky_attributes(sky_spectrum) | requested)
+    if not named:
+        return mixed
+    means = average_over_bands(mixed, name, sky_spectrum, named, "reflectance factor")
+    return mixed.assign_coords(band=list(named)).assign(means)

@@ -8,7 +8,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.core.uncertainty import Variable
+from splits.core.uncertainty import (
+    Variable,
+    compute_weighted_error,
+    make_deviation_variable,
+    make_variable,
+)
 from splits.core.validation import invalid
 from splits.illumination.bands import SpectralBand
 from splits.illumination.sky import Sky
@@ -121,6 +126,44 @@ def compute_band_weights(
         for wavelengths in (wavelength_nm, sky.wavelength_nm)
     )
     return weights, all_weights.sum(axis=1)
+
+
+def average_over_bands(
+    spectrum: xr.Dataset, name: str, sky: Sky, bands: Mapping[str, SpectralBand], long_name: str
+) -> dict[str, Variable]:
+    """Return means of a quantity over bands, their errors, and the part of light that is covered.
+
+    Parameters
+    ----------
+    spectrum : xarray.Dataset
+        Quantity over ``wavelength`` and other dimensions, with its error, and deviations if any.
+    name : str
+        Name of the quantity; that of the means begins with ``band_``.
+    sky : Sky
+    bands : mapping of SpectralBand
+    long_name : str
+    """
+    weights, band_irradiance = compute_band_weights(sky, bands, spectrum.wavelength.values)
+    normalized = xr.DataArray(
+        weights / weights.sum(axis=1, keepdims=True),
+        {"wavelength": spectrum.wavelength},
+        ("band", "wavelength"),
+    )
+    dims = tuple("band" if dim == "wavelength" else str(dim) for dim in spectrum[name].dims)
+    label = f"{long_name} over a band, weighted by irradiance"
+    values, stderr = (
+        one.transpose(*dims).values
+        for one in (
+            (normalized * spectrum[name]).sum("wavelength"),
+            compute_weighted_error(spectrum, name, normalized),
+        )
+    )
+    variables = make_variable(f"band_{name}", dims, values, stderr, label)
+    if f"{name}_batches" in spectrum:
+        deviations = (normalized * spectrum[f"{name}_batches"]).sum("wavelength")
+        deviations = deviations.transpose("batch", *dims).values
+        variables |= make_deviation_variable(f"band_{name}", dims, deviations, label)
+    return variables | make_coverage_variable(weights, band_irradiance)
 
 
 def make_coverage_variable(weights: np.ndarray, band_irradiance: np.ndarray) -> dict[str, Variable]:

@@ -44,8 +44,9 @@ def average_over_layers(
 ) -> np.ndarray:
     """Return the value of each layer, the mean of the intervals weighted by their overlap with it.
 
-    Points in a layer have equal weights if the profile has points only.  A layer without overlap
-    takes the value by linear interpolation to its middle between the middles of the intervals.
+    Points in a layer that lie in no interval share the part of the layer that no interval covers,
+    with equal weights.  A layer without overlap and points takes the value by linear interpolation
+    to its middle between the middles of the intervals.
 
     Parameters
     ----------
@@ -58,17 +59,28 @@ def average_over_layers(
     profile = profile.drop_gaps()
     if not profile.values.size:
         return np.full(top_m.shape, np.nan)
-    top, bottom = top_m[:, np.newaxis], (top_m + thickness_m)[:, np.newaxis]
-    if (profile.thickness_m == 0.0).all():
-        weights = ((profile.top_m >= top) & (profile.top_m < bottom)).astype(float)
-    else:
-        lowest = np.minimum(bottom, profile.top_m + profile.thickness_m)
-        weights = lowest - np.maximum(top, profile.top_m)
-        weights = np.where(weights > MIN_OVERLAP_M, weights, 0.0)
-    total = weights.sum(axis=1)
-    interpolated = interpolate_to_layers(profile, top_m, thickness_m, extend=extend)
-    mean = weights @ profile.values / np.where(total > 0.0, total, 1.0)
-    return np.where(total > 0.0, mean, interpolated)
+    averages = interpolate_to_layers(profile, top_m, thickness_m, extend=extend)
+    # Intervals in the order of their tops, before points at the same depth.
+    order = np.lexsort((profile.thickness_m == 0.0, profile.top_m))
+    top, thickness, values = (column[order] for column in profile)
+    bottom = top + thickness
+    deepest = np.maximum.accumulate(bottom)
+    deepest_above = np.concatenate([[-np.inf], deepest[:-1]])
+    for i, (layer_top, layer_bottom) in enumerate(zip(top_m, top_m + thickness_m, strict=True)):
+        near = slice(np.searchsorted(deepest, layer_top), np.searchsorted(top, layer_bottom))
+        first, last = np.maximum(layer_top, top[near]), np.minimum(layer_bottom, bottom[near])
+        weights = np.where(last - first > MIN_OVERLAP_M, last - first, 0.0)
+        # Intervals may overlap each other: what each one covers beyond those above it.
+        covered = np.maximum(last - np.maximum(first, deepest_above[near]), 0.0).sum()
+        is_free = (thickness[near] == 0.0) & (
+            top[near] >= np.maximum(layer_top, deepest_above[near])
+        )
+        if is_free.any() and covered < layer_bottom - layer_top:
+            weights *= covered / max(weights.sum(), MIN_OVERLAP_M)
+            weights[is_free] = (layer_bottom - layer_top - covered) / is_free.sum()
+        if weights.any():
+            averages[i] = weights @ values[near] / weights.sum()
+    return averages
 
 
 def interpolate_to_layers(

@@ -36,9 +36,10 @@ def read_caaml(
 
     The layers are those of the stratigraphy (``stratProfile``).  Density, specific surface area and
     liquid water content of a layer are the means of the measured intervals, weighted by the length
-    of their overlap with the layer; points in a layer have equal weights.  A layer that overlaps no
-    interval takes the value by linear interpolation to its middle between the middles of the
-    intervals.  Temperatures are interpolated in the same way.
+    of their overlap with the layer.  Points in a layer that lie in no interval share the part that
+    no interval covers, with equal weights.  A layer without either takes the value by linear
+    interpolation to its middle between the middles of the intervals.  Temperatures are interpolated
+    in the same way.
 
     Parameters
     ----------
@@ -48,7 +49,8 @@ def read_caaml(
         Whether layers above the first or below the last measurement take its value.  Otherwise
         they have missing values.
     label : {"time", "file"}
-        Whether the time (UTC) or the name of the file is the label of a snow pit.
+        Whether the time (UTC) or the name of the file, which then needs no time, is the label of a
+        snow pit.
 
     Returns
     -------
@@ -58,8 +60,9 @@ def read_caaml(
     Raises
     ------
     ValueError
-        For a file that is not CAAML version 6, has a document type, an unknown unit or layers that
-        overlap; and if two snow pits have the same label.
+        For a file that is not CAAML version 6, has a document type, an unknown unit, negative or
+        infinite numbers, layers that overlap, or no date or time of ISO 8601; and if two snow pits
+        have the same label.
 
     Notes
     -----
@@ -67,14 +70,16 @@ def read_caaml(
     subtracted.  Without measurements, the water content is 0 and the temperature −1 °C.  A gap in
     the stratigraphy is a layer with missing values.  Without stratigraphy, layers are bounded by
     the limits of all measured intervals.  Hand tests of the wetness, impurities and grain sizes are
-    not read.  A time without time zone is taken as UTC.
+    not read, nor are the layers of soil of the model SNOWPACK.  A time without time zone is taken
+    as UTC.  The unit of a number is that of its attribute ``uom``, or else that of an element
+    around it, such as ``uomDepth``, or else that of the schema.
     """
     paths = [path] if isinstance(path, str | os.PathLike) else list(path)
     if not paths:
         raise invalid("path", [], "at least one file")
     if label not in (DEFAULT_LABEL, "file"):
         raise invalid("label", label, f"{DEFAULT_LABEL} or file")
-    pits = [read_snow_pit(one) for one in paths]
+    pits = [read_snow_pit(one, with_time=label == DEFAULT_LABEL) for one in paths]
     columns = [_assign_to_layers(pit, extend) for pit in pits]
     n_layers = max(1, *(pit.top_m.size for pit in pits))
     variables = {}

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.validation import check_choice, invalid
-from splits.illumination.bands import compute_response_weights
+from splits.illumination.bands import BandMatrix
 from splits.retrieval.cubic_interpolation import interpolate, interpolate_states
 from splits.retrieval.map_minimization import TableGrid
 from splits.retrieval.measurement import Measurement
@@ -65,11 +65,8 @@ class MeasurementOperator(NamedTuple):
     ) -> MeasurementOperator:
         """Return the operator of a measurement; reject wavelengths outside the table."""
         if measurement.bands:
-            rows = [
-                compute_response_weights(name, band, wavelengths)
-                for name, band in measurement.bands.items()
-            ]
-            return cls(np.stack(rows), np.zeros((0, len(rows), wavelengths.size)))
+            matrix = BandMatrix.from_bands(measurement.bands, wavelengths)
+            return cls(matrix.weights, matrix.error_weights[np.newaxis])
         matrix, interpolation_error = np.zeros((2, measurement.values.size, wavelengths.size))
         for row, error_row, wavelength in zip(
             matrix, interpolation_error, measurement.wavelength_nm, strict=True

@@ -9,12 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.core.arrays import as_float_array
+from splits.core.arrays import as_float_array, find_labels, match_labels
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.optional import import_optional
 from splits.core.parameter_names import describe_parameter
 from splits.core.uncertainty import make_variable
 from splits.core.validation import check_choice, invalid, join_names
+from splits.illumination.bands import SpectralBand, check_bands
 from splits.io.netcdf import ANCILLARY_ATTRIBUTE, make_provenance, to_netcdf_attributes
 from splits.retrieval.forward_model import TableForwardModel, choose_quantity, get_table_ranges
 from splits.retrieval.map_minimization import project_spectra, retrieve_spectra
@@ -40,6 +41,8 @@ N_STATES = 32
 """Number of states in the ranges over which the error of the table is averaged."""
 RESULT_DIM = "what"
 """Dimension of the results of a pixel before they are split into variables."""
+BAND_DIM = "band"
+"""Dimension of an image in bands."""
 CHUNK_PIXELS = 4096
 """Number of pixels per task."""
 POOR_FIT_PROBABILITY = 1e-3
@@ -91,6 +94,7 @@ def retrieve_map(
     *,
     fixed: Mapping[str, Any] | None = None,
     prior: Mapping[str, Any] | None = None,
+    bands: Any = None,
     quantity: str | None = None,
     threads: int | None = None,
 ) -> xr.Dataset:
@@ -105,7 +109,8 @@ def retrieve_map(
     ----------
     image : xarray.DataArray
         Reflectances over ``wavelength`` (nm) and other dimensions, or over one with a coordinate
-        ``wavelength``, such as ``band``.  Dask arrays are processed block by block.
+        ``wavelength``, such as ``band``; with `bands` over ``band``, in their order or with their
+        names as coordinate.  Dask arrays are processed block by block.
     table : Table
     free : sequence of str or mapping
         As for `splits.retrieve`, without ``scale``.
@@ -113,6 +118,8 @@ def retrieve_map(
         Noise of every pixel, as for `splits.retrieve`.
     fixed, prior : mapping
         As for `splits.retrieve`.
+    bands : mapping or str
+        Bands of the sensor, as for `splits.albedo`.
     quantity : str, optional
         As for `splits.retrieve`.
     threads : int, optional
@@ -131,7 +138,9 @@ def retrieve_map(
     ValueError
         For the same arguments as `splits.retrieve`.
     """
-    image = _check_image(image)
+    named = {} if bands is None else check_bands(bands)
+    image = _check_band_image(image, named) if named else _check_image(image)
+    spectral_dim = BAND_DIM if named else "wavelength"
     # Unsupported types are rejected before work begins.
     as_float_array("image", np.empty(0, image.dtype))
     quantity = choose_quantity(table, quantity)
@@ -142,8 +151,9 @@ def retrieve_map(
     if SCALE in state_vector.names:
         raise invalid("free", SCALE, "left out of maps")
     _check_image_names(image, state_vector.names)
-    w = image.wavelength.values
-    measurement = Measurement.from_input((w, np.full(w.size, 0.5)), noise).check_noise_known()
+    values = np.full(image.sizes[spectral_dim], 0.5)
+    example = values if named else (image.wavelength.values, values)
+    measurement = Measurement.from_input(example, noise, bands).check_noise_known()
     model = TableForwardModel(table, measurement, state_vector, fixed, quantity)
     random = np.random.default_rng(1)
     model_covariances = [
@@ -154,15 +164,15 @@ def retrieve_map(
     retrieval = _MapRetrieval(
         state_vector, model, _reduce_table(model, covariance), covariance, check_threads(threads)
     )
-    dims = [dim for dim in image.dims if dim != "wavelength"]
-    stacked = image.transpose(*dims, "wavelength")
+    dims = [dim for dim in image.dims if dim != spectral_dim]
+    stacked = image.transpose(*dims, spectral_dim)
     if stacked.chunks is not None:
-        stacked = stacked.chunk({"wavelength": -1})
+        stacked = stacked.chunk({spectral_dim: -1})
     n_results = 2 * len(state_vector.names) + 2
     results = xr.apply_ufunc(
         retrieval.retrieve_block,
         stacked,
-        input_core_dims=[["wavelength"]],
+        input_core_dims=[[spectral_dim]],
         output_core_dims=[[RESULT_DIM]],
         dask="parallelized",
         output_dtypes=[float],
@@ -178,7 +188,7 @@ def _check_image(image: Any) -> xr.DataArray:
         raise invalid("image", type(image).__name__, allowed)
     wavelength_dims: tuple[Any, ...] = image.wavelength.dims if "wavelength" in image.coords else ()
     if len(wavelength_dims) != 1:
-        hint = "image.assign_coords(wavelength=('band', […])) gives bands their wavelengths (nm)"
+        hint = "bands=… for bands of a sensor; image.assign_coords(wavelength=('spectrum', […]))"
         raise invalid("image", f"over {join_names(map(str, image.dims))}", allowed, hint)
     if not image.size:
         raise invalid("image", "no pixel", "at least one")
@@ -187,6 +197,34 @@ def _check_image(image: Any) -> xr.DataArray:
         if wavelength_dims == ("wavelength",)
         else image.swap_dims({wavelength_dims[0]: "wavelength"})
     )
+
+
+def _check_band_image(image: Any, bands: Mapping[str, SpectralBand]) -> xr.DataArray:
+    """Return an image over ``band`` in the order of bands; reject invalid images.
+
+    Wavelengths of the bands, if any, must be within them.
+    """
+    allowed = f"a DataArray over {BAND_DIM} and others"
+    if not isinstance(image, xr.DataArray):
+        raise invalid("image", type(image).__name__, allowed)
+    if BAND_DIM not in image.dims:
+        dims = join_names(map(str, image.dims))
+        raise invalid("image", f"over {dims}", allowed, "image.rename(…), or leave out bands")
+    if image.sizes[BAND_DIM] != len(bands):
+        sizes = f"{image.sizes[BAND_DIM]} bands"
+        raise invalid("image", sizes, f"over {len(bands)}, as many as in bands")
+    if not image.size:
+        raise invalid("image", "no pixel", "at least one")
+    labels = find_labels(image, image.get_axis_num(BAND_DIM))
+    image = image.isel({BAND_DIM: match_labels(f"image.{BAND_DIM}", labels, [list(bands)])})
+    if "wavelength" in image.coords:
+        wavelengths = np.broadcast_to(image.wavelength, len(bands))
+        for (name, band), wavelength in zip(bands.items(), wavelengths.tolist(), strict=True):
+            if not band.limits_nm[0] <= wavelength <= band.limits_nm[1]:
+                limits = f"within {band} of {name}"
+                hint = "is the order of the bands that of the image?"
+                raise invalid("image.wavelength", wavelength, limits, hint)
+    return image
 
 
 def _check_image_names(image: xr.DataArray, names: Sequence[str]) -> None:

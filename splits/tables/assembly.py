@@ -9,12 +9,15 @@ import numpy as np
 import xarray as xr
 
 from splits.core.provenance import hash_physics_sources
+from splits.core.uncertainty import compute_weighted_error, make_variable
+from splits.illumination.bands import BandMatrix, SpectralBand
 from splits.instruments.spectral_run import QUANTITY_LABELS
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.simulation.run_options import make_wavelength_coordinate
 from splits.simulation.stopping_rule import STOP_REASONS
 from splits.tables.axes import INCIDENCE, ParameterGrid
+from splits.tables.axis_order import list_quantities
 from splits.tables.block import TableRequest
 from splits.tables.plan import DIFFUSE, TablePlan
 from splits.tables.views import DIFFUSE_PREFIX, VIEW_AXES, list_view_axes
@@ -141,6 +144,24 @@ def assemble_dataset(
         **make_provenance("table"),
     }
     return xr.Dataset(variables, coordinates, to_netcdf_attributes(dataset_attrs))
+
+
+def average_nodes(
+    table: xr.Dataset, bands: Mapping[str, SpectralBand], matrix: BandMatrix
+) -> xr.Dataset:
+    """Return the means of a table over bands at all nodes, with their errors."""
+    axes = {"band": list(bands), "wavelength": table.wavelength}
+    weights, error_weights = (xr.DataArray(one, axes, list(axes)) for one in matrix)
+    variables: dict[str, Any] = {}
+    for quantity in list_quantities(table):
+        error = compute_weighted_error(table, quantity, weights)
+        error = np.hypot(error, (error_weights * table[quantity]).sum("wavelength"))
+        mean = (weights * table[quantity]).sum("wavelength")
+        dims = tuple("band" if dim == "wavelength" else str(dim) for dim in table[quantity].dims)
+        values, stderr = (one.transpose(*dims).values.astype(np.float32) for one in (mean, error))
+        label = f"{table[quantity].attrs['long_name']} over a band"
+        variables |= make_variable(f"band_{quantity}", dims, values, stderr, label)
+    return xr.Dataset(variables, {"band": list(bands)})
 
 
 def _find_common_attributes(plan: TablePlan) -> dict[str, Any]:

@@ -32,6 +32,9 @@ def sort_axes(dataset: Any) -> xr.Dataset:
     if "path_sharing_axes" not in dataset.attrs:
         hint = "splits.retrieve_return takes a table of returns" if "return_rate" in dataset else ""
         raise invalid("table", dataset.attrs.get("title", "a dataset"), allowed, hint)
+    # Means over bands follow from the spectra, also between the nodes.
+    means = [name for name in dataset.data_vars if str(name).startswith("band_")]
+    dataset = dataset.drop_vars([*means, "band"] if means else [])
     if not list_quantities(dataset):
         raise invalid("table", list(map(str, dataset.data_vars)), "with a quantity and its error")
     axes = list_axes(dataset)

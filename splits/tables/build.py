@@ -16,12 +16,18 @@ from splits.core.keywords import reject_unknown_arguments
 from splits.core.paths import expand_path
 from splits.core.progress import ProgressCallback, report_whole_table
 from splits.core.provenance import hash_physics_sources
+from splits.illumination.bands import BandMatrix, check_bands, choose_band_wavelengths
 from splits.instruments.solver import MONTE_CARLO
 from splits.instruments.spectral_run import SpectralRequest
 from splits.media.medium import Medium
 from splits.simulation.path_reuse import compute_absorption_signature, compute_path_signature
 from splits.simulation.run_options import RunOptions
-from splits.tables.assembly import allocate_arrays, assemble_dataset, insert_block
+from splits.tables.assembly import (
+    allocate_arrays,
+    assemble_dataset,
+    average_nodes,
+    insert_block,
+)
 from splits.tables.axes import ParameterGrid
 from splits.tables.block import (
     TableRequest,
@@ -38,7 +44,7 @@ from splits.tables.views import ViewGrid, check_quantities, drop_view_axes, has_
 def build_table(
     make: Callable[..., Medium],
     grid: Mapping[str, Any],
-    wavelength_nm: Any,
+    wavelength_nm: Any = None,
     incidence_deg: float | str = 0.0,
     max_stderr: float = 0.003,
     seed: int = 1,
@@ -46,6 +52,7 @@ def build_table(
     solver: str = "auto",
     quantities: Sequence[str] | None = None,
     covariance: bool = False,
+    bands: Any = None,
     folder: str | Path | None = None,
     max_rays: int = 20_000_000,
     threads: int | None = None,
@@ -67,8 +74,9 @@ def build_table(
         parameters, in degrees or "diffuse".  ``polar_deg`` (from the normal, 0 to below 90 degrees)
         and ``azimuth_deg`` (from the direction in which the beam travels, 0 to 180 degrees) are
         directions of observation.
-    wavelength_nm : array_like
-        Vacuum wavelengths (nm), strictly increasing.
+    wavelength_nm : array_like, optional
+        Vacuum wavelengths (nm), strictly increasing; by default those of `bands`, at most 5 nm
+        apart.
     incidence_deg : float or "diffuse"
         Angle of incidence (degrees), unless it is an axis of the grid.
     max_stderr, seed, max_rays, threads, kernel
@@ -87,6 +95,8 @@ def build_table(
     covariance : bool
         Whether to store ``…_batches``, 32 deviations by batch of rays for each value.  Sums of
         products over batches are the covariances of values that share paths.
+    bands : mapping or str, optional
+        Bands within the wavelengths, as for `splits.albedo`.
     folder : path, optional
         Folder in which each ensemble is stored when it is complete.  An interrupted run resumes
         from there with the same results.
@@ -97,7 +107,8 @@ def build_table(
     -------
     xarray.Dataset
         Values and standard errors (float32) over the axes of the grid and ``wavelength``;
-        ``reflectance`` has no directions of observation.
+        ``reflectance`` has no directions of observation.  With bands, ``band_…`` are the means over
+        ``band`` in place of ``wavelength``, weighted by the response.
 
     Raises
     ------
@@ -118,7 +129,11 @@ def build_table(
     """
     start_time = time.perf_counter()
     run = RunOptions.from_arguments(seed, threads, kernel)
+    named = {} if bands is None else check_bands(bands)
+    if wavelength_nm is None and named:
+        wavelength_nm = choose_band_wavelengths(named)
     spectral_request = SpectralRequest.from_arguments(wavelength_nm, 0.0, max_stderr, max_rays, run)
+    matrix = BandMatrix.from_bands(named, spectral_request.wavelengths) if named else None
     axes = ParameterGrid.from_mapping(grid)
     views = ViewGrid.from_grid(axes)
     selected = check_quantities(quantities, views, bool(covariance))
@@ -145,7 +160,9 @@ def build_table(
     for block in iterate_blocks(request, plan.path_groups, block_folder, progress):
         insert_block(arrays, block)
         block_attrs.append(block.attrs)
-    return assemble_dataset(arrays, plan, request, block_attrs, time.perf_counter() - start_time)
+    wall_time_s = time.perf_counter() - start_time
+    table = assemble_dataset(arrays, plan, request, block_attrs, wall_time_s)
+    return table if matrix is None else table.assign(average_nodes(table, named, matrix))
 
 
 def compute_block_digest(path_group: PathGroup, request: TableRequest) -> str:

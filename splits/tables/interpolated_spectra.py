@@ -76,7 +76,10 @@ def interpolate_wavelengths(
 
 
 def make_interpolated_variables(
-    quantities: Sequence[str], labels: Sequence[str], spectra: Sequence[InterpolatedSpectra]
+    quantities: Sequence[str],
+    labels: Sequence[str],
+    spectra: Sequence[InterpolatedSpectra],
+    dim: str = "wavelength",
 ) -> dict[str, Any]:
     """Return the variables of interpolated quantities, with their errors."""
     variables: dict[str, Any] = {}
@@ -84,12 +87,12 @@ def make_interpolated_variables(
         stderr = np.hypot(spectrum.stderr, spectrum.interpolation_error)
         error_label = f"error of interpolation of {label}"
         variables |= {
-            name: ("wavelength", spectrum.value, {"long_name": label, "units": "1"}),
+            name: (dim, spectrum.value, {"long_name": label, "units": "1"}),
             f"{name}_stderr": (
-                "wavelength", stderr, {"long_name": f"standard error of {label}", "units": "1"},
+                dim, stderr, {"long_name": f"standard error of {label}", "units": "1"},
             ),
             f"{name}_interpolation_error": (
-                "wavelength", spectrum.interpolation_error,
+                dim, spectrum.interpolation_error,
                 {"long_name": error_label, "units": "1"},
             ),
         }  # fmt: skip

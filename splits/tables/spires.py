@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.core.validation import invalid
-from splits.illumination.bands import as_bands, compute_response_weights
+from splits.illumination.bands import BandMatrix, check_bands
 from splits.tables.axes import INCIDENCE
 from splits.tables.node_selection import RADIUS, select_at_fixed_axes
 
@@ -58,12 +57,8 @@ def convert_to_spires(
         dataset, ("reflectance",), [INCIDENCE, RADIUS, impurity], at
     ).reflectance
     wavelengths = dataset.wavelength.values
-    band_by_name = as_bands(bands)
-    if not band_by_name:
-        raise invalid("bands", bands, "at least one band")
-    weights = np.stack(
-        [compute_response_weights(name, band, wavelengths) for name, band in band_by_name.items()]
-    )
+    band_by_name = check_bands(bands)
+    weights = BandMatrix.from_bands(band_by_name, wavelengths).weights
     mean = np.einsum("bw,irdw->bidr", weights, _order_spires_axes(subset, impurity))
     return xr.DataArray(
         mean,

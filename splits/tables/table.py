@@ -22,6 +22,7 @@ from splits.tables.isofit import convert_to_isofit
 from splits.tables.spires import convert_to_spires
 from splits.tables.storage import MAX_BYTES_IN_MEMORY
 from splits.tables.table_interpolation import (
+    average_bands,
     differentiate_table,
     estimate_interpolation_errors,
     has_directional_quantity,
@@ -142,11 +143,13 @@ class Table:
             return self.at_view(nodes[0] if polar is None else polar, azimuth), at
 
     @reject_unknown_arguments
-    def interp(self, **at: Any) -> xr.Dataset:
+    def interp(self, *, bands: Any = None, **at: Any) -> xr.Dataset:
         """Interpolate spectra between the nodes of the table.
 
         Parameters
         ----------
+        bands : mapping or str, optional
+            Bands within the wavelengths of the table, as for `splits.albedo`.
         **at
             Position on each axis: a number within the axis, or one of its text values.
             ``wavelength`` may be a sequence of numbers; all wavelengths are returned if it is
@@ -159,7 +162,8 @@ class Table:
             Each quantity over ``wavelength``, with its standard error ``…_stderr``: the error of
             the nodes and the interpolation error, in quadrature.  The error of the nodes is the
             larger of those for fully correlated and for independent nodes.
-            ``…_interpolation_error`` is the interpolation error alone.
+            ``…_interpolation_error`` is the interpolation error alone.  With bands, ``band_…`` are
+            the same over ``band``: means of the whole spectrum, weighted by the response.
 
         Raises
         ------
@@ -168,8 +172,9 @@ class Table:
         """
         if self.has_views:
             table, at = self.fix_view(at)
-            return table.interp(**at)
-        return interpolate_table(self.dataset, at)
+            return table.interp(bands=bands, **at)
+        found = interpolate_table(self.dataset, at)
+        return found if bands is None else found.assign(average_bands(self.dataset, at, bands))
 
     @reject_unknown_arguments
     def interpolation_errors(self, quantity: str, **at: Any) -> np.ndarray:

@@ -10,6 +10,7 @@ import xarray as xr
 
 from splits.core.arrays import as_1d_array
 from splits.core.validation import invalid
+from splits.illumination.bands import BandMatrix, check_bands
 from splits.io.netcdf import to_netcdf_attributes
 from splits.tables.axes import check_axis_values
 from splits.tables.axis_order import list_axes, list_quantities, load_selection
@@ -62,6 +63,33 @@ def interpolate_table(dataset: xr.Dataset, at: Mapping[str, Any]) -> xr.Dataset:
     wavelength = ("wavelength", targets, dataset.wavelength.attrs)
     variables = make_interpolated_variables(quantities, labels, spectra)
     return xr.Dataset(variables, {"wavelength": wavelength}, to_netcdf_attributes(at))
+
+
+def average_bands(dataset: xr.Dataset, at: Mapping[str, Any], bands: Any) -> xr.Dataset:
+    """Return the means over bands of `splits.Table.interp`, from a table without directions.
+
+    Errors of nodes are fully correlated within a band.  The interpolation error along an axis is
+    fully correlated between all wavelengths, with its relative signs.
+    """
+    named = check_bands(bands)
+    matrix, wavelength_matrix = BandMatrix.from_bands(named, dataset.wavelength.values)
+    point = {name: value for name, value in at.items() if name != "wavelength"}
+    spectra = interpolate_table(dataset, point)
+    variables: dict[str, Any] = {}
+    for quantity in list_quantities(dataset):
+        value, stderr, error = (
+            spectra[f"{quantity}{suffix}"].values
+            for suffix in ("", "_stderr", "_interpolation_error")
+        )
+        node_error = np.sqrt(np.maximum(stderr**2 - error**2, 0.0))
+        axis_errors = estimate_interpolation_errors(dataset, quantity, point) @ matrix.T
+        errors = np.vstack([axis_errors, wavelength_matrix @ value])
+        means = InterpolatedSpectra(
+            matrix @ value, matrix @ node_error, np.sqrt((errors**2).sum(axis=0))
+        )
+        label = f"{dataset[quantity].attrs.get('long_name', quantity)} over a band"
+        variables |= make_interpolated_variables([f"band_{quantity}"], [label], [means], "band")
+    return xr.Dataset(variables, {"band": list(named)})
 
 
 def estimate_interpolation_errors(

@@ -10,7 +10,7 @@ import pandas as pd
 import xarray as xr
 
 from splits.core.arrays import as_float_array, check_increasing
-from splits.core.labels import check_direction, normalize_labels
+from splits.core.labels import check_direction, normalize_attributes, normalize_labels
 from splits.core.parameter_names import describe_parameter, parse_impurity_parameter
 from splits.core.units import convert_units
 from splits.core.validation import invalid, join_names, suggest_name, unknown_key
@@ -42,6 +42,10 @@ KNOWN_NAMES = (
     THICKNESS_KEY, DENSITY_KEY, SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY, *DEFAULTS, DEPTH_KEY,
     ZENITH_KEY, GROUND_KEY,
 )  # fmt: skip
+OTHER_NAMES = (
+    *KNOWN_NAMES, LAYER_DIM, WAVELENGTH_DIM, FLAG_NAME, LAYER_FLAG_NAME, GROUND_ATTRIBUTE,
+)  # fmt: skip
+"""Names that the dimension of the snowpacks cannot have."""
 
 
 class SnowPackInput(NamedTuple):
@@ -81,7 +85,8 @@ def read_input(data: Any, label: str | None, ground: Any) -> SnowPackInput:
     if not isinstance(data, xr.Dataset):
         allowed = "an xarray.Dataset or a pandas.DataFrame"
         raise invalid("data", type(data).__name__, allowed, "read files with splits.load first")
-    _check_dimension_names(data)
+    for dim in {*data.dims} - {LAYER_DIM, WAVELENGTH_DIM}:
+        _check_label_name(dim)
     data = data.drop_vars([FLAG_NAME, LAYER_FLAG_NAME], errors="ignore")
     own_names = (*KNOWN_NAMES, GROUND_ATTRIBUTE)
     data = data.reset_coords([name for name in own_names if name in data.coords])
@@ -104,12 +109,15 @@ def read_input(data: Any, label: str | None, ground: Any) -> SnowPackInput:
     return SnowPackInput(label, coordinates, values, layered - {DEPTH_KEY}, zenith, pack_ground)
 
 
-def _check_dimension_names(data: xr.Dataset) -> None:
-    """Check that no dimension has the name of a variable of snowpacks."""
-    for name in map(str, data.dims):
-        if name in (FLAG_NAME, LAYER_FLAG_NAME, GROUND_ATTRIBUTE, *KNOWN_NAMES):
-            hint = f"dataset.rename({name}='time'), or another name"
-            raise invalid("data", f"over {name}", "over dimensions that are no variables", hint)
+
+
+def _check_label_name(label: Any) -> None:
+    """Check that a label is a text, and no name of another dimension or of a variable."""
+    if not isinstance(label, str):
+        raise invalid("label", label, "a text, the name of a dimension or column")
+    if label in OTHER_NAMES or label.startswith(f"{IMPURITIES_KEY}."):
+        hint = f"rename it: data.rename({{{label!r}: 'time'}})"
+        raise invalid("label", label, "a name that no variable of snowpacks has", hint)
 
 
 def _normalize_coordinates(data: xr.Dataset, label: str) -> xr.Dataset:
@@ -120,9 +128,13 @@ def _normalize_coordinates(data: xr.Dataset, label: str) -> xr.Dataset:
     if isinstance(labels, pd.MultiIndex):
         return data.assign_coords(xr.Coordinates.from_pandas_multiindex(labels, label))
     for name in map(str, data.coords):
-        if data[name].dims == (label,):
-            own = labels if name == label else normalize_labels(name, data[name].to_index())
-            data = data.assign_coords({name: (label, own, data[name].attrs)})
+        coordinate, attrs = data[name], normalize_attributes(data[name].attrs)
+        if name == label:
+            data = data.assign_coords({name: (label, labels, attrs)})
+        elif coordinate.dims in ((), (label,)):
+            own = normalize_labels(name, pd.Index(np.atleast_1d(coordinate.values)))
+            values = own.to_numpy().reshape(coordinate.shape)
+            data = data.assign_coords({name: (coordinate.dims, values, attrs)})
     return data
 
 
@@ -181,6 +193,7 @@ def _find_label(data: xr.Dataset, label: str | None) -> str:
     for name, size in data[THICKNESS_KEY].sizes.items():
         if size == 0:
             raise invalid(str(name), "no values", "at least one")
+    _check_label_name(others[0])
     return others[0]
 
 
@@ -224,6 +237,7 @@ def _pivot_frame(frame: pd.DataFrame, label: str | None) -> xr.Dataset:
     if any(name is not None for name in frame.index.names):
         frame = frame.reset_index()
     label = label or DEFAULT_LABEL
+    _check_label_name(label)
     for name in (label, LAYER_DIM):
         if name not in frame.columns:
             hint = suggest_name(name, map(str, frame.columns))
@@ -232,14 +246,21 @@ def _pivot_frame(frame: pd.DataFrame, label: str | None) -> xr.Dataset:
         raise invalid("data", "no rows", "at least one")
     rows, labels = pd.factorize(frame[label])
     number = as_float_array(LAYER_DIM, frame[LAYER_DIM], "numbers, 0 at the top")
-    columns, layers = pd.factorize(number, sort=True)
     if (rows < 0).any():
         raise invalid(label, "a gap", "a label in each row", "masked, NaN or missing")
-    repeated = pd.DataFrame({"row": rows, "column": columns}).duplicated().to_numpy()
+    table = pd.DataFrame({"row": rows, "number": number})
+    repeated = table.duplicated().to_numpy()
     if repeated.any():
         position = int(np.flatnonzero(repeated)[0])
         pair = f"{labels[rows[position]]}, {number[position]:g}"
         raise invalid(f"{label}, {LAYER_DIM}", pair, "different in each row", "rows repeat")
+    if len(labels) > 1 and len(table) > len(labels) and table.number.is_unique:
+        hint = "frame.groupby(label).cumcount() counts the layers of each snowpack"
+        allowed = "numbers that begin again in each snowpack, 0 at the top"
+        raise invalid(LAYER_DIM, f"{len(table)} different numbers", allowed, hint)
+    # Only the order of numbers matters: layers between others that do not exist are absent.
+    columns = table.groupby("row").number.rank().to_numpy(dtype=int) - 1
+    layers = np.arange(columns.max() + 1)
     index = pd.Index(labels, tupleize_cols=False).infer_objects()
     dataset = xr.Dataset(coords={label: index, LAYER_DIM: layers})
     for column in frame.columns.drop([label, LAYER_DIM]):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Hashable, Iterator
 from typing import Any
 
@@ -10,6 +11,7 @@ import pandas as pd
 import xarray as xr
 
 from splits.core.arrays import align_to_labels
+from splits.core.labels import convert_times
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.validation import invalid, join_names
 from splits.media.ground import OPEN
@@ -222,6 +224,8 @@ class SnowPacks:
             For an unknown label, and for a snowpack that is not good.
         """
         index = self.dataset.get_index(self.label)
+        if isinstance(label, datetime.date):
+            label = convert_times(pd.Index([label], dtype=object))[0]
         try:
             position = index.get_loc(label)
         except (KeyError, TypeError, pd.errors.InvalidIndexError):

@@ -19,7 +19,7 @@ import pandas as pd
 
 from splits.core.paths import expand_path
 from splits.core.units import convert_units
-from splits.core.validation import invalid
+from splits.core.validation import InvalidValue, invalid
 from splits.io.layer_profiles import DepthProfile
 
 MAX_BYTES = 50_000_000
@@ -122,7 +122,10 @@ def _parse_xml(path: Path) -> ElementTree.Element:
     try:
         parser.Parse(content, True)
         root = ElementTree.fromstring(content)
-    except (expat.ExpatError, ElementTree.ParseError) as error:
+    except InvalidValue:
+        raise
+    # Unknown encodings and those of several bytes are a LookupError or a ValueError.
+    except (expat.ExpatError, ElementTree.ParseError, LookupError, ValueError) as error:
         raise invalid("path", path.name, "an XML file of CAAML", str(error)) from None
     if not ROOT_PATTERN.fullmatch(root.tag):
         allowed = "a SnowProfile of SnowProfileIACS, version 6"

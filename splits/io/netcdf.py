@@ -245,10 +245,13 @@ def _read_file(path: str | Path, *, lazy: bool = False) -> xr.Dataset:
     path = expand_path(path)
     with NETCDF_LOCK:
         verify_checksums(path)
-        dataset = xr.open_dataset(path, engine="netcdf4")
-        if not lazy:
-            with dataset as file:
-                dataset = file.load()
+        try:
+            dataset = xr.open_dataset(path, engine="netcdf4")
+            if not lazy:
+                with dataset as file:
+                    dataset = file.load()
+        except (ValueError, OverflowError) as error:
+            raise _make_read_error("path", path, error) from None
     for variable in dataset.variables.values():
         # Otherwise a later write would repeat it, even after coordinates have changed.
         variable.encoding.pop("coordinates", None)
@@ -279,8 +282,13 @@ def open_foreign(key: str, path: str | Path) -> Iterator[xr.Dataset]:
             raise
         # The libraries raise errors of almost any type.
         except Exception as error:
-            text = " ".join(str(error).replace(f": {str(path.absolute())!r}", "").split())
-            raise invalid(key, str(path), "a netCDF file that can be read", text) from None
+            raise _make_read_error(key, path, error) from None
+
+
+def _make_read_error(key: str, path: Path, error: Exception) -> InvalidValue:
+    """Return the error for a file that a library cannot read."""
+    text = " ".join(str(error).replace(f": {str(path.absolute())!r}", "").split())
+    return invalid(key, str(path), "a netCDF file that can be read", text)
 
 
 def select_points(dataset: xr.Dataset, coordinates: Mapping[str, float | str]) -> xr.Dataset:

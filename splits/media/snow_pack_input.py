@@ -85,8 +85,8 @@ def read_input(data: Any, label: str | None, ground: Any) -> SnowPackInput:
     if not isinstance(data, xr.Dataset):
         allowed = "an xarray.Dataset or a pandas.DataFrame"
         raise invalid("data", type(data).__name__, allowed, "read files with splits.load first")
-    for dim in {*data.dims} - {LAYER_DIM, WAVELENGTH_DIM}:
-        _check_label_name(dim)
+    for name in {*data.dims, *data.indexes} - {LAYER_DIM, WAVELENGTH_DIM}:
+        _check_label_name(name)
     data = data.drop_vars([FLAG_NAME, LAYER_FLAG_NAME], errors="ignore")
     own_names = (*KNOWN_NAMES, GROUND_ATTRIBUTE)
     data = data.reset_coords([name for name in own_names if name in data.coords])

@@ -73,7 +73,7 @@ def _select(
     for new, known in found.items():
         old = [dim for dim in dims if dim in known]
         if len(old) != 1:
-            raise invalid("dimensions", tuple(dims), f"with one of {', '.join(known)}")
+            raise invalid(f"{THICKNESS} dimensions", tuple(dims), f"with one of {', '.join(known)}")
         if old != [new]:
             selected = selected.drop_vars(new, errors="ignore").rename({old[0]: new})
     if "layer" in selected.coords:
@@ -89,7 +89,7 @@ def _select(
         raise invalid("patch", None, f"a whole number from 0 to {number - 1}", "one of the patches")
     remaining = [dim for dim in points if dim in selected.dims]
     if SNOWPACK in remaining:
-        raise invalid("dimensions", tuple(dims), f"without {SNOWPACK}", "source.rename changes it")
+        raise invalid(f"{THICKNESS} dimensions", tuple(dims), f"without {SNOWPACK}", "source.rename changes it")
     for dim in remaining:
         if dim not in selected.coords:
             selected = selected.assign_coords({dim: np.arange(selected.sizes[dim])})

@@ -102,6 +102,26 @@ class Pulse(NamedTuple):
         return cls(uniform - _compute_centroid(fine, fine_power), np.interp(uniform, fine, emitted))
 
 
+def describe_record(
+    pulse: Any, acceptance_deg: float | None, footprint_radius_m: float | None
+) -> dict[str, Any]:
+    """Return the attributes of a pulse and of a receiver, without those that are not given.
+
+    A pulse has its width ``pulse_s`` (s), or the columns ``pulse_delay_s`` and ``pulse_power``.
+    """
+    columns = to_columns(pulse)
+    attributes: dict[str, Any] = {}
+    if isinstance(columns, Mapping):
+        attributes = {f"pulse_{name}": np.asarray(values) for name, values in columns.items()}
+    elif columns is not None:
+        attributes = {"pulse_s": float(as_scalar(columns))}
+    receiver = {"acceptance_deg": acceptance_deg, "footprint_radius_m": footprint_radius_m}
+    for name, value in receiver.items():
+        if value is not None:
+            attributes[name] = float(as_scalar(value))
+    return attributes
+
+
 def _check_seconds(key: str, delays: np.ndarray) -> None:
     """Check that delays are in seconds."""
     check_array_range(key, delays, -MAX_DELAY_S, MAX_DELAY_S, "s", hint=SECONDS_HINT)

@@ -23,6 +23,7 @@ from splits.core.arrays import (
     find_labels,
     match_labels,
 )
+from splits.core.units import check_nanometres
 from splits.core.validation import invalid
 from splits.materials.refractive_index import check_wavelength_range
 from splits.media.ground import (
@@ -92,6 +93,8 @@ class PackGround(NamedTuple):
             if WAVELENGTH_DIM not in value.coords or value.sizes[WAVELENGTH_DIM] < 2:
                 allowed = "a coordinate (nm) of at least 2 wavelengths"
                 raise invalid(f"{GROUND_KEY}.{WAVELENGTH_DIM}", "left out or short", allowed)
+            check_nanometres(GROUND_KEY, value[WAVELENGTH_DIM])
+            value = value.sortby(WAVELENGTH_DIM)
             wavelength_nm = as_1d_array(WAVELENGTH_DIM, value[WAVELENGTH_DIM], "numbers (nm)")
             check_increasing(f"{GROUND_KEY}.{WAVELENGTH_DIM}", wavelength_nm)
         value = value.transpose(label, ...)

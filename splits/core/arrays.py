@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from splits.core.labels import convert_times
 from splits.core.validation import (
     ROUNDING_TOLERANCE,
     as_scalar,
@@ -176,12 +177,13 @@ def check_no_gaps(key: str, data: xr.Dataset | xr.DataArray) -> None:
 
 
 def find_labels(values: Any, axis: int = 0) -> pd.Index | None:
-    """Return the labels of values along an axis, or None."""
+    """Return the labels of values along an axis, times in UTC, or None."""
+    labels = None
     if isinstance(values, pd.Series | pd.DataFrame):
-        return values.axes[axis]
+        labels = values.axes[axis]
     if isinstance(values, xr.DataArray) and axis < values.ndim:
-        return values.indexes.get(values.dims[axis])
-    return None
+        labels = values.indexes.get(values.dims[axis])
+    return None if labels is None else convert_times(labels)
 
 
 def align_to_labels(

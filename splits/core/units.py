@@ -50,7 +50,7 @@ CONVERSIONS: dict[str, dict[str, Conversion]] = {
         ("degC | °C | degrees Celsius | degree Celsius | Celsius | celsius", 1.0)
     ) | {name: Conversion(1.0, -ZERO_CELSIUS_K) for name in ("K", "kelvin", "Kelvin")},
     "1": _list_spellings(
-        ("1 | m3 m-3 | m3/m3", 1.0), ("% | percent | % by Vol | vol% | %vol", 1e-2)
+        ("1 | dimensionless | unitless | m3 m-3 | m3/m3", 1.0), ("% | percent | % by Vol | vol% | %vol", 1e-2)
     ),
     "1e-9": _list_spellings(
         ("1e-9 | ng g-1 | ng/g | ug kg-1 | ug/kg", 1.0), ("ug g-1 | ug/g | mg kg-1 | mg/kg", 1e3),
@@ -61,6 +61,9 @@ CONVERSIONS: dict[str, dict[str, Conversion]] = {
     ),
 }  # fmt: skip
 """Conversions to each unit of the package, by spelling of the unit of the data."""
+
+
+NANOMETRES = ("nm", "nanometre", "nanometres", "nanometer", "nanometers")
 
 
 def normalize_unit(unit: object) -> str:
@@ -79,6 +82,13 @@ _NORMALIZED = {
 def is_unit(unit: object, target: str) -> bool:
     """Return whether a unit can be converted to a key of `CONVERSIONS`."""
     return normalize_unit(unit) in _NORMALIZED[target]
+
+
+def check_nanometres(key: str, wavelength: Any) -> None:
+    """Check that a coordinate of wavelengths states no other unit than nm in its attributes."""
+    unit = getattr(wavelength, "attrs", {}).get("units")
+    if unit is not None and normalize_unit(unit).lower() not in NANOMETRES:
+        raise invalid(f"{key}.wavelength.units", unit, "nm", "convert the values, or correct units")
 
 
 def convert_units(key: str, values: np.ndarray, unit: Any, target: str) -> np.ndarray:

@@ -20,6 +20,11 @@ SPEED_OF_LIGHT = 299_792_458.0
 """Speed of light in vacuum (m/s), exact."""
 DEFAULT_EDGES_S = np.concatenate([[0.0], np.geomspace(1e-12, 1e-7, 51)])
 """Default delays between bins: ten per decade, to a path of 30 m in air."""
+MAX_DELAY_S = 1e-3
+"""Largest delay (s) of a record and of a pulse, a path of 300 km in air."""
+MIN_BIN_S = 1e-18
+"""Smallest width (s) of a bin; light moves by less than the size of an atom."""
+SECONDS_HINT = "in nanoseconds? multiply by 1e-9"
 PULSE_POINTS = 1025
 """Points of a table of a pulse."""
 MIN_PULSE_STEPS = 8.0
@@ -60,13 +65,17 @@ class Pulse(NamedTuple):
             return cls(np.zeros(1), np.ones(1))
         pulse = to_columns(pulse)
         if not isinstance(pulse, Mapping):
-            sigma = check_range("pulse", pulse, 0.0, 1.0, "s", open_low=True) / FWHM_PER_SIGMA
+            width = check_range(
+                "pulse", pulse, 0.0, MAX_DELAY_S, "s", open_low=True, hint=SECONDS_HINT
+            )
+            sigma = width / FWHM_PER_SIGMA
             x = np.linspace(-GAUSSIAN_HALF_LENGTH, GAUSSIAN_HALF_LENGTH, PULSE_POINTS)
             return cls._from_power(sigma * x, np.exp(-0.5 * x**2))
         if set(pulse) != {"delay_s", "power"}:
             allowed = "a width in seconds, or the columns delay_s and power"
             raise invalid("pulse", sorted(map(str, pulse)), allowed)
         delay, power = read_columns("pulse", dict(pulse))
+        _check_seconds("pulse.delay_s", delay)
         check_increasing("pulse.delay_s", delay)
         if delay.size < 2 or power.shape != delay.shape:
             raise invalid("pulse.power", power.size, "as many numbers as delay_s, at least 2")
@@ -93,6 +102,31 @@ class Pulse(NamedTuple):
         return cls(uniform - _compute_centroid(fine, fine_power), np.interp(uniform, fine, emitted))
 
 
+def describe_record(
+    pulse: Any, acceptance_deg: float | None, footprint_radius_m: float | None
+) -> dict[str, Any]:
+    """Return the attributes of a pulse and of a receiver, without those that are not given.
+
+    A pulse has its width ``pulse_s`` (s), or the columns ``pulse_delay_s`` and ``pulse_power``.
+    """
+    columns = to_columns(pulse)
+    attributes: dict[str, Any] = {}
+    if isinstance(columns, Mapping):
+        attributes = {f"pulse_{name}": np.asarray(values) for name, values in columns.items()}
+    elif columns is not None:
+        attributes = {"pulse_s": float(as_scalar(columns))}
+    receiver = {"acceptance_deg": acceptance_deg, "footprint_radius_m": footprint_radius_m}
+    for name, value in receiver.items():
+        if value is not None:
+            attributes[name] = float(as_scalar(value))
+    return attributes
+
+
+def _check_seconds(key: str, delays: np.ndarray) -> None:
+    """Check that delays are in seconds."""
+    check_array_range(key, delays, -MAX_DELAY_S, MAX_DELAY_S, "s", hint=SECONDS_HINT)
+
+
 def _compute_centroid(delay: np.ndarray, power: np.ndarray) -> float:
     """Return the mean delay of light whose power is linear between delays."""
     step, (begin, end) = np.diff(delay), (power[:-1], power[1:])
@@ -112,9 +146,12 @@ def check_record(delay_s: Any, end_s: Any, pulse: Pulse) -> tuple[np.ndarray, fl
     edges = DEFAULT_EDGES_S
     if delay_s is not None:
         edges = as_1d_array("delay_s", delay_s, "numbers in seconds")
+        _check_seconds("delay_s", edges)
     if edges.size < 2:
         raise invalid("delay_s", edges.tolist(), "at least two delays, the edges of bins")
     check_increasing("delay_s", edges)
+    if np.diff(edges).min() < MIN_BIN_S:
+        raise invalid("delay_s", edges.tolist(), f"at least {MIN_BIN_S:g} s apart")
     earliest, length = float(pulse.delay_s[0]), float(np.ptp(pulse.delay_s))
     if edges[0] < earliest:
         hint = "light cannot return before it was sent; delays count from the centre of the pulse"

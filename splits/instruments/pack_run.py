@@ -231,6 +231,9 @@ def make_pack_dataset(
     """
     keep = [FLAG_NAME] + [ZENITH_KEY] * (ZENITH_KEY in packs.dataset)
     dataset = packs.dataset[keep].drop_vars(LAYER_DIM, errors="ignore")
+    for name in map(str, {*dataset.coords} & {*variables, *axes}):
+        hint = f"packs.dataset.rename({{{name!r}: 'site'}})"
+        raise invalid("snowpacks", f"with the coordinate {name}", "without names of results", hint)
     attributes = {
         **dataset[FLAG_NAME].attrs,
         "flag_values": np.array(list(RESULT_FLAGS.values()), dtype=np.int8),

@@ -100,7 +100,7 @@ def single_scattering(
         pores included), ``asymmetry_parameter``, ``legendre_moment`` over (wavelength, order), χ_l
         = <P_l(cosΘ)> weighted by the light that leaves the grain, χ_0 = 1; ``extinction`` (1/m),
         the collisions with grains per metre plus absorption by the pores, and
-        ``optical_thickness``.
+        ``optical_thickness``, which is left out for a medium of infinite depth.
 
         For `splits.analysis.theory.asymptotic.correct_dense_packing`:
         ``displacement_along_incident`` and ``displacement_along_exit`` (m), the displacement from
@@ -142,7 +142,8 @@ def single_scattering(
     constants = compute_material_constants(medium, wavelengths)
     nodes = choose_nodes(constants.indices, medium.list_interfaces(), INTERPOLATION_TOLERANCE)
     values = compute_grain_optics(medium, scene, constants, request, nodes)
-    values["optical_thickness"] = values["extinction"] * medium.depth_m
+    if not medium.is_semi_infinite:
+        values["optical_thickness"] = values["extinction"] * medium.depth_m
     attributes = {
         **run.make_attributes("Single-scattering properties", "single_scattering", medium),
         "diffraction": "none",
@@ -154,6 +155,8 @@ def single_scattering(
     }
     variables: dict[str, Variable] = {}
     for name, (long_name, units) in VARIABLE_LABELS.items():
+        if name not in values:
+            continue
         dims = ("wavelength", "order")[: values[name].ndim]
         stderr = values.get(f"{name}_stderr")
         variables |= make_variable(name, dims, values[name], stderr, long_name, units)

@@ -21,6 +21,7 @@ from splits.instruments.delay_record import (
     check_granular_layers,
     check_record,
     compute_max_order,
+    describe_record,
     make_receiver,
 )
 from splits.instruments.delay_tally import DelayTally
@@ -181,6 +182,7 @@ def time_of_flight(
     receiver = make_receiver(incidence, acceptance_deg, footprint_radius_m)
     request = DelayRequest(incidence, rays, receiver, edges, end, record_pulse)
     dataset = simulate_delays(medium, wavelengths, request, run, check_depths(depths_m, medium))
+    dataset.attrs |= describe_record(pulse, acceptance_deg, footprint_radius_m)
     if acceptance_deg is None and footprint_radius_m is None and math.isfinite(end):
         # Some semi-infinite media have no solution without an end of the record.
         with suppress(InvalidValue):

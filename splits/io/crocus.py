@@ -16,10 +16,11 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import as_float_array
+from splits.core.labels import check_direction
 from splits.core.paths import expand_path
 from splits.core.units import convert_units, is_unit
 from splits.core.validation import check_choice, check_integer, invalid
-from splits.io.integrity import NETCDF_LOCK
+from splits.io.netcdf import open_foreign
 
 THICKNESS, WATER, TEMPERATURE, SURFACE_AREA = "SNOWDZ", "SNOWLIQ", "SNOWTEMP", "SNOWSSA"
 DENSITIES = ("RSN_VEG", "SNOWRO")
@@ -28,6 +29,8 @@ DEFAULT_IMPURITIES = {"SNOWIMP1": "black_carbon", "SNOWIMP2": "dust_sahara"}
 """Types of the impurities of Crocus: soot and mineral dust."""
 TIME_DIMS, LAYER_DIMS = ("time", "Time"), ("snow_layer", "layer")
 PATCH_DIMS = ("Number_of_Patches", "Number_of_Tile", "Number_of_tile", "tile")
+SNOWPACK = "snowpack"
+"""Label of pairs of time and point."""
 MIN_FILL_VALUE = 1e19
 """Numbers from here on are fill values; SURFEX writes 1e20."""
 WATER_DENSITY_KG_M3 = 1000.0
@@ -48,7 +51,7 @@ def read_crocus_output(
     path = expand_path(source, "source")
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
-    with NETCDF_LOCK, xr.open_dataset(path, engine="netcdf4") as file:
+    with open_foreign("source", path) as file:
         selected = _select(file, point, patch, impurities).load()
     return _convert_output(selected, impurities)
 
@@ -65,14 +68,18 @@ def _select(
     names = [THICKNESS, density, SURFACE_AREA, WATER, *list_impurity_names(dataset, impurities)]
     names += [TEMPERATURE] if TEMPERATURE in dataset else []
     selected = dataset[names].rename({density: DENSITIES[0]})
-    dims = [str(dim) for dim in selected[THICKNESS].dims]
+    dims = [str(dim) for dim in selected.dims]
     found = {"time": TIME_DIMS, "layer": LAYER_DIMS}
     for new, known in found.items():
-        old = next((dim for dim in dims if dim in known), None)
-        if old is None:
+        old = [dim for dim in dims if dim in known]
+        if len(old) != 1:
             raise invalid(f"{THICKNESS} dimensions", tuple(dims), f"with one of {', '.join(known)}")
-        if old != new:
-            selected = selected.rename({old: new})
+        if old != [new]:
+            selected = selected.drop_vars(new, errors="ignore").rename({old[0]: new})
+    if "layer" in selected.coords:
+        check_direction(selected.layer, "down")
+        as_float_array(str(old[0]), selected.layer, "numbers, the smallest at the top")
+        selected = selected.sortby("layer")
     patches = [dim for dim in dims if dim in PATCH_DIMS]
     points = [dim for dim in dims if dim not in (*TIME_DIMS, *LAYER_DIMS, *PATCH_DIMS)]
     for key, index, among in (("patch", patch, patches), ("point", point, points)):
@@ -81,10 +88,12 @@ def _select(
         number = selected.sizes[patches[0]]
         raise invalid("patch", None, f"a whole number from 0 to {number - 1}", "one of the patches")
     remaining = [dim for dim in points if dim in selected.dims]
+    if SNOWPACK in remaining:
+        raise invalid(f"{THICKNESS} dimensions", tuple(dims), f"without {SNOWPACK}", "source.rename changes it")
     for dim in remaining:
         if dim not in selected.coords:
             selected = selected.assign_coords({dim: np.arange(selected.sizes[dim])})
-    return selected.stack(snowpack=("time", *remaining)) if remaining else selected
+    return selected.stack({SNOWPACK: ("time", *remaining)}) if remaining else selected
 
 
 def _select_index(dataset: xr.Dataset, key: str, index: int | None, dims: list[str]) -> xr.Dataset:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import platform
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,13 @@ import xarray as xr
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.paths import expand_path
 from splits.core.provenance import get_git_commit, get_package_version
-from splits.core.validation import check_choice, check_number, invalid, join_names
+from splits.core.validation import (
+    InvalidValue,
+    check_choice,
+    check_number,
+    invalid,
+    join_names,
+)
 from splits.io.cf_encoding import decode_from_netcdf, encode_for_netcdf
 from splits.io.integrity import (
     CHECKSUM_ATTRIBUTE,
@@ -239,16 +246,52 @@ def _read_file(path: str | Path, *, lazy: bool = False) -> xr.Dataset:
     path = expand_path(path)
     with NETCDF_LOCK:
         attributes = verify_checksums(path)
-        dataset = xr.open_dataset(path, engine="netcdf4")
-        if not lazy:
-            with dataset as file:
-                dataset = file.load()
+        try:
+            dataset = xr.open_dataset(path, engine="netcdf4")
+            if not lazy:
+                with dataset as file:
+                    dataset = file.load()
+        except (ValueError, OverflowError) as error:
+            raise _make_read_error("path", path, error) from None
     for variable in dataset.variables.values():
         # Otherwise a later write would repeat it, even after coordinates have changed.
         variable.encoding.pop("coordinates", None)
     if CHECKSUM_ATTRIBUTE not in attributes:
         dataset.attrs.pop(CHECKSUM_ATTRIBUTE, None)
     return decode_from_netcdf(dataset)
+
+
+@contextmanager
+def open_foreign(key: str, path: str | Path) -> Iterator[xr.Dataset]:
+    """Open a netCDF file of another program, to select and load variables in the block.
+
+    Parameters
+    ----------
+    key : str
+        Key named in error messages.
+    path : path
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read or decoded, such as times in unknown units.
+    """
+    path = expand_path(path, key)
+    with NETCDF_LOCK:
+        try:
+            with xr.open_dataset(path, engine="netcdf4") as dataset:
+                yield dataset
+        except InvalidValue:
+            raise
+        # The libraries raise errors of almost any type.
+        except Exception as error:
+            raise _make_read_error(key, path, error) from None
+
+
+def _make_read_error(key: str, path: Path, error: Exception) -> InvalidValue:
+    """Return the error for a file that a library cannot read."""
+    text = " ".join(str(error).replace(f": {str(path.absolute())!r}", "").split())
+    return invalid(key, str(path), "a netCDF file that can be read", text)
 
 
 def select_points(dataset: xr.Dataset, coordinates: Mapping[str, float | str]) -> xr.Dataset:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from splits.core.labels import TIME_EXAMPLE, parse_time
 from splits.core.paths import expand_path
 from splits.core.validation import InvalidValue, format_key, invalid, join_names, suggest_name
 
@@ -75,6 +76,16 @@ class CsvTable(NamedTuple):
             raise self.invalid(f"no column {name}{detail}")
         column = self.column_names.index(name)
         return [row[column] for row in self.rows]
+
+    def get_times(self, name: str) -> pd.DatetimeIndex:
+        """Return a column of times of ISO 8601 in UTC; raise ValueError for any other field."""
+        times = []
+        for field, line in zip(self.get_texts(name), self.line_numbers, strict=True):
+            times.append(parse_time(field))
+            if times[-1] is None:
+                hint = f"write ISO 8601, such as {TIME_EXAMPLE}"
+                raise self.invalid(f"line {line}: {name} is {format_key(field) or 'a gap'}; {hint}")
+        return pd.DatetimeIndex(times)
 
     def get_numbers(self, name: str, allow_gaps: bool = False) -> np.ndarray:
         """Return a column of finite numbers; raise ValueError for any other field.
@@ -166,7 +177,8 @@ def _split_line(table: CsvTable, number: int, line: str) -> list[str]:
     if table.column_names and '"' not in row:
         line = row
     try:
-        if "\0" in line:
+        # Bytes that are not UTF-8 were replaced by the second character.
+        if {"\0", "\ufffd"} & {*line}:
             raise csv.Error("it is not text in UTF-8")
         return [field.strip() for field in next(csv.reader([line], strict=True))]
     except csv.Error as error:

@@ -14,6 +14,7 @@ import xarray as xr
 
 from splits.core.arrays import check_array_range, check_increasing, read_columns
 from splits.core.equality import ContentEquality
+from splits.core.units import check_nanometres
 from splits.core.validation import check_number, check_range, invalid, suggest_name
 from splits.materials.csv_table import is_csv_path, read_user_table, to_columns
 from splits.materials.refractive_index import check_wavelength_range
@@ -73,8 +74,11 @@ class Ground(ContentEquality):
             return value
         value = to_columns(value)
         if is_ground_spectrum(value):
-            labels = value.index if isinstance(value, pd.Series) else value[WAVELENGTH_DIM]
-            value = {"wavelength_nm": labels.to_numpy(), "albedo": value.to_numpy()}
+            if isinstance(value, xr.DataArray):
+                check_nanometres("ground", value[WAVELENGTH_DIM])
+                value = value.to_series()
+            value = value.sort_index()
+            value = {"wavelength_nm": value.index.to_numpy(), "albedo": value.to_numpy()}
         if isinstance(value, Path) or (isinstance(value, str) and is_csv_path(value)):
             return _load_ground(Path(value))
         if isinstance(value, str):

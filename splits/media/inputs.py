@@ -10,7 +10,7 @@ from typing import Any
 from splits.core.arrays import check_named_numbers
 from splits.core.validation import as_scalar, check_range, invalid, snap_to_limits, suggest_name
 from splits.materials import RefractiveIndex, make_refractive_index, parse_refractive_index
-from splits.media.ground import describe_ground
+from splits.media.ground import Ground, describe_ground
 
 EXPANDED_INPUTS = (
     "refractive_index", "interpretation", "ground", "pores",
@@ -36,6 +36,13 @@ def check_sample_depth(depth_m: Any) -> float:
     if isinstance(as_scalar(depth_m), float) and depth_m == math.inf:
         return math.inf
     return check_range("depth_m", depth_m, 0.0, 1e4, "m", open_low=True, hint=hint)
+
+
+def check_ground_reached(ground: Ground | None, is_semi_infinite: bool) -> None:
+    """Check that a medium over a ground has a finite depth."""
+    if ground is not None and is_semi_infinite:
+        hint = "no light reaches it below an infinite depth: give depth_m"
+        raise invalid("ground", ground.name, "left out", hint)
 
 
 def make_refractive_indices(

@@ -1,11 +1,13 @@
 """Ground below the snowpacks of `splits.SnowPacks`: one for all, or an albedo for each.
 
-A ground for all is in the attributes of the dataset of snowpacks, an albedo for each is its
-variable ``ground_albedo`` over the label, or over the label and ``wavelength``.
+A ground for all is in the attributes of the dataset of snowpacks, and its name is the variable
+``ground`` over the label.  An albedo for each is the variable ``ground_albedo`` over the label, or
+over the label and ``wavelength``.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -21,9 +23,17 @@ from splits.core.arrays import (
     find_labels,
     match_labels,
 )
+from splits.core.units import check_nanometres
 from splits.core.validation import invalid
 from splits.materials.refractive_index import check_wavelength_range
-from splits.media.ground import OPEN, TABLE_NAME, WAVELENGTH_DIM, Ground, is_ground_spectrum
+from splits.media.ground import (
+    BLACK,
+    OPEN,
+    TABLE_NAME,
+    WAVELENGTH_DIM,
+    Ground,
+    is_ground_spectrum,
+)
 
 GROUND_KEY = "ground_albedo"
 GROUND_ATTRIBUTE = "ground"
@@ -83,6 +93,8 @@ class PackGround(NamedTuple):
             if WAVELENGTH_DIM not in value.coords or value.sizes[WAVELENGTH_DIM] < 2:
                 allowed = "a coordinate (nm) of at least 2 wavelengths"
                 raise invalid(f"{GROUND_KEY}.{WAVELENGTH_DIM}", "left out or short", allowed)
+            check_nanometres(GROUND_KEY, value[WAVELENGTH_DIM])
+            value = value.sortby(WAVELENGTH_DIM)
             wavelength_nm = as_1d_array(WAVELENGTH_DIM, value[WAVELENGTH_DIM], "numbers (nm)")
             check_increasing(f"{GROUND_KEY}.{WAVELENGTH_DIM}", wavelength_nm)
         value = value.transpose(label, ...)
@@ -107,14 +119,63 @@ class PackGround(NamedTuple):
         digest = attributes.get("ground_sha256", "")
         return cls(Ground(name, ground.source, ground.albedo_values, ground.wavelength_nm, digest))
 
+    @classmethod
+    def from_names(
+        cls, names: np.ndarray, attributes: Mapping[str, Any], albedo: PackGround | None
+    ) -> PackGround:
+        """Return the ground of snowpacks by its names, which differ after a concatenation.
+
+        Parameters
+        ----------
+        names : str or missing, shape (snowpacks,)
+            See `get_name`.
+        attributes : mapping
+            Those of `make_attributes` of one of the grounds.
+        albedo : PackGround or None
+            Albedo for each snowpack, used where a name is missing.
+        """
+        is_named = ~pd.isna(names)
+        distinct = [*dict.fromkeys(str(name) for name in names[is_named])]
+        if is_named.all() and len(distinct) == 1:
+            common = cls.from_attributes(attributes)
+            is_same = common.get_name() == distinct[0]
+            return common if is_same else cls(Ground.from_input(_parse_name(distinct[0])))
+        numbers = {BLACK: 0.0, **{name: _parse_name(name) for name in distinct if name != BLACK}}
+        texts = [name for name in distinct if isinstance(numbers[name], str)]
+        if texts:
+            allowed = "the same below all snowpacks, or albedos"
+            hint = "SnowPacks(data, ground=…) gives one for all, or an albedo for each"
+            raise invalid(GROUND_ATTRIBUTE, distinct, allowed, hint)
+        named = np.array([numbers.get(str(name), np.nan) for name in names])
+        if albedo is None or albedo.albedo is None:
+            return cls(albedo=named)
+        own = albedo.albedo
+        columns = named.reshape(-1, *[1] * (own.ndim - 1))
+        return albedo._replace(albedo=np.where(np.isnan(columns), own, columns))
+
+    def get_name(self) -> str:
+        """Return the text that identifies the common ground among those of other snowpacks."""
+        if self.common is None:
+            return OPEN
+        name = str(self.make_attributes()[GROUND_ATTRIBUTE])
+        if not self.is_table or self.common.wavelength_nm is None:
+            return name
+        content = np.concatenate([self.common.wavelength_nm, self.common.albedo_values])
+        return f"{name} {hashlib.sha256(content.tobytes()).hexdigest()[:12]}"
+
+    @property
+    def is_table(self) -> bool:
+        """Whether the common ground is a table of the user."""
+        ground = self.common
+        return ground is not None and (bool(ground.sha256) or ground.name == TABLE_NAME)
+
     def make_attributes(self) -> dict[str, Any]:
         """Return the common ground as attributes of a dataset."""
         if self.albedo is not None:
             return {}
         if self.common is None:
             return {GROUND_ATTRIBUTE: OPEN}
-        is_table = bool(self.common.sha256) or self.common.name == TABLE_NAME
-        if not is_table:
+        if not self.is_table:
             return {GROUND_ATTRIBUTE: self.common.as_input()}
         columns = (self.common.wavelength_nm, self.common.albedo_values)
         attributes = dict(zip(_TABLE_ATTRIBUTES, columns, strict=True))
@@ -152,3 +213,11 @@ class PackGround(NamedTuple):
         inside = check_wavelength_range(wavelength_nm, first, last, "the ground of the snowpacks")
         rows = [np.interp(inside, self.wavelength_nm, self.albedo[row]) for row in positions]
         return np.reshape(rows, shape)
+
+
+def _parse_name(name: str) -> float | str:
+    """Return the albedo of a name that is a number; other names unchanged."""
+    try:
+        return float(name)
+    except ValueError:
+        return name

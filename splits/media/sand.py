@@ -21,6 +21,7 @@ from splits.media import grain_statistics as statistics
 from splits.media.formatting import find_differences, format_call
 from splits.media.ground import Ground
 from splits.media.inputs import (
+    check_ground_reached,
     check_sample_depth,
     check_truncated_normal,
     describe_inputs,
@@ -157,6 +158,7 @@ class Sand(ContentEquality, GranularMedium):
         put("texture", check_named_numbers("texture", self.texture, SOIL_SEPARATES, (0.0, 1.0)))
         put("ground", Ground.from_input(self.ground))
         put("depth_m", check_sample_depth(self.depth_m))
+        check_ground_reached(self.ground, self.is_semi_infinite)
         for name in ("iron_oxide", "hematite_ratio", "magnetite"):
             put(name, check_range(name, getattr(self, name), 0.0, 1.0))
         indices = self.refractive_index

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.core.arrays import as_1d_array, check_increasing, read_columns
+from splits.core.arrays import as_1d_array, as_float_array, check_increasing, read_columns
 from splits.core.equality import ContentEquality
 from splits.core.paths import expand_path
-from splits.core.validation import invalid, join_names
-from splits.io.netcdf import NETCDF_SUFFIXES
+from splits.core.validation import check_integer, invalid, join_names
+from splits.io.netcdf import NETCDF_SUFFIXES, open_foreign
 from splits.kernels.optics.phase_function import PhaseFunction, make_tabulated
 from splits.materials.csv_table import read_csv, to_columns
 from splits.media.formatting import format_input
@@ -45,6 +45,7 @@ ALLOWED = (
     f"coefficients {', '.join(COEFFICIENTS)}, as a mapping, table or file (.csv, .nc)"
 )
 MATRIX_NETCDF_SUFFIXES = (*NETCDF_SUFFIXES, ".cdf")
+NETCDF_DIMS = ("nphamat", "nthetamax")
 NETCDF_NAMES = ("theta", "phase", "ntheta")
 """Variables of the netCDF files of libRadtran, whose matrix elements have the order `ELEMENTS`."""
 
@@ -140,7 +141,8 @@ def _read_columns(value: Any) -> Mapping[str, Any]:
     if isinstance(value, str | Path):
         path = expand_path(value, KEY)
         if path.suffix.lower() in MATRIX_NETCDF_SUFFIXES:
-            return _read_netcdf(path)
+            with open_foreign(KEY, path) as dataset:
+                return _select_variables(dataset.load())
         table = read_csv(KEY, path)
         return {name: table.get_numbers(name) for name in table.column_names}
     if isinstance(value, xr.Dataset):
@@ -149,14 +151,6 @@ def _read_columns(value: Any) -> Mapping[str, Any]:
     if not isinstance(columns, Mapping):
         raise invalid(KEY, value, ALLOWED)
     return columns
-
-
-def _read_netcdf(path: Path) -> Mapping[str, Any]:
-    try:
-        with xr.open_dataset(path) as dataset:
-            return _select_variables(dataset.load())
-    except (OSError, ValueError) as error:
-        raise invalid(KEY, str(path), "a netCDF file", str(error)) from None
 
 
 def _select_variables(dataset: xr.Dataset) -> Mapping[str, Any]:
@@ -169,12 +163,26 @@ def _select_variables(dataset: xr.Dataset) -> Mapping[str, Any]:
                 hint = "select one: dataset.sel(wavelength=…)"
                 raise invalid(f"{KEY}.{name}", f"over {variable.dims}", "of one wavelength", hint)
         return {name: variable.values for name, variable in columns.items()}
-    theta, phase, n_angles = (dataset[name].values for name in NETCDF_NAMES)
+    theta, phase, n_angles = (
+        # Rows shorter than the longest one end with fill values.
+        as_float_array(
+            f"{KEY}.{name}",
+            dataset[name].transpose(..., *(dim for dim in NETCDF_DIMS if dim in dataset[name].dims)),
+            allow_gaps=True,
+        )
+        for name in NETCDF_NAMES
+    )
     shape = phase.shape[-2:]
     if phase.size != np.prod(shape):
         hint = "select one: dataset.isel(nlam=[0], nreff=[0])"
         raise invalid(KEY, f"of shape {phase.shape}", "one wavelength and one size", hint)
-    theta, phase, n_angles = theta.reshape(shape), phase.reshape(shape), n_angles.reshape(-1)
+    if theta.size != phase.size or n_angles.size != shape[0]:
+        found = {name: dataset[name].shape for name in NETCDF_NAMES}
+        raise invalid(KEY, found, "theta and phase over nphamat and nthetamax, ntheta over nphamat")
+    theta, phase = theta.reshape(shape), phase.reshape(shape)
+    # A file with a fill value for whole numbers is read as floats.
+    n_angles = np.array([check_integer(f"{KEY}.ntheta", int(n) if n == n // 1 else n, 2, shape[1])
+                         for n in n_angles.ravel().tolist()])
     # Angles decrease or increase, and each element has its own.
     grid = theta[0, : n_angles[0]]
     elements = {ANGLE: grid}

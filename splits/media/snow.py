@@ -20,6 +20,7 @@ from splits.media import grain_statistics as statistics
 from splits.media.formatting import find_differences, format_call
 from splits.media.ground import Ground
 from splits.media.inputs import (
+    check_ground_reached,
     check_sample_depth,
     check_truncated_normal,
     describe_inputs,
@@ -193,6 +194,7 @@ class Snow(ContentEquality, GranularMedium):
         )
         put("ground", Ground.from_input(self.ground))
         put("depth_m", check_sample_depth(self.depth_m))
+        check_ground_reached(self.ground, self.is_semi_infinite)
         put("interpretation", Interpretation.from_input(self.interpretation))
         indices = self.refractive_index
         put("pores", check_other_fluids(self.pores, self.saturation, indices, ("ice",)))

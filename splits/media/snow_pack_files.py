@@ -14,8 +14,10 @@ from splits.core.optional import import_optional
 from splits.core.paths import expand_path
 from splits.core.validation import check_range, invalid
 from splits.io.crocus import THICKNESS
-from splits.io.netcdf import NETCDF_SUFFIXES, SCHEMA_ATTRIBUTE, load
-from splits.media.snow_pack_input import DEFAULT_LABEL
+from splits.io.netcdf import NETCDF_SUFFIXES, SCHEMA_ATTRIBUTE, load, open_foreign
+from splits.materials.csv_table import read_csv
+from splits.media.pack_ground import GROUND_ATTRIBUTE
+from splits.media.snow_pack_input import DEFAULT_LABEL, LAYER_DIM
 from splits.media.snow_pack_readers import read_caaml, read_crocus
 from splits.media.snow_packs import SnowPacks
 
@@ -36,13 +38,13 @@ def read_snow_packs(
     Parameters
     ----------
     file : str or sequence of str
-        A CSV file with the columns of `splits.SnowPacks`, of which ``time`` holds dates; a netCDF
-        file of such a dataset, or of the model Crocus (`splits.read_crocus`); or one or several
-        CAAML files (`splits.read_caaml`).
+        A CSV file with the columns of `splits.SnowPacks`, of which ``time`` holds times of ISO
+        8601, those without a zone in UTC; a netCDF file of such a dataset, or of the model Crocus
+        (`splits.read_crocus`); or one or several CAAML files (`splits.read_caaml`).
     ground : number, str, mapping or path, optional
         Ground below all snowpacks, as for `splits.SnowPacks`, in place of that of the file.
     point : int, optional
-        Position along the points of Crocus.
+        Position along the points of Crocus; left out for other files.
     latitude_deg, longitude_deg : float, optional
         Place of the snowpacks (degrees, north and east are positive).  The zenith angles of the sun
         are then those at the times of the snowpacks (UTC), in place of those of the file.
@@ -62,11 +64,15 @@ def read_snow_packs(
     for one in files:
         if not one.is_file():
             raise invalid("file", str(one), "a file that exists", f"looked in {Path.cwd()}")
-    if are_caaml:
-        packs = read_caaml(files)
+    is_crocus = suffixes <= {*NETCDF_SUFFIXES} and _has_crocus_output(files[0])
+    if point is not None and not is_crocus:
+        raise invalid("point", point, "left out", "only output of Crocus has points")
+    if is_crocus or are_caaml:
+        packs = read_caaml(files) if are_caaml else read_crocus(files[0], point=point)
+        packs = packs if ground is None else packs.with_ground(ground)
     else:
-        packs = _read_csv(files[0]) if suffixes == {".csv"} else _read_netcdf(files[0], point)
-    packs = packs if ground is None else packs.with_ground(ground)
+        is_csv = suffixes == {".csv"}
+        packs = SnowPacks(_read_csv(files[0]) if is_csv else _read_netcdf(files[0]), ground=ground)
     place = {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg}
     if all(value is None for value in place.values()):
         return packs
@@ -92,16 +98,25 @@ def _compute_sun_zenith(packs: SnowPacks, latitude_deg: Any, longitude_deg: Any)
     return zenith
 
 
-def _read_csv(path: Path) -> SnowPacks:
-    table = pd.read_csv(path)
-    if DEFAULT_LABEL in table:
-        table[DEFAULT_LABEL] = pd.to_datetime(table[DEFAULT_LABEL])
-    return SnowPacks(table)
+def _read_csv(path: Path) -> pd.DataFrame:
+    table = read_csv("file", path, [DEFAULT_LABEL, LAYER_DIM])
+    columns: dict[str, Any] = {DEFAULT_LABEL: table.get_times(DEFAULT_LABEL)}
+    columns[LAYER_DIM] = table.get_numbers(LAYER_DIM)
+    for name in table.column_names:
+        if name == GROUND_ATTRIBUTE:
+            columns[name] = table.get_texts(name)
+        elif name not in columns:
+            columns[name] = table.get_numbers(name, allow_gaps=True)
+    return pd.DataFrame(columns)
 
 
-def _read_netcdf(path: Path, point: int | None) -> SnowPacks:
-    with xr.open_dataset(path) as dataset:
-        is_crocus, is_own = THICKNESS in dataset, SCHEMA_ATTRIBUTE in dataset.attrs
-    if is_crocus:
-        return read_crocus(path, point=point)
-    return SnowPacks(load(path) if is_own else xr.load_dataset(path))
+def _has_crocus_output(path: Path) -> bool:
+    with open_foreign("file", path) as dataset:
+        return THICKNESS in dataset
+
+
+def _read_netcdf(path: Path) -> xr.Dataset:
+    with open_foreign("file", path) as dataset:
+        if SCHEMA_ATTRIBUTE not in dataset.attrs:
+            return dataset.load()
+    return load(path)

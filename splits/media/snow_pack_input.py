@@ -10,12 +10,18 @@ import pandas as pd
 import xarray as xr
 
 from splits.core.arrays import as_float_array, check_increasing
+from splits.core.labels import check_direction, normalize_attributes, normalize_labels
 from splits.core.parameter_names import describe_parameter, parse_impurity_parameter
 from splits.core.units import convert_units
 from splits.core.validation import invalid, join_names, suggest_name, unknown_key
 from splits.materials.impurities import list_impurities
 from splits.media.measured_inputs import OPTICAL_RADIUS_KEY, SURFACE_AREA_KEY
-from splits.media.pack_ground import GROUND_KEY, WAVELENGTH_DIM, PackGround
+from splits.media.pack_ground import (
+    GROUND_ATTRIBUTE,
+    GROUND_KEY,
+    WAVELENGTH_DIM,
+    PackGround,
+)
 
 LAYER_DIM = "layer"
 DEFAULT_LABEL = "time"
@@ -36,6 +42,10 @@ KNOWN_NAMES = (
     THICKNESS_KEY, DENSITY_KEY, SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY, *DEFAULTS, DEPTH_KEY,
     ZENITH_KEY, GROUND_KEY,
 )  # fmt: skip
+OTHER_NAMES = (
+    *KNOWN_NAMES, LAYER_DIM, WAVELENGTH_DIM, FLAG_NAME, LAYER_FLAG_NAME, GROUND_ATTRIBUTE,
+)  # fmt: skip
+"""Names that the dimension of the snowpacks cannot have."""
 
 
 class SnowPackInput(NamedTuple):
@@ -68,22 +78,26 @@ def describe_variable(name: str) -> tuple[str, str]:
     return DESCRIPTIONS.get(name) or describe_parameter(name)
 
 
-def read_input(data: Any, label: str | None) -> SnowPackInput:
+def read_input(data: Any, label: str | None, ground: Any) -> SnowPackInput:
     """Return the variables of snowpacks; see `splits.SnowPacks` for the arguments and errors."""
     if isinstance(data, pd.DataFrame):
         data = _pivot_frame(data, label)
     if not isinstance(data, xr.Dataset):
         allowed = "an xarray.Dataset or a pandas.DataFrame"
         raise invalid("data", type(data).__name__, allowed, "read files with splits.load first")
+    for name in {*data.dims, *data.indexes} - {LAYER_DIM, WAVELENGTH_DIM}:
+        _check_label_name(name)
     data = data.drop_vars([FLAG_NAME, LAYER_FLAG_NAME], errors="ignore")
-    data = data.reset_coords([name for name in KNOWN_NAMES if name in data.coords])
-    check_names(data.data_vars)
+    own_names = (*KNOWN_NAMES, GROUND_ATTRIBUTE)
+    data = data.reset_coords([name for name in own_names if name in data.coords])
+    check_names(name for name in data.data_vars if name != GROUND_ATTRIBUTE)
     label = _find_label(data, label)
-    _check_labels(label, data.get_index(label))
-    ground, data = _read_ground(data, label)
+    data = _normalize_coordinates(data, label)
+    pack_ground, data = _read_ground(data, label, ground)
     if LAYER_DIM in data.coords:
         number = as_float_array(LAYER_DIM, data[LAYER_DIM], "numbers, 0 at the top")
         check_increasing(LAYER_DIM, number)
+        check_direction(data[LAYER_DIM], "down")
     names = [str(name) for name in data.data_vars]
     layered = {name for name in names if LAYER_DIM in data[name].dims}
     values = {name: _read_variable(data, name, label) for name in names}
@@ -92,20 +106,58 @@ def read_input(data: Any, label: str | None) -> SnowPackInput:
         _check_depths(values.pop(DEPTH_KEY), data.get_index(label))
     others = [name for name, v in data.coords.items() if not set(v.dims) <= {label}]
     coordinates = data.drop_vars([*data.data_vars, *others])
-    return SnowPackInput(label, coordinates, values, layered - {DEPTH_KEY}, zenith, ground)
+    return SnowPackInput(label, coordinates, values, layered - {DEPTH_KEY}, zenith, pack_ground)
 
 
-def _read_ground(data: xr.Dataset, label: str) -> tuple[PackGround, xr.Dataset]:
-    """Return the ground of a dataset, and the dataset without it."""
-    if GROUND_KEY not in data:
-        return PackGround.from_attributes(data.attrs), data
-    variable = data[GROUND_KEY].drop_vars(
-        [name for name in data[GROUND_KEY].coords if name not in (label, WAVELENGTH_DIM)]
-    )
-    if not variable.ndim:
-        variable = variable.expand_dims({label: data.get_index(label)})
-    ground = PackGround.from_input(variable, label, data.get_index(label))
-    return ground, data.drop_vars([GROUND_KEY, WAVELENGTH_DIM], errors="ignore")
+
+
+def _check_label_name(label: Any) -> None:
+    """Check that a label is a text, and no name of another dimension or of a variable."""
+    if not isinstance(label, str):
+        raise invalid("label", label, "a text, the name of a dimension or column")
+    if label in OTHER_NAMES or label.startswith(f"{IMPURITIES_KEY}."):
+        hint = f"rename it: data.rename({{{label!r}: 'time'}})"
+        raise invalid("label", label, "a name that no variable of snowpacks has", hint)
+
+
+def _normalize_coordinates(data: xr.Dataset, label: str) -> xr.Dataset:
+    """Return a dataset whose labels, and other coordinates of snowpacks, files can hold."""
+    index = data.get_index(label)
+    labels = normalize_labels(label, index)
+    _check_labels(label, labels)
+    if isinstance(labels, pd.MultiIndex):
+        return data.assign_coords(xr.Coordinates.from_pandas_multiindex(labels, label))
+    for name in map(str, data.coords):
+        coordinate, attrs = data[name], normalize_attributes(data[name].attrs)
+        if name == label:
+            data = data.assign_coords({name: (label, labels, attrs)})
+        elif coordinate.dims in ((), (label,)):
+            own = normalize_labels(name, pd.Index(np.atleast_1d(coordinate.values)))
+            values = own.to_numpy().reshape(coordinate.shape)
+            data = data.assign_coords({name: (coordinate.dims, values, attrs)})
+    return data
+
+
+def _read_ground(data: xr.Dataset, label: str, given: Any) -> tuple[PackGround, xr.Dataset]:
+    """Return the ground that is given, or else that of a dataset, and the dataset without it."""
+    index = data.get_index(label)
+    rest = data.drop_vars([GROUND_KEY, GROUND_ATTRIBUTE, WAVELENGTH_DIM], errors="ignore")
+    if given is not None:
+        return PackGround.from_input(given, label, index), rest
+    albedo = None
+    if GROUND_KEY in data:
+        variable = data[GROUND_KEY].drop_vars(
+            [name for name in data[GROUND_KEY].coords if name not in (label, WAVELENGTH_DIM)]
+        )
+        if not variable.ndim:
+            variable = variable.expand_dims({label: index})
+        albedo = PackGround.from_input(variable, label, index)
+    if GROUND_ATTRIBUTE not in data:
+        return albedo or PackGround.from_attributes(data.attrs), rest
+    names = data[GROUND_ATTRIBUTE]
+    if names.dims != (label,):
+        raise invalid(f"{GROUND_ATTRIBUTE} dimensions", names.dims, f"over {label}")
+    return PackGround.from_names(names.values, data.attrs, albedo), rest
 
 
 def check_names(given: Iterable[Hashable]) -> None:
@@ -141,6 +193,7 @@ def _find_label(data: xr.Dataset, label: str | None) -> str:
     for name, size in data[THICKNESS_KEY].sizes.items():
         if size == 0:
             raise invalid(str(name), "no values", "at least one")
+    _check_label_name(others[0])
     return others[0]
 
 
@@ -184,6 +237,7 @@ def _pivot_frame(frame: pd.DataFrame, label: str | None) -> xr.Dataset:
     if any(name is not None for name in frame.index.names):
         frame = frame.reset_index()
     label = label or DEFAULT_LABEL
+    _check_label_name(label)
     for name in (label, LAYER_DIM):
         if name not in frame.columns:
             hint = suggest_name(name, map(str, frame.columns))
@@ -192,19 +246,27 @@ def _pivot_frame(frame: pd.DataFrame, label: str | None) -> xr.Dataset:
         raise invalid("data", "no rows", "at least one")
     rows, labels = pd.factorize(frame[label])
     number = as_float_array(LAYER_DIM, frame[LAYER_DIM], "numbers, 0 at the top")
-    columns, layers = pd.factorize(number, sort=True)
     if (rows < 0).any():
         raise invalid(label, "a gap", "a label in each row", "masked, NaN or missing")
-    repeated = pd.DataFrame({"row": rows, "column": columns}).duplicated().to_numpy()
+    table = pd.DataFrame({"row": rows, "number": number})
+    repeated = table.duplicated().to_numpy()
     if repeated.any():
         position = int(np.flatnonzero(repeated)[0])
         pair = f"{labels[rows[position]]}, {number[position]:g}"
         raise invalid(f"{label}, {LAYER_DIM}", pair, "different in each row", "rows repeat")
-    index = pd.Index(labels).infer_objects()
-    if isinstance(index, pd.DatetimeIndex) and index.tz is not None:
-        index = index.tz_convert("UTC").tz_localize(None)
+    if len(labels) > 1 and len(table) > len(labels) and table.number.is_unique:
+        hint = "frame.groupby(label).cumcount() counts the layers of each snowpack"
+        allowed = "numbers that begin again in each snowpack, 0 at the top"
+        raise invalid(LAYER_DIM, f"{len(table)} different numbers", allowed, hint)
+    # Only the order of numbers matters: layers between others that do not exist are absent.
+    columns = table.groupby("row").number.rank().to_numpy(dtype=int) - 1
+    layers = np.arange(columns.max() + 1)
+    index = pd.Index(labels, tupleize_cols=False).infer_objects()
     dataset = xr.Dataset(coords={label: index, LAYER_DIM: layers})
     for column in frame.columns.drop([label, LAYER_DIM]):
+        if column == GROUND_ATTRIBUTE:
+            dataset[column] = (label, _find_ground_names(frame[column].to_numpy(), rows, index))
+            continue
         numbers = as_float_array(str(column), frame[column], allow_gaps=True)
         table = np.full((index.size, layers.size), np.nan)
         table[rows, columns] = numbers
@@ -213,6 +275,19 @@ def _pivot_frame(frame: pd.DataFrame, label: str | None) -> xr.Dataset:
         else:
             dataset[str(column)] = ((label, LAYER_DIM), table)
     return dataset
+
+
+def _find_ground_names(names: np.ndarray, rows: np.ndarray, index: pd.Index) -> np.ndarray:
+    """Return the name of the ground below each snowpack from those in the rows of its layers."""
+    found = np.empty(index.size, dtype=object)
+    found[rows] = names
+    different = np.flatnonzero((found[rows] != names) & ~pd.isna(names))
+    if different.size:
+        row = different[0]
+        pair = [names[row], found[rows[row]]]
+        allowed = "the same for all layers of a snowpack"
+        raise invalid(GROUND_ATTRIBUTE, pair, allowed, f"at {index[rows[row]]}")
+    return found
 
 
 def _reduce_to_snowpacks(key: str, table: np.ndarray, index: pd.Index) -> np.ndarray:

@@ -19,7 +19,7 @@ from splits.media.measured_inputs import (
     SURFACE_AREA_KEY,
 )
 from splits.media.natural_snow import MIN_NATURAL_DENSITY_KG_M3
-from splits.media.pack_ground import GROUND_KEY, WAVELENGTH_DIM
+from splits.media.pack_ground import GROUND_ATTRIBUTE, GROUND_KEY, WAVELENGTH_DIM
 from splits.media.snow_pack_input import (
     DEFAULTS,
     DENSITY_KEY,
@@ -67,6 +67,10 @@ def make_dataset(given: SnowPackInput) -> xr.Dataset:
         long_name, units = describe_variable(name)
         attrs = {"long_name": long_name, "units": units, ANCILLARY_ATTRIBUTE: ancillary}
         variables[name] = (dimensions, numbers, attrs)
+    if given.ground.albedo is None:
+        names = np.full(flags.size, given.ground.get_name(), dtype=object)
+        attrs = {"long_name": "ground below the snowpack"}
+        variables[GROUND_ATTRIBUTE] = (given.label, names, attrs)
     variables[FLAG_NAME] = (given.label, flags, _describe_flags("quality of the snowpack", FLAGS))
     layer_flags = is_absent.astype(np.int8) * np.int8(LAYER_FLAGS["absent"])
     variables[LAYER_FLAG_NAME] = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Hashable, Iterator
 from typing import Any
 
@@ -10,11 +11,12 @@ import pandas as pd
 import xarray as xr
 
 from splits.core.arrays import align_to_labels
+from splits.core.labels import convert_times
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.validation import invalid, join_names
 from splits.media.ground import OPEN
 from splits.media.measured_inputs import SURFACE_AREA_KEY
-from splits.media.pack_ground import GROUND_KEY, PackGround
+from splits.media.pack_ground import GROUND_KEY
 from splits.media.snow import Snow
 from splits.media.snow_pack_arrays import SnowPackArrays
 from splits.media.snow_pack_input import (
@@ -63,7 +65,8 @@ class SnowPacks:
         Without it, the unit is that of the name.
     label : str, optional
         Dimension or column of the snowpacks; by default the dimension other than ``layer``, or the
-        column ``time``.
+        column ``time``.  Labels are texts, numbers, or times; those with a zone become times in
+        UTC, and those without one are in UTC.
     ground : number, str, mapping, path or array_like, optional
         Ground below all snowpacks, as for `splits.Stack`; or an albedo for each: a sequence, or an
         array over the label, or over the label and ``wavelength``.  It replaces that of the data.
@@ -74,7 +77,8 @@ class SnowPacks:
         Variables as listed, with ``specific_surface_area_m2_kg`` in place of the radius and with
         the defaults.  ``quality_flag`` over the label is one of good, no_snow, missing_value,
         out_of_range, night; the attribute ``flag_values`` lists the numbers.  ``layer_flag`` is 1
-        for absent layers.  A ground for all is in the attributes.
+        for absent layers.  A ground for all is in the attributes, and its name is the variable
+        ``ground`` over the label, so that datasets can be concatenated.
 
     Raises
     ------
@@ -103,10 +107,7 @@ class SnowPacks:
     def __init__(
         self, data: xr.Dataset | pd.DataFrame, label: str | None = None, *, ground: Any = None
     ) -> None:
-        given = read_input(data, label)
-        if ground is not None:
-            labels = given.coordinates.get_index(given.label)
-            given = given._replace(ground=PackGround.from_input(ground, given.label, labels))
+        given = read_input(data, label, ground)
         self.dataset, self._ground = make_dataset(given), given.ground
 
     def __repr__(self) -> str:
@@ -223,6 +224,8 @@ class SnowPacks:
             For an unknown label, and for a snowpack that is not good.
         """
         index = self.dataset.get_index(self.label)
+        if isinstance(label, datetime.date):
+            label = convert_times(pd.Index([label], dtype=object))[0]
         try:
             position = index.get_loc(label)
         except (KeyError, TypeError, pd.errors.InvalidIndexError):

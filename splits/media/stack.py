@@ -15,6 +15,7 @@ from splits.core.validation import check_choice, invalid, key_prefix, suggest_na
 from splits.kernels.base.scene import MATRIX, WET_PORE
 from splits.media.formatting import format_input
 from splits.media.ground import Ground, describe_ground
+from splits.media.inputs import check_ground_reached
 from splits.media.interpretations import INTERPRETATION_SETS
 from splits.media.medium import GranularMedium, Interface, Layer, Medium
 from splits.media.particle_layer import ParticleLayer
@@ -129,10 +130,7 @@ class Stack(Medium):
                 )  # fmt: skip
         object.__setattr__(self, "layers", layers)
         object.__setattr__(self, "ground", Ground.from_input(self.ground))
-        infinite_particles = self.is_semi_infinite and not self.lowest_layer.has_grains
-        if self.ground is not None and infinite_particles:
-            hint = f"no light reaches it below the infinite layers[{len(layers) - 1}]"
-            raise invalid("ground", self.ground.name, "left out", hint)
+        check_ground_reached(self.ground, self.is_semi_infinite)
 
     def __repr__(self) -> str:
         """Return the call that constructs the stack, with one layer per line."""

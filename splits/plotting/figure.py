@@ -9,7 +9,7 @@ import pandas as pd
 import xarray as xr
 from matplotlib.figure import Figure
 
-from splits.core.validation import invalid
+from splits.core.validation import check_choice, invalid, unknown_key
 from splits.plotting.annotations import add_notes
 from splits.plotting.beam_spread import draw_beam_spread
 from splits.plotting.colour import draw_swatches
@@ -34,6 +34,17 @@ SINGLE_POINT_FUNCTIONS = {
     "lens": draw_lens,
 }
 """Functions that draw the kinds of figures of a single point of a grid."""
+QUANTITY_KINDS = ("spectra", "points", "summary")
+"""Kinds of figures of any quantities of the dataset."""
+KINDS = (
+    *QUANTITY_KINDS, *SINGLE_POINT_FUNCTIONS, "refractive_index", "fit", "return", "range_bias",
+    "season", "swatches", "hemisphere", "principal_plane", "polarization",
+)  # fmt: skip
+DEFAULTS: dict[str, Any] = {
+    "kind": "spectra", "quantity": ("reflectance",), "select": {}, "wavelength_nm": None,
+    "legend": None, "ylim": None, "note": None,
+}  # fmt: skip
+"""Settings that are left out."""
 
 
 def draw(
@@ -45,7 +56,7 @@ def draw(
     ----------
     dataset : xarray.Dataset
     section : mapping
-        See `splits.experiments.config.figure.FigureSection`.
+        See `splits.experiments.config.figure.FigureSection`; by default spectra of reflectance.
     measured : pandas.DataFrame, optional
         Measured values to show together with spectra.
 
@@ -54,8 +65,21 @@ def draw(
     ValueError
         For a section that draws nothing, or more than a figure can show.
     """
-    if section["kind"] == "none":
-        raise invalid("figure.kind", "none", "a kind of figure")
+    if not isinstance(dataset, xr.Dataset):
+        raise invalid("dataset", type(dataset).__name__, "an xarray.Dataset")
+    if not isinstance(section, Mapping):
+        raise invalid("figure", section, "a mapping of settings")
+    for key in section:
+        if key not in (*DEFAULTS, "measured"):
+            raise unknown_key(f"figure.{key}", [*DEFAULTS])
+    section = {**DEFAULTS, **{key: value for key, value in section.items() if value is not None}}
+    if isinstance(section["quantity"], str):
+        section["quantity"] = (section["quantity"],)
+    check_choice("figure.kind", section["kind"], KINDS)
+    if section["kind"] in QUANTITY_KINDS:
+        names = [str(name) for name in dataset.data_vars]
+        for name in section["quantity"]:
+            check_choice("figure.quantity", name, names)
     figure = _draw_kind(dataset, section, measured)
     with use_style():
         add_notes(figure, section.get("note") or "")

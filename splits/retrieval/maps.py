@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
@@ -14,12 +15,13 @@ from splits.core.keywords import reject_unknown_arguments
 from splits.core.optional import import_optional
 from splits.core.parameter_names import describe_parameter
 from splits.core.uncertainty import make_variable
-from splits.core.validation import check_choice, invalid, join_names
+from splits.core.units import check_nanometres, convert_units
+from splits.core.validation import InvalidValue, check_choice, invalid, join_names
 from splits.illumination.bands import SpectralBand, check_bands
 from splits.io.netcdf import ANCILLARY_ATTRIBUTE, make_provenance, to_netcdf_attributes
 from splits.retrieval.forward_model import TableForwardModel, choose_quantity, get_table_ranges
 from splits.retrieval.map_minimization import project_spectra, retrieve_spectra
-from splits.retrieval.measurement import MAX_REFLECTANCE, Measurement
+from splits.retrieval.measurement import MAX_REFLECTANCE, Measurement, check_conditions
 from splits.retrieval.state_vector import SCALE, StateVector
 from splits.simulation.arguments import check_threads
 from splits.tables.table import Table
@@ -109,8 +111,9 @@ def retrieve_map(
     ----------
     image : xarray.DataArray
         Reflectances over ``wavelength`` (nm) and other dimensions, or over one with a coordinate
-        ``wavelength``, such as ``band``; with `bands` over ``band``, in their order or with their
-        names as coordinate.  Dask arrays are processed block by block.
+        ``wavelength``, such as ``band``, in any order; with `bands` over ``band``, in their order
+        or with their names as coordinate.  Dask arrays are processed block by block.  Other
+        coordinates, such as ``incidence_deg``, must agree with the table.
     table : Table
     free : sequence of str or mapping
         As for `splits.retrieve`, without ``scale``.
@@ -151,10 +154,15 @@ def retrieve_map(
     if SCALE in state_vector.names:
         raise invalid("free", SCALE, "left out of maps")
     _check_image_names(image, state_vector.names)
-    values = np.full(image.sizes[spectral_dim], 0.5)
-    example = values if named else (image.wavelength.values, values)
+    if named:
+        example: Any = np.full(len(named), 0.5)
+    else:
+        # Noise without labels is in the order of the image.
+        example = xr.full_like(image.wavelength, 0.5, float)
     measurement = Measurement.from_input(example, noise, bands).check_noise_known()
+    image = image if named else image.sortby("wavelength")
     model = TableForwardModel(table, measurement, state_vector, fixed, quantity)
+    check_conditions("image", image, model.list_fixed_values())
     random = np.random.default_rng(1)
     model_covariances = [
         model.compute_error_covariance(state)
@@ -162,8 +170,9 @@ def retrieve_map(
     ]
     covariance = measurement.covariance + np.mean(model_covariances, axis=0)
     retrieval = _MapRetrieval(
-        state_vector, model, _reduce_table(model, covariance), covariance, check_threads(threads)
-    )
+        state_vector, model, _reduce_table(model, covariance), covariance, check_threads(threads),
+        image.chunks is not None,
+    )  # fmt: skip
     dims = [dim for dim in image.dims if dim != spectral_dim]
     stacked = image.transpose(*dims, spectral_dim)
     if stacked.chunks is not None:
@@ -192,6 +201,8 @@ def _check_image(image: Any) -> xr.DataArray:
         raise invalid("image", f"over {join_names(map(str, image.dims))}", allowed, hint)
     if not image.size:
         raise invalid("image", "no pixel", "at least one")
+    check_nanometres("image", image.wavelength)
+    image = convert_units("image", image, image.attrs.get("units"), "1")
     return (
         image
         if wavelength_dims == ("wavelength",)
@@ -224,7 +235,34 @@ def _check_band_image(image: Any, bands: Mapping[str, SpectralBand]) -> xr.DataA
                 limits = f"within {band} of {name}"
                 hint = "is the order of the bands that of the image?"
                 raise invalid("image.wavelength", wavelength, limits, hint)
-    return image
+    return convert_units("image", image, image.attrs.get("units"), "1")
+
+
+def _find_defect(spectra: np.ndarray, wavelength_nm: np.ndarray) -> InvalidValue | None:
+    """Return the error for spectra of which none is valid because of their scale or of a band.
+
+    Gaps alone are no defect.
+
+    Parameters
+    ----------
+    spectra : float, shape (pixels, wavelengths)
+    wavelength_nm : float, shape (wavelengths,)
+    """
+    is_number = np.isfinite(spectra)
+    if not is_number.any():
+        return None
+    empty = np.flatnonzero(~is_number.any(axis=0))
+    if empty.size and np.count_nonzero(is_number.any(axis=1)) > 1:
+        hint = "leave it out: image.dropna('wavelength', how='all')"
+        found = f"without a number at {wavelength_nm[empty[0]]:g} nm"
+        return invalid("image", found, "numbers in each band", hint)
+    spectra = spectra[is_number.all(axis=1)]
+    if spectra.size and (np.abs(spectra).max(axis=1) > MAX_REFLECTANCE).all():
+        median = float(np.median(spectra))
+        hint = "fractions, neither per cent nor digital numbers: divide the image by its scale"
+        allowed = f"reflectances of at most {MAX_REFLECTANCE:g} in some pixel"
+        return invalid("image", f"of the median {median:.4g}", allowed, hint)
+    return None
 
 
 def _check_image_names(image: xr.DataArray, names: Sequence[str]) -> None:
@@ -243,10 +281,16 @@ class _MapRetrieval(NamedTuple):
     reduced_table: _ReducedTable
     covariance: np.ndarray
     threads: int
+    is_lazy: bool
 
     def retrieve_block(self, spectra: np.ndarray) -> np.ndarray:
         """Return parameters, errors, misfit and flags of spectra, shape (..., what)."""
         flat = as_float_array("image", spectra, allow_gaps=True).reshape(-1, spectra.shape[-1])
+        defect = _find_defect(flat, self.model.measurement.wavelength_nm)
+        if defect and not self.is_lazy:
+            raise defect
+        if defect:
+            warnings.warn(f"a block of the image has no result: {defect}", stacklevel=2)
         with ThreadPoolExecutor(self.threads) as pool:
             parts = [flat[i : i + CHUNK_PIXELS] for i in range(0, len(flat), CHUNK_PIXELS)]
             results = np.concatenate(list(pool.map(self._retrieve_chunk, parts)))

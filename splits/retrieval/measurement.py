@@ -9,13 +9,16 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.core.arrays import align_to_labels, find_labels
-from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid
+from splits.core.arrays import align_to_labels, as_float_array, check_increasing, find_labels
+from splits.core.units import check_nanometres, convert_units
+from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid, short_repr
 from splits.illumination.bands import SpectralBand, as_bands
 from splits.simulation.arguments import check_wavelengths
 
 MAX_REFLECTANCE = 2.0
 """Reflectance factor above which values are assumed to be in per cent."""
+LABEL_TOLERANCE = 1e-6
+"""Relative difference of labels that are equal, for coordinates in single precision."""
 NOISE_KEYS = ("stderr", "correlation_nm", "independent")
 UNKNOWN_NOISE_STDERR = 1.0
 """Standard error of all values for unknown noise: equal weights, and large enough to dominate."""
@@ -70,6 +73,14 @@ class Measurement(NamedTuple):
         wavelength, values = (
             _read_bands(measured, spectral_bands) if spectral_bands else _read_spectrum(measured)
         )
+        covariance = UNKNOWN_NOISE_STDERR**2 * np.eye(values.size)
+        if noise is not None:
+            covariance = _make_covariance("noise", noise, wavelength, list(spectral_bands))
+        if isinstance(measured, xr.DataArray | pd.Series | pd.DataFrame) and not spectral_bands:
+            # Labels may be in any order, also of noise that is in their order.
+            order = np.argsort(wavelength)
+            values, covariance = values[order], covariance[np.ix_(order, order)]
+            wavelength = check_increasing("measured (wavelengths)", wavelength[order])
         gaps = np.flatnonzero(~np.isfinite(values))
         if gaps.size:
             location = (
@@ -84,20 +95,7 @@ class Measurement(NamedTuple):
             raise invalid(
                 "measured", largest, f"at most {MAX_REFLECTANCE:g}", "a fraction, not per cent"
             )
-        if noise is None:
-            return cls(
-                values,
-                wavelength,
-                UNKNOWN_NOISE_STDERR**2 * np.eye(values.size),
-                spectral_bands,
-                False,
-            )
-        return cls(
-            values,
-            wavelength,
-            _make_covariance("noise", noise, wavelength, list(spectral_bands)),
-            spectral_bands,
-        )
+        return cls(values, wavelength, covariance, spectral_bands, noise is not None)
 
     def check_noise_known(self) -> Measurement:
         """Return the measurement; reject unknown noise."""
@@ -105,6 +103,37 @@ class Measurement(NamedTuple):
             hint = "only splits.retrieve estimates it from the misfit"
             raise invalid("noise", None, "given", hint)
         return self
+
+
+def check_conditions(key: str, measured: Any, conditions: Mapping[str, Any]) -> None:
+    """Check that coordinates of a measurement are the conditions of the model.
+
+    Parameters
+    ----------
+    key : str
+        Key named in error messages.
+    measured : object
+        Only coordinates of xarray are checked, other than those of dimensions.
+    conditions : mapping
+        Value by name, or a list of one value; ``polar_deg`` is also named ``polar``, as in results.
+    """
+    coordinates = measured.coords if isinstance(measured, xr.DataArray | xr.Dataset) else {}
+    for condition, expected in conditions.items():
+        for name in {condition, condition.removesuffix("_deg")} & {*coordinates}:
+            if name not in measured.dims and not is_same_label(coordinates[name].values, expected):
+                found = np.unique(coordinates[name].values).tolist()
+                hint = f"the model has {condition} = {short_repr(expected)}"
+                raise invalid(f"{key}.{name}", found, short_repr(expected), hint)
+
+
+def is_same_label(values: Any, expected: Any) -> bool:
+    """Return whether values are all equal to another, within the rounding of floats."""
+    values, expected = np.asarray(values), np.asarray(expected)
+    if values.dtype.kind in "biuf" and expected.dtype.kind in "biuf":
+        if expected.size > 1 and values.shape != expected.shape:
+            return False
+        return bool(np.allclose(values, expected, rtol=LABEL_TOLERANCE, atol=0.0))
+    return bool((values.astype(str) == expected.astype(str)).all())
 
 
 def _read_bands(measured: Any, bands: Mapping[str, SpectralBand]) -> tuple[np.ndarray, np.ndarray]:
@@ -126,7 +155,10 @@ def _read_spectrum(measured: Any) -> tuple[np.ndarray, np.ndarray]:
     if isinstance(measured, xr.DataArray):
         if measured.dims != ("wavelength",) or "wavelength" not in measured.coords:
             raise invalid("measured", f"over {', '.join(map(str, measured.dims))}", allowed)
-        pair: Any = (measured.wavelength.values, measured.values)
+        check_nanometres("measured", measured.wavelength)
+        numbers = as_float_array("measured", measured, allow_gaps=True)
+        numbers = convert_units("measured", numbers, measured.attrs.get("units"), "1")
+        pair: Any = (measured.wavelength.values, numbers)
     elif isinstance(measured, pd.Series):
         if isinstance(measured.index, pd.RangeIndex) and measured.index.start == 0:
             hint = "pandas.read_csv(file, index_col=0)['name'], if the first column has them"
@@ -137,7 +169,8 @@ def _read_spectrum(measured: Any) -> tuple[np.ndarray, np.ndarray]:
         pair = measured
     else:
         raise invalid("measured", type(measured).__name__, allowed)
-    wavelength = check_wavelengths(pair[0], "measured (wavelengths)")
+    has_labels = isinstance(measured, xr.DataArray | pd.Series)
+    wavelength = check_wavelengths(pair[0], "measured (wavelengths)", is_sorted=not has_labels)
     values = align_to_labels("measured", pair[1], wavelength, find_labels(pair[0]), allow_gaps=True)
     if values.shape != wavelength.shape:
         sizes = f"{wavelength.size} wavelengths, {values.size} values"

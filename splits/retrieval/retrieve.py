@@ -20,7 +20,7 @@ from splits.retrieval.forward_model import (
 from splits.retrieval.interpolated_model import MAX_DEVIATION, refine_posterior
 from splits.retrieval.least_squares import retrieve_without_noise
 from splits.retrieval.linearization import LinearizedModel, estimate_nonlinearity
-from splits.retrieval.measurement import Measurement
+from splits.retrieval.measurement import Measurement, check_conditions
 from splits.retrieval.media import (
     check_measurement_incidence,
     make_medium_model,
@@ -74,7 +74,8 @@ def retrieve(
     ----------
     measured : xarray.DataArray, pandas.Series or pair of array_like
         Reflectances over ``wavelength`` (nm), or (wavelengths, reflectances); one value per band
-        with `bands`.
+        with `bands`.  Labels may be in any order.  Other coordinates, such as ``incidence_deg``,
+        must agree with the model.
     model : Table or medium
         A table, see `splits.build_table` and `splits.open_table`; or a snow, sand, layer or stack,
         which is solved by discrete ordinates (a fraction of a second) or simulated as often as
@@ -164,6 +165,7 @@ def retrieve(
         measurement = Measurement.from_input(measured, noise, bands)
         state_vector = StateVector.from_ranges(free, prior, get_table_ranges(model))
         forward_model = TableForwardModel(model, measurement, state_vector, fixed, quantity)
+        check_conditions("measured", measured, forward_model.list_fixed_values())
         if not measurement.noise_known:
             solution, measurement = retrieve_without_noise(forward_model, measurement, seed)
         else:
@@ -180,6 +182,8 @@ def retrieve(
     measurement = Measurement.from_input(measured, noise, bands)
     incidence = check_measurement_incidence(fixed, free)
     state_vector = make_medium_state_vector(model, free, prior, incidence)
+    if INCIDENCE_KEY not in state_vector.names:
+        check_conditions("measured", measured, {INCIDENCE_KEY: incidence})
     medium_model = make_medium_model(
         model, measurement, state_vector, incidence, solver, max_stderr, seed, progress
     )

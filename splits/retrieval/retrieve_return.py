@@ -9,10 +9,10 @@ import numpy as np
 import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
-from splits.core.validation import as_scalar, check_integer, invalid
-from splits.instruments.delay_record import Pulse
-from splits.materials.csv_table import to_columns
+from splits.core.validation import check_integer, invalid
+from splits.instruments.delay_record import Pulse, describe_record
 from splits.retrieval.forward_model import get_table_ranges
+from splits.retrieval.measurement import check_conditions
 from splits.retrieval.result import RetrievalResult, make_result
 from splits.retrieval.retrieve import solve_for_known_noise
 from splits.retrieval.return_model import (
@@ -20,11 +20,13 @@ from splits.retrieval.return_model import (
     UNITS,
     PhotonNoise,
     ReturnForwardModel,
+    check_return_conditions,
     check_return_noise,
     make_channel_table,
     make_return_measurement,
     make_return_operator,
     read_return,
+    sort_returns,
 )
 from splits.retrieval.settings import TABLE_SOLVER, describe_model, describe_parameters
 from splits.retrieval.state_vector import SCALE, StateVector
@@ -64,7 +66,8 @@ def retrieve_return(
         (delays between bins, light per time): delays (s) from the centroid of the pulse at the
         surface, and the fraction of the incident light per time (s⁻¹) in each bin, also over the
         wavelengths of the table if it has several.  Or a result of `splits.time_of_flight` on
-        the side ``reflected``.
+        the side ``reflected``.  Wavelengths, delays, the incidence, the receiver and the pulse that
+        it states must be those of the table and of the other arguments.
     table : xarray.Dataset
         Result of `splits.build_return_table`, or a part of it.
     free : sequence of str or mapping
@@ -113,10 +116,12 @@ def retrieve_return(
     {'specific_surface_area_m2_kg': True}
     """
     seed = check_integer("seed", seed, 0)
+    table = sort_returns(table)
     channels = make_channel_table(table)
-    edges, rates = read_return(measured, table.sizes["wavelength"])
-    return_noise = check_return_noise(noise, edges, rates.shape)
+    edges, rates = read_return(measured, table.wavelength.values)
+    return_noise = check_return_noise(noise, edges, table.wavelength.values)
     record_pulse = Pulse.from_argument(pulse)
+    pulse_attributes = describe_record(pulse, None, None)
     state_vector = StateVector.from_ranges(free, prior, get_table_ranges(channels))
     operator = make_return_operator(table, edges, record_pulse)
     _check_rates(rates, edges, return_noise, operator.matrix, table, state_vector)
@@ -129,8 +134,11 @@ def retrieve_return(
         solution = solve_for_known_noise(forward_model, measurement, seed)
         expected, min_count = solution.estimates[0].modelled, MIN_EXPECTED_COUNT
     settings = describe_model(channels, TABLE_SOLVER) | {"quantity": QUANTITY}
-    settings |= _describe_pulse(pulse)
+    settings |= pulse_attributes
     settings |= describe_parameters(state_vector, forward_model.list_fixed_values(), prior, seed)
+    conditions = forward_model.list_fixed_values()
+    check_return_conditions(measured, conditions, {**table.attrs, **pulse_attributes})
+    check_conditions("noise", noise, conditions)
     dataset = make_result(state_vector, measurement, solution, settings).dataset
     if pulse is None and solution.variance_inflation > 1.0:
         dataset.attrs["warnings"] += f"; {NO_PULSE}"
@@ -181,14 +189,6 @@ def _check_rates(
         allowed = f"rates in s⁻¹, which have a sum of rate times width of {limit}"
         hint = "n of N incident photons in a bin of width w (s) have the value n/(N w)"
         raise invalid("measured", f"of the sum {total:.3g}", allowed, hint)
-
-
-def _describe_pulse(pulse: Any) -> dict[str, Any]:
-    """Return the attributes of a pulse: its width (s), or the columns ``delay_s`` and ``power``."""
-    columns = to_columns(pulse)
-    if isinstance(columns, Mapping):
-        return {f"pulse_{name}": np.asarray(values) for name, values in columns.items()}
-    return {} if columns is None else {"pulse_s": float(as_scalar(columns))}
 
 
 def _split_channels(dataset: xr.Dataset, table: xr.Dataset, edges: np.ndarray) -> xr.Dataset:

@@ -12,11 +12,25 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.core.arrays import as_1d_array, as_float_array, check_increasing, check_no_gaps
-from splits.core.validation import ROUNDING_TOLERANCE, as_scalar, check_range, invalid
+from splits.core.arrays import (
+    as_1d_array,
+    as_float_array,
+    check_increasing,
+    check_no_gaps,
+    find_labels,
+    match_labels,
+)
+from splits.core.validation import (
+    ROUNDING_TOLERANCE,
+    as_scalar,
+    check_range,
+    invalid,
+    short_repr,
+)
 from splits.instruments.delay_record import Pulse
 from splits.retrieval.forward_model import MeasurementOperator, TableForwardModel
-from splits.retrieval.measurement import Measurement
+from splits.retrieval.measurement import Measurement, check_conditions, is_same_label
+from splits.tables.axes import INCIDENCE
 from splits.tables.return_table import TITLE
 from splits.tables.table import Table
 
@@ -24,6 +38,10 @@ QUANTITY = "return_rate"
 UNITS = "s-1"
 RETURN_HINT = "a dataset: light.sel(side='reflected') of light = splits.time_of_flight(…)"
 MAX_PHOTONS = 1e30
+RECORD_ATTRIBUTES = (
+    "acceptance_deg", "footprint_radius_m", "pulse_s", "pulse_delay_s", "pulse_power",
+)  # fmt: skip
+"""Attributes of returns that describe the receiver and the pulse."""
 
 
 class ReturnForwardModel(TableForwardModel):
@@ -54,6 +72,14 @@ class ReturnForwardModel(TableForwardModel):
         return covariance
 
 
+def sort_returns(dataset: Any) -> Any:
+    """Return a dataset with ascending wavelengths and delays; other objects are unchanged."""
+    for dimension in ("wavelength", "delay"):
+        if isinstance(dataset, xr.Dataset) and dimension in dataset.indexes:
+            dataset = dataset.sortby(dimension)
+    return dataset
+
+
 def make_channel_table(table: Any) -> Table:
     """Return a table of returns with its wavelengths and bins as one axis, after checking it.
 
@@ -71,7 +97,7 @@ def make_channel_table(table: Any) -> Table:
         if name not in table:
             raise invalid(f"table.{name}", None, "given", allowed)
     for dimension in ("wavelength", "delay"):
-        if dimension not in table[QUANTITY].dims:
+        if dimension not in table[QUANTITY].dims or dimension not in table.coords:
             hint = f"select a list: isel({dimension}=[0]), which keeps the axis"
             raise invalid("table", f"without an axis {dimension}", allowed, hint)
     check_no_gaps("table", table[names])
@@ -86,15 +112,15 @@ def make_channel_table(table: Any) -> Table:
     return Table(channels.assign_attrs(path_sharing_axes="none"))
 
 
-def read_return(measured: Any, n_wavelengths: int) -> tuple[np.ndarray, np.ndarray]:
+def read_return(measured: Any, wavelengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the delays between bins (s) and the light per time, after checking them.
 
     Parameters
     ----------
     measured : pair of array_like, or xarray.Dataset
         See `splits.retrieve_return`.
-    n_wavelengths : int
-        Number of wavelengths of the table.
+    wavelengths : float, shape (wavelengths,)
+        Wavelengths of the table (nm).
 
     Returns
     -------
@@ -109,16 +135,73 @@ def read_return(measured: Any, n_wavelengths: int) -> tuple[np.ndarray, np.ndarr
         raise invalid("measured", type(measured).__name__, allowed, hint)
     edges = as_1d_array("measured (delays)", measured[0], "numbers in seconds")
     check_increasing("measured (delays)", edges)
-    rates = as_float_array("measured", measured[1], "numbers in s⁻¹, without gaps")
-    shape = n_wavelengths, max(edges.size - 1, 0)
+    rates = _align_to_channels(
+        "measured", measured[1], edges, wavelengths, "numbers in s⁻¹, without gaps"
+    )
+    shape = wavelengths.size, max(edges.size - 1, 0)
     if edges.size < 2 or rates.shape not in (shape, (rates.size,)) or rates.size != np.prod(shape):
-        allowed = f"{shape[1]} values for each of the {n_wavelengths} wavelengths of the table"
+        allowed = f"{shape[1]} values for each of the {shape[0]} wavelengths of the table"
         raise invalid("measured", f"of shape {rates.shape}", allowed, "one fewer than delays")
     return edges, rates.reshape(shape)
 
 
-def _read_return_dataset(measured: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
+def _align_to_channels(
+    key: str, values: Any, edges: np.ndarray, wavelengths: np.ndarray, allowed: str
+) -> np.ndarray:
+    """Return numbers in the order of wavelengths and bins.
+
+    Labels are wavelengths (nm), and the middles, the beginnings or the ends of bins (s).
+    """
+    bins = 0.5 * (edges[1:] + edges[:-1]), edges[:-1], edges[1:]
+    labels: dict[str, Any] = {"wavelength": [wavelengths], "delay": bins}
+    if isinstance(values, xr.DataArray):
+        values = values.transpose(*(dim for dim in labels if dim in values.dims), ...)
+        check_conditions(key, values, {"wavelength": wavelengths.tolist()})
+    numbers = as_float_array(key, values, allowed)
+    for axis in range(min(numbers.ndim, 2)):
+        name = "delay" if axis == numbers.ndim - 1 else "wavelength"
+        if isinstance(values, xr.DataArray) and values.dims[axis] in labels:
+            name = str(values.dims[axis])
+        positions = match_labels(f"{key} ({name})", find_labels(values, axis), labels[name])
+        numbers = numbers.take(positions, axis) if isinstance(positions, np.ndarray) else numbers
+    return numbers
+
+
+def check_return_conditions(
+    measured: Any, conditions: Mapping[str, Any], attributes: Mapping[str, Any]
+) -> None:
+    """Check that a measured return states the conditions of the table.
+
+    Parameters
+    ----------
+    measured : pair of array_like, or xarray.Dataset
+        See `splits.retrieve_return`.
+    conditions : mapping
+        Incidence, and values of the axes that are not free.
+    attributes : mapping
+        Those of the table, with those of the pulse, see `describe_record`.
+    """
+    if not isinstance(measured, xr.Dataset):
+        check_conditions("measured", measured[1], conditions)
+        return
+    check_conditions("measured", measured, conditions)
+    stated = {**measured.attrs, **{name: value.values for name, value in measured.coords.items()}}
+    is_complete = measured.attrs.get("instrument") == "time_of_flight"
+    for name in RECORD_ATTRIBUTES:
+        if name in stated or (is_complete and name in attributes):
+            own, expected = stated.get(name), attributes.get(name)
+            if own is None or expected is None or not is_same_label(own, expected):
+                allowed = "left out" if expected is None else f"{short_repr(expected)}"
+                hint = "as for the table and the argument pulse"
+                raise invalid(f"measured.{name}", own, allowed, hint)
+    incidence = stated.get(INCIDENCE)
+    if incidence is not None and INCIDENCE in conditions:
+        check_conditions("measured", xr.Dataset(coords={INCIDENCE: incidence}), conditions)
+
+
+def _read_return_dataset(measured: xr.Dataset) -> tuple[np.ndarray, xr.DataArray]:
     """Return the delays between bins and the light per time of `splits.time_of_flight`."""
+    measured = sort_returns(measured)
     part = measured.isel({dim: 0 for dim in ("side", "wavelength") if measured.sizes.get(dim) == 1})
     if not {QUANTITY, "delay_bounds"} <= {*part.variables}:
         raise invalid("measured", "a dataset", f"with {QUANTITY} and delay_bounds", RETURN_HINT)
@@ -132,7 +215,9 @@ def _read_return_dataset(measured: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
         raise invalid("measured.delay", "with gaps", "bins that follow each other")
     if rates.attrs.get("units", UNITS) != UNITS:
         raise invalid("measured", f"in {rates.attrs['units']}", f"in {UNITS}")
-    return np.append(bounds[:, 0], bounds[-1, 1]), rates.transpose(..., "delay").values
+    # Light is matched by the delays of its bins.
+    edges = np.append(bounds[:, 0], bounds[-1, 1])
+    return edges, rates.drop_vars("delay", errors="ignore").transpose(..., "delay")
 
 
 class PhotonNoise(NamedTuple):
@@ -154,7 +239,7 @@ class PhotonNoise(NamedTuple):
 
 
 def check_return_noise(
-    noise: Any, edges: np.ndarray, shape: tuple[int, ...]
+    noise: Any, edges: np.ndarray, wavelengths: np.ndarray
 ) -> PhotonNoise | np.ndarray:
     """Return the noise of a measured return: a `PhotonNoise`, or standard errors (s⁻¹).
 
@@ -164,9 +249,10 @@ def check_return_noise(
         See `splits.retrieve_return`.
     edges : float, shape (bins + 1,)
         Delays between bins (s).
-    shape : tuple of int
-        Wavelengths and bins.
+    wavelengths : float, shape (wavelengths,)
+        Wavelengths of the table (nm).
     """
+    shape = wavelengths.size, edges.size - 1
     n_values = int(np.prod(shape))
     allowed = f"standard errors above 0 in s⁻¹, one or {n_values} of them, or {{'photons': …}}"
     if noise is None:
@@ -176,7 +262,7 @@ def check_return_noise(
             raise invalid("noise", sorted(map(str, noise)), allowed)
         photons = check_range("noise.photons", noise["photons"], 0.0, MAX_PHOTONS, open_low=True)
         return PhotonNoise(np.tile(1.0 / (photons * np.diff(edges)), shape[0]))
-    stderr = as_float_array("noise", noise, allowed)
+    stderr = _align_to_channels("noise", noise, edges, wavelengths, allowed)
     if stderr.shape not in ((), shape, (n_values,)):
         raise invalid("noise", f"of shape {stderr.shape}", allowed)
     if not (stderr > 0.0).all():

@@ -19,8 +19,13 @@ MAX_DATASET_VALUES = 10_000_000
 times their memory."""
 
 
-def check_wavelengths(wavelength_nm: Any, key: str = "wavelength_nm") -> np.ndarray:
-    """Return wavelengths (nm) as a strictly increasing array, after checking their range."""
+def check_wavelengths(
+    wavelength_nm: Any, key: str = "wavelength_nm", *, is_sorted: bool = True
+) -> np.ndarray:
+    """Return wavelengths (nm) as an array, after checking their range.
+
+    They must be strictly increasing unless `is_sorted` is false.
+    """
     values = as_1d_array(key, wavelength_nm, "numbers in nanometres")
     low, high = WAVELENGTH_RANGE_NM
     values = snap_to_limits(values, low, high)
@@ -30,7 +35,7 @@ def check_wavelengths(wavelength_nm: Any, key: str = "wavelength_nm") -> np.ndar
         in_micrometres = low <= 1e3 * first <= high and first < low
         hint = f"in micrometres? write {1e3 * first:g}" if in_micrometres else ""
         check_range(key, first, low, high, "nm", hint=hint)
-    return check_increasing(key, values)
+    return check_increasing(key, values) if is_sorted else values
 
 
 def check_incidence(incidence_deg: Any) -> float | str:

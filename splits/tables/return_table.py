@@ -17,6 +17,7 @@ from splits.instruments.delay_record import (
     Pulse,
     check_granular_layers,
     check_record,
+    describe_record,
     make_receiver,
 )
 from splits.instruments.time_of_flight import DelayRequest, simulate_delays
@@ -119,18 +120,11 @@ def build_return_table(
         one_run = run._replace(progress=show)
         spectra.append(_simulate_point(medium, wavelengths, request, one_run))
     table = _stack_points(spectra, axes)
-    receiver_settings = {
-        key: value
-        for key, value in (
-            ("acceptance_deg", acceptance_deg), ("footprint_radius_m", footprint_radius_m),
-        )
-        if value is not None
-    }  # fmt: skip
     attributes = {
         "title": TITLE,
         "medium": points[0][0].kind,
         **({} if INCIDENCE in axes.names else {INCIDENCE: incidence_deg}),
-        **receiver_settings,
+        **describe_record(None, acceptance_deg, footprint_radius_m),
         "rays": rays,
         "seed": run.seed,
         "threads": run.threads,

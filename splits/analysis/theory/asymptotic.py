@@ -54,7 +54,7 @@ def correct_dense_packing(optics: xr.Dataset) -> xr.Dataset:
     )
     error = propagate_errors(_compute_packing_ratio, optics)
     variables: dict[str, Any] = {}
-    for name in ("extinction", "optical_thickness"):
+    for name in {"extinction", "optical_thickness"} & {*optics}:
         value, label = optics[name].values, f"{name.replace('_', ' ')}, paths in grains included"
         units = optics[name].attrs.get("units", "1")
         variables |= make_variable(name, "wavelength", value * ratio, value * error, label, units)

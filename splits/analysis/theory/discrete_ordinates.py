@@ -75,6 +75,10 @@ def solve_discrete_ordinates(
     layers = [optics] if isinstance(optics, xr.Dataset) else list(optics)
     if not layers:
         raise invalid("optics", optics, "those of at least one layer")
+    for number, layer in enumerate(layers):
+        if "optical_thickness" not in layer:
+            hint = "give the medium a depth_m"
+            raise invalid(f"optics[{number}]", "without optical_thickness", "of finite depth", hint)
     if isinstance(streams, bool) or streams % 2 or streams < 4:
         raise invalid("streams", streams, "an even number of at least 4")
     min_moments = min(layer.sizes["order"] for layer in layers)

@@ -82,9 +82,10 @@ def with_diffraction(optics: xr.Dataset, radius_um: float | None = None) -> xr.D
     variables: dict[str, Any] = {}
     variables |= make_variable("extinction", "wavelength", total_extinction, None,
                       "extinction coefficient", "m-1")  # fmt: skip
-    thickness = optics.optical_thickness.values * total_extinction / extinction
-    variables |= make_variable("optical_thickness", "wavelength", thickness, None,
-                      "optical thickness of extinction")  # fmt: skip
+    if "optical_thickness" in optics:
+        thickness = optics.optical_thickness.values * total_extinction / extinction
+        variables |= make_variable("optical_thickness", "wavelength", thickness, None,
+                          "optical thickness of extinction")  # fmt: skip
     albedo = (scattered + grains) / total_extinction
     error = extinction_ratio * optics[f"{ALBEDO}_stderr"].values
     variables |= make_variable(ALBEDO, "wavelength", albedo, error, "single-scattering albedo")

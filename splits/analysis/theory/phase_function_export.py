@@ -61,7 +61,10 @@ def to_eradiate(optics: xr.Dataset, angle_deg: Any = None) -> xr.Dataset:
     absorbed = extinction - scattered
     scattered = scattered * (1.0 - optics[MOMENT].values[:, 1]) / (1.0 - forward)
     ratio = (scattered + absorbed) / extinction
-    thickness = optics.optical_thickness.values * ratio
+    thickness = {}
+    if "optical_thickness" in optics:
+        values = optics.optical_thickness.values * ratio
+        thickness["optical_thickness"] = ("w", values, {"units": "dimensionless"})
     return xr.Dataset(
         {
             "sigma_t": ("w", scattered + absorbed, {"units": "m^-1"}),
@@ -70,7 +73,7 @@ def to_eradiate(optics: xr.Dataset, angle_deg: Any = None) -> xr.Dataset:
                 ("w", "mu", "i", "j"), phase[:, :, np.newaxis, np.newaxis],
                 {"units": "steradian^-1"},
             ),
-            "optical_thickness": ("w", thickness, {"units": "dimensionless"}),
+            **thickness,
         },
         {
             "w": ("w", optics.wavelength.values, {"units": "nm"}),

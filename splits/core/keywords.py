@@ -8,6 +8,7 @@ from functools import wraps
 from inspect import Parameter, signature
 from typing import Any, ParamSpec, TypeVar
 
+from splits.core.convergence import ERROR_NAMES, nest_runs, warn_about_missed_error
 from splits.core.progress import open_progress
 from splits.core.validation import InvalidValue, unknown_key
 
@@ -45,9 +46,11 @@ def reject_unknown_arguments(function: Callable[Given, Result]) -> Callable[Give
 
     Errors of invalid values and missing files are raised from here, so that the traceback shows
     the line of the call without the internal calls between it and the check.  The keyword
-    ``progress=True`` becomes a progress bar, see `splits.core.progress.open_progress`.
+    ``progress=True`` becomes a progress bar, see `splits.core.progress.open_progress`.  A function
+    that is asked for an error warns once if its result does not reach it.
     """
     parameters = signature(function).parameters
+    requests_error = not parameters.keys().isdisjoint(ERROR_NAMES)
     takes_any = any(parameter.kind is Parameter.VAR_KEYWORD for parameter in parameters.values())
     names = None if takes_any else [name for name in parameters if name not in ("self", "cls")]
 
@@ -55,12 +58,18 @@ def reject_unknown_arguments(function: Callable[Given, Result]) -> Callable[Give
     def checked(*values: Given.args, **keywords: Given.kwargs) -> Result:
         _check_keywords(keywords, names)
         try:
-            with open_progress(function.__name__, keywords.get("progress")) as callback:
+            with (
+                open_progress(function.__name__, keywords.get("progress")) as callback,
+                nest_runs() as is_outermost,
+            ):
                 if "progress" in keywords:
                     keywords["progress"] = callback
-                return function(*values, **keywords)
+                result = function(*values, **keywords)
         except (InvalidValue, FileNotFoundError) as error:
             raise error.with_traceback(None) from None
+        if requests_error and is_outermost:
+            warn_about_missed_error(function.__name__, result, stacklevel=2)
+        return result
 
     return checked
 

@@ -77,10 +77,10 @@ def hdrf(
     ----------
     Schaepman-Strub et al. (2006), Remote Sensing of Environment 103, 27-42, section 2.
     """
+    check_medium(medium, allow_semi_infinite=solver != MONTE_CARLO)
     sky_spectrum = as_sky(sky)
     wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 1)
     run = RunOptions.from_arguments(seed, threads, progress=progress)
-    check_medium(medium, allow_semi_infinite=solver != MONTE_CARLO)
 
     def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
         return goniophotometer(

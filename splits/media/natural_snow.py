@@ -108,6 +108,10 @@ def make_natural_snow(
     return cls(**complete_natural_keywords(keywords))
 
 
+make_natural_snow.__qualname__ = "Snow.natural"
+"""Name in error messages: that of the public function."""
+
+
 def complete_natural_keywords(keywords: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keywords of `splits.Snow` for natural snow, updated by those given.
 

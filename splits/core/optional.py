@@ -32,7 +32,7 @@ def import_optional(module: str, extra: str, purpose: str) -> ModuleType:
         package = module.partition(".")[0]
         if (error.name or "").partition(".")[0] != package:
             raise
+        command = f"pip install '.[{extra}]' in a copy of the repository"
         raise ModuleNotFoundError(
-            f"{purpose} the package {package}: pip install '.[{extra}]' in a copy of the repository",
-            name=error.name,
+            f"{purpose} the package {package}: {command}", name=error.name
         ) from None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from splits.core.validation import invalid
+from splits.core.validation import format_limit, invalid
 from splits.media.medium import GranularMedium, Medium
 from splits.media.particle_layer import ParticleLayer
 from splits.media.snow_packs import SnowPacks
@@ -60,6 +60,5 @@ def check_thickness(medium: Any) -> None:
     largest = medium.largest_grain_m
     if medium.depth_m <= largest:
         hint = "such a grain must fit between the boundaries"
-        raise invalid(
-            "depth_m", medium.depth_m, f"more than the largest grain, {largest:g} m", hint
-        )
+        limit = format_limit(largest, medium.depth_m)
+        raise invalid("depth_m", medium.depth_m, f"more than the largest grain, {limit} m", hint)

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from splits.core.validation import suggest_name
+
+NAMED_MEDIA_FOLDER = Path(__file__).with_name("named")
+NAMED_MEDIA = tuple(sorted(path.stem for path in NAMED_MEDIA_FOLDER.glob("*.toml")))
+"""Names of the media of the package, see `splits.media.named_media`."""
 
 
 def suggest_medium(value: object, names: Sequence[str]) -> str:
@@ -24,9 +29,6 @@ def suggest_medium(value: object, names: Sequence[str]) -> str:
         return "layers on each other are a splits.Stack(layers), several media have one call each"
     if isinstance(value, Mapping):
         return "several media have one call each"
-    # The named media are made from all kinds of media, which import this module.
-    from splits.media.named_media import NAMED_MEDIA
-
     name = str(getattr(value, "kind", value))
     by_class = suggest_name(name.title().replace("_", ""), names)
     by_file = suggest_name(name, NAMED_MEDIA)

@@ -19,7 +19,7 @@ from splits.core.validation import (
     unknown_key,
 )
 from splits.media.kinds import MEDIUM_CLASSES
-from splits.media.named_media import NAMED_MEDIA
+from splits.media.suggestions import NAMED_MEDIA
 
 TYPE_DESCRIPTIONS = {
     int: ("a whole number", "whole numbers"),
@@ -209,7 +209,13 @@ def _suggest_value(key: str, kind: Any, value: Any) -> str:
     options = list_options(kind)
     if isinstance(value, str):
         lists = [option for option in options if get_args(option) == (float, Ellipsis)]
-        tags = [tag for option in options for tag in list_tags(option)]
+        sections = [option for option in options if "kind" in getattr(option, "model_fields", ())]
+        tags = [
+            tag
+            for section in sections
+            for option in list_options(section.model_fields["kind"].annotation)
+            for tag in get_args(option)
+        ]
         if hint := suggest_mapping(key, value, tags):
             return hint
         if lists and "," in value:

@@ -47,8 +47,9 @@ def check_medium(
             raise invalid("depth_m", math.inf, "finite", INFINITE_DEPTH_HINT)
         return
     names = MEDIUM_NAMES[kind]
-    if isinstance(medium, SnowPacks) and kind is Medium:
+    if isinstance(medium, SnowPacks):
         hint = "packs.make_stack(label) returns one of the snowpacks"
+        hint += "" if kind is Medium else ", and its layers are media"
         raise invalid(key, medium, "one medium", hint)
     kind_name = medium if callable(medium) else getattr(medium, "kind", medium)
     allowed = " or ".join(f"splits.{name}(...)" for name in names)

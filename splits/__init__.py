@@ -12,8 +12,24 @@ Examples
 True
 """
 
+from typing import Any
+
 import lazy_loader
 
 # Modules of public names, as listed in __init__.pyi, are imported on first use, so that plotting
 # does not import the kernels.
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_load_name, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> Any:
+    """Return a public name; the message for an unknown one suggests the nearest."""
+    try:
+        return _load_name(name)
+    except AttributeError as error:
+        if name in __all__:
+            raise
+        from splits.core.validation import suggest_name
+
+        hint = suggest_name(name, __all__)
+        message = f"module 'splits' has no attribute {name!r}" + (f" ({hint})" if hint else "")
+        raise AttributeError(message, name=name) from error

@@ -19,17 +19,18 @@ import xarray as xr
 from splits.core.labels import convert_times
 from splits.core.validation import (
     ROUNDING_TOLERANCE,
+    TEXT_HINT,
     as_scalar,
     check_number,
     check_range,
     invalid,
     short_repr,
     snap_to_limits,
+    suggest_number,
 )
 
 MAX_NUMBERS = 20_000
 """Largest length of a sequence of numbers, such as wavelengths."""
-TEXT_HINT = "this is text, not a number"
 UNLABELLED_HINT = "values are matched by their labels; .to_numpy() has none"
 
 
@@ -62,7 +63,7 @@ def as_float_array(
 def _convert(key: str, values: Any, allowed: str) -> np.ndarray:
     """Return numbers as a new array of doubles, with NaN for gaps."""
     if isinstance(values, (str, bytes)):
-        raise invalid(key, values, allowed, TEXT_HINT)
+        raise invalid(key, values, allowed, suggest_number(values) or TEXT_HINT)
     if isinstance(values, Set):
         raise invalid(key, values, allowed, "a set has no order")
     if isinstance(values, Mapping):
@@ -95,7 +96,8 @@ def _convert_array(key: str, values: Any, allowed: str) -> np.ndarray:
         numbers[~missing] = [check_number(key, item, allowed) for item in data[~missing]]
     else:
         example = data.ravel()[0] if kind in "bUS" and data.size else f"of type {dense.dtype}"
-        raise invalid(key, example, allowed, TEXT_HINT if kind in "US" else "")
+        hint = (suggest_number(example) or TEXT_HINT) if kind in "US" else ""
+        raise invalid(key, example, allowed, hint)
     if isinstance(dense, np.ma.MaskedArray):
         numbers[np.ma.getmaskarray(dense)] = np.nan
     return numbers
@@ -151,8 +153,17 @@ def check_increasing(key: str, values: np.ndarray) -> np.ndarray:
     if violations.size:
         pair = values[violations[0] : violations[0] + 2].tolist()
         detail = f"numbers {violations[0] + 1} and {violations[0] + 2} of {values.size}"
-        raise invalid(key, pair, "strictly increasing", detail)
+        raise invalid(key, pair, "strictly increasing", suggest_arange(values) or detail)
     return values
+
+
+def suggest_arange(values: np.ndarray) -> str:
+    """Return a hint for a start, a stop and a step in place of numbers, or ""."""
+    if values.size != 3 or not 0.0 < values[2] < values[1] - values[0]:
+        return ""
+    start, stop, step = values.tolist()
+    numbers = f"numpy.arange({start:g}, {stop + 0.5 * step:g}, {step:g})"
+    return f"start, stop and step? write all numbers, {numbers}"
 
 
 def check_array_range(
@@ -166,6 +177,20 @@ def check_array_range(
     if outside.any():
         check_range(key, snapped[outside][0], low, high, unit, **how)
     return snapped
+
+
+def check_axis(
+    key: str, values: np.ndarray, low: float, high: float, unit: str = "", **how: Any
+) -> np.ndarray:
+    """Return strictly increasing numbers after checking that all are in a range.
+
+    See `check_range`.
+    """
+    # The step of a start, a stop and a step is often out of range, too.
+    in_range = values if suggest_arange(values) else check_array_range(
+        key, values, low, high, unit, **how
+    )  # fmt: skip
+    return check_increasing(key, in_range)
 
 
 def check_no_gaps(key: str, data: xr.Dataset | xr.DataArray) -> None:

@@ -1,7 +1,8 @@
 """Notices about kernel compilation, in this process or another one.
 
-Notices are written to the terminal, or passed to registered functions such as a progress bar.
-Errors are ignored, so that a notice never ends a run.
+Notices are written to the terminal or shown in the output of a notebook's cell, or passed to
+registered functions such as a progress bar.  Elsewhere, as in the log of a batch job, there are
+none.  Errors are ignored, so that a notice never ends a run.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from typing import Any
 
 COMPILING_MESSAGE = "compiling code for this kind of scene, once, which takes up to half a minute"
 WAITING_MESSAGE = "waiting for another process that compiles the same code"
@@ -39,6 +41,7 @@ class _NoticeSession:
         self.activity = ""
         self.start_time = self.last_end_time = time.monotonic()
         self._last_message = ""
+        self._notebook_output: Any = None
         threading.Thread(target=self._run, daemon=True).start()
 
     @property
@@ -61,8 +64,23 @@ class _NoticeSession:
             with suppress(Exception):
                 listener(text)
         if message != self._last_message and not listeners:
-            _write_line(text if message == DONE_MESSAGE else message)
+            if _is_notebook():
+                self._show_in_notebook("" if message == DONE_MESSAGE else f"splits: {message}")
+            else:
+                _write_line(text if message == DONE_MESSAGE else message)
         self._last_message = message
+
+    def _show_in_notebook(self, line: str) -> None:
+        """Show a line in the cell's output; an empty one at the end, so that only results stay."""
+        with suppress(Exception):
+            from IPython.display import DisplayHandle
+
+            content = {"text/plain": line, "text/html": line}
+            if self._notebook_output is None:
+                self._notebook_output = DisplayHandle()
+                self._notebook_output.display(content, raw=True)
+            else:
+                self._notebook_output.update(content, raw=True)
 
 
 _session: _NoticeSession | None = None
@@ -74,7 +92,7 @@ def announce(activity: str) -> Iterator[None]:
     """Announce an activity if it takes longer than `NOTICE_DELAY_S` and can be shown."""
     global _session
     outermost = _session is None or not _session.activity
-    if outermost and (listeners or _is_terminal()):
+    if outermost and (listeners or _is_terminal() or _is_notebook()):
         with suppress(RuntimeError):
             if _session is None or _session.is_over:
                 _session = _NoticeSession()
@@ -91,6 +109,11 @@ def _is_terminal() -> bool:
     with suppress(Exception):
         return sys.stderr.isatty()
     return False
+
+
+def _is_notebook() -> bool:
+    """Return whether standard error is the output of a notebook's cell."""
+    return type(sys.stderr).__module__.startswith("ipykernel.")
 
 
 def _write_line(line: str) -> None:

@@ -6,7 +6,7 @@ from importlib import import_module
 from types import ModuleType
 
 DISTRIBUTION_NAME = "splits-optics"
-"""Name of this package on the package index; the import name is `splits`."""
+"""Name of the distribution; the import name is `splits`."""
 
 
 def import_optional(module: str, extra: str, purpose: str) -> ModuleType:
@@ -32,7 +32,7 @@ def import_optional(module: str, extra: str, purpose: str) -> ModuleType:
         package = module.partition(".")[0]
         if (error.name or "").partition(".")[0] != package:
             raise
+        command = f"pip install '.[{extra}]' in a copy of the repository"
         raise ModuleNotFoundError(
-            f"{purpose} the package {package}: pip install '{DISTRIBUTION_NAME}[{extra}]'",
-            name=error.name,
+            f"{purpose} the package {package}: {command}", name=error.name
         ) from None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from difflib import get_close_matches
 from numbers import Integral, Real
 from reprlib import Repr
@@ -21,6 +21,16 @@ ROUNDING_TOLERANCE = 1e-9
 """Relative tolerance at the limits of a range, for rounding."""
 ZERO_TOLERANCE = 1e-12
 """Absolute tolerance at a limit of 0."""
+
+
+TEXT_HINT = "this is text, not a number"
+UNIT_SLIPS: dict[str, tuple[tuple[str, float, float], ...]] = {
+    "°C": (("kelvin", 1.0, -273.15),),
+    "nm": (("micrometres", 1e3, 0.0),),
+    "µm": (("millimetres", 1e3, 0.0), ("metres", 1e6, 0.0)),
+    "kg/m3": (("g/cm3", 1e3, 0.0),),
+}
+"""Units that are given in place of another one: name, factor and offset."""
 
 
 class _ShortRepr(Repr):
@@ -42,7 +52,12 @@ _SHORT_REPR.maxlevel = 4
 
 
 def short_repr(value: object) -> str:
-    """Return the text of a value for messages: one line, shortened if long."""
+    """Return the text of a value for messages: one line, shortened if long.
+
+    A function or a class is given by its name.
+    """
+    if callable(value) and hasattr(value, "__qualname__"):
+        return str(value.__qualname__)
     text = _SHORT_REPR.repr(as_scalar(value))
     return text if "\n" not in text else " ".join(text.split())
 
@@ -143,11 +158,44 @@ def as_scalar(value: object) -> Any:
     return value if is_date or np.ma.is_masked(value) else value.item()
 
 
+def suggest_number(text: object) -> str:
+    """Return a hint for a number that is written as text, such as 0,3, or ""."""
+    for decimal, hint in ((".", "without quotes"), (",", "with a decimal point")):
+        with suppress(ValueError):
+            number = float(str(text).replace(decimal, "."))
+            return f"write {number:g}, {hint}" if math.isfinite(number) else ""
+    return ""
+
+
+def format_limit(limit: float, value: float) -> str:
+    """Return the text of a limit, with as many digits as show on which side of it a value is."""
+    texts = (f"{limit:.{digits}g}" for digits in (6, 9, 12, 15))
+    return next((text for text in texts if _compare(float(text), value) == _compare(limit, value)),
+                repr(float(limit)))  # fmt: skip
+
+
+def _compare(one: float, other: float) -> int:
+    return (one > other) - (one < other)
+
+
+def suggest_unit(value: float, low: float, high: float, unit: str) -> str:
+    """Return a hint for a number outside a range that would be in it in another unit, or ""."""
+    slips = UNIT_SLIPS.get(unit, ())
+    # Slightly more than 1 is rather a fraction that is too large.
+    if not unit and low >= 0.0 and high <= 1.0 and value >= 2.0:
+        slips = (("per cent", 1e-2, 0.0),)
+    for name, factor, offset in slips:
+        converted = factor * value + offset
+        if low <= converted <= high and not low <= value <= high:
+            return f"in {name}? write {converted:.6g}"
+    return ""
+
+
 def check_number(key: str, value: object, allowed: str = "a finite number") -> float:
     """Return a finite number as a float; a zero-dimensional array counts as a number."""
     value = as_scalar(value)
     if isinstance(value, str):
-        raise invalid(key, value, allowed, "this is text, not a number")
+        raise invalid(key, value, allowed, suggest_number(value) or TEXT_HINT)
     if isinstance(value, NON_NUMERIC_TYPES) or not isinstance(value, Real):
         raise invalid(key, value, allowed)
     try:
@@ -198,15 +246,20 @@ def check_range(
     hint : str
         Suggestion for the message.
     """
-    if math.isinf(high):
-        allowed = f"{'above' if open_low else 'at least'} {low:g}"
-    else:
-        left, right = "(" if open_low else "[", ")" if open_high else "]"
-        allowed = f"in {left}{low:g}, {high:g}{right}"
-    allowed += f" {unit}" if unit else ""
-    x = float(snap_to_limits(check_number(key, value, allowed), low, high))
+
+    def describe_range(value: float) -> str:
+        lower, upper = (format_limit(limit, value) for limit in (low, high))
+        if math.isinf(high):
+            allowed = f"{'above' if open_low else 'at least'} {lower}"
+        else:
+            left, right = "(" if open_low else "[", ")" if open_high else "]"
+            allowed = f"in {left}{lower}, {upper}{right}"
+        return f"{allowed} {unit}" if unit else allowed
+
+    x = float(snap_to_limits(check_number(key, value, describe_range(math.nan)), low, high))
     if x < low or x > high or (open_low and x == low) or (open_high and x == high):
-        raise invalid(key, value, allowed, hint)
+        hints = suggest_unit(x, low, high, unit), hint
+        raise invalid(key, value, describe_range(x), "; ".join(filter(None, hints)))
     return x
 
 
@@ -257,12 +310,24 @@ LOCATION_NOTES = {
     "incidence_deg": "incidence_deg is an argument of instruments, and of tables with this axis",
 }
 """Where keywords are given that a call does not take."""
-IMPURITY_ALIASES = {
+NAME_ALIASES = {
     "soot": ("black_carbon", "impurities_ng_g"),
     "bc": ("black_carbon", "impurities_ng_g"),
     "dust": ("dust_sahara", "impurities_ng_g"),
+    "incidence_deg": ("zenith_deg",),
+    "end": ("stop",),
+    "from": ("start",),
+    "to": ("stop",),
+    "by": ("step",),
+    "overcast": ("midlatitude_winter_cloudy",),
+    "diffuse": ("midlatitude_winter_cloudy",),
+    "am1.5": ("astm_g173",),
+    "spectrometer": ("spectrophotometer",),
+    "brdf": ("goniophotometer",),
+    "bssrdf": ("beam_spread",),
+    "lidar": ("time_of_flight",),
 }
-"""Common synonyms of impurities, each with the type and the keyword that takes it."""
+"""Other names: of impurities and the keyword that takes them, of skies, keywords, instruments."""
 
 
 def suggest_name(name: object, names: Iterable[str]) -> str:
@@ -270,13 +335,16 @@ def suggest_name(name: object, names: Iterable[str]) -> str:
     known = list(names)
     lower = str(name).lower()
     keyword = KEYWORD_ALIASES.get(lower.removesuffix("_deg"), lower)
-    synonyms = (lower, *IMPURITY_ALIASES.get(lower, ()), keyword)
-    matches = [synonym for synonym in synonyms if synonym in known]
+    synonyms = (lower, *NAME_ALIASES.get(lower, ()), keyword, *NAME_ALIASES.get(keyword, ()))
+    matches = [synonym for synonym in synonyms if synonym in known][:1]
     matches = matches or get_close_matches(str(name)[:90], known, n=1)
+    # Names with other letter cases, and longer ones with this word.
+    matches = matches or [one for one in known if one.lower() == lower]
+    matches = matches or [one for one in known if lower in one.lower().split("_")]
     if not matches:
         return LOCATION_NOTES.get(keyword, "")
     note = SYNONYM_NOTES.get(keyword, "") if matches[0] == keyword != lower else ""
-    return f"did you mean {matches[0]}? {note}".strip()
+    return f"did you mean {' or '.join(matches[:4])}? {note}".strip()
 
 
 MAX_INT64 = 2**63 - 1

@@ -106,7 +106,13 @@ class _Parser:
             if key in items:
                 lines = f"in lines {items[key].line} and {line}"
                 raise _make_error(event, f"{short_repr(key)} given twice, {lines}")
+            before = next(reversed(items.values()), None)
             node = self.parse_node(next(self.events), depth + 1)
+            is_number = all(type(one) is int for one in (key, before and before.value))
+            if is_number and node.value is None and before is not None:
+                raise _make_error(
+                    event, f"a decimal comma? write {before.value}.{event.value} with a point"
+                )
             if key != "<<" or getattr(event, "style", "alias"):
                 items[key] = node._replace(line=line)
                 continue
@@ -181,6 +187,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
         mark = getattr(error, "problem_mark", None)
         position = f", line {mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "not text"
+        if "\\t" in problem:
+            problem = "a tab: indent with spaces"
         raise ConfigError(f"{path}{position}: not YAML ({problem})") from None
     if not isinstance(content, dict):
         raise ConfigError(f"{path}: must be a mapping of keys to values")

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.atomic import check_writable
+from splits.core.convergence import REACHED_ATTRIBUTES, log_missed_error
 from splits.core.progress import LogCallback
 from splits.core.provenance import hash_physics_sources
 from splits.core.validation import invalid
@@ -18,7 +19,7 @@ from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.beam_instruments import ReturnTable
 from splits.experiments.config.grid import make_grid_coordinates
 from splits.experiments.config.simulation import SimulationConfig
-from splits.experiments.run_points import STDERR_ATTRIBUTES, SimulatedPoints, simulate_points
+from splits.experiments.run_points import SimulatedPoints, simulate_points
 from splits.experiments.run_table import run_table, write_table
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
 from splits.simulation.run_options import make_wavelength_coordinate
@@ -79,7 +80,9 @@ def run(
         return compute_refractive_indices(experiment)
     start_time = time.perf_counter()
     results = simulate_points(experiment, accuracy, seed, threads, log, cache)
-    return _stack_points(experiment, results, time.perf_counter() - start_time)
+    dataset = _stack_points(experiment, results, time.perf_counter() - start_time)
+    log_missed_error(log, experiment.name, dataset)
+    return dataset
 
 
 def write_run(
@@ -147,7 +150,7 @@ def _stack_points(
         "rays": points.rays,
         **{
             key: max(float(r.attrs[key]) for r in results)
-            for key in STDERR_ATTRIBUTES
+            for key in REACHED_ATTRIBUTES
             if key in first.attrs
         },
         "wall_time_s": round(seconds, 3),

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import xarray as xr
 
+from splits.core.convergence import log_missed_error, nest_runs
 from splits.core.progress import LogCallback
 from splits.core.provenance import hash_physics_sources
 from splits.experiments.config.accuracy import Accuracy
@@ -20,6 +21,7 @@ from splits.experiments.config.snow_packs import PACKS_PER_BLOCK, count_pack_par
 from splits.instruments import albedo, spectrophotometer
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
 from splits.media.snow_packs import SnowPacks
+from splits.simulation.stopping_rule import STOP_REASONS
 from splits.tables.block import DIGEST_ATTRIBUTE, load_block, make_block_path
 
 LARGEST_ATTRIBUTES = ("max_stderr_reached", "streams", "truncation_error", "optics_error")
@@ -68,6 +70,9 @@ def run_packs(
     del dataset.attrs[DIGEST_ATTRIBUTE]
     attributes = {
         **{key: max(block.attrs[key] for block in blocks) for key in LARGEST_ATTRIBUTES},
+        "stop_reason": max(
+            (block.attrs["stop_reason"] for block in blocks), key=STOP_REASONS.index
+        ),
         **{f"{packs.kind}_{key}": value for key, value in packs.describe().items()},
         "title": f"Experiment {experiment.name}",
         "experiment": experiment.name,
@@ -75,7 +80,9 @@ def run_packs(
         "wall_time_s": round(time.perf_counter() - start_time, 3),
         **make_provenance(f"experiment {experiment.name}"),
     }
-    return dataset.assign_attrs(to_netcdf_attributes(attributes))
+    dataset = dataset.assign_attrs(to_netcdf_attributes(attributes))
+    log_missed_error(log, experiment.name, dataset)
+    return dataset
 
 
 def _divide(packs: SnowPacks) -> list[tuple[int, SnowPacks]]:
@@ -101,7 +108,8 @@ def _iterate_blocks(
         digest = _compute_digest(experiment, accuracy, packs)
         result = None if folder is None else load_block(folder, number, digest)
         if result is None:
-            result = _measure(experiment, accuracy, packs, threads)
+            with nest_runs():
+                result = _measure(experiment, accuracy, packs, threads)
             result = result.assign_attrs({DIGEST_ATTRIBUTE: digest})
             if folder is not None:
                 save(result, make_block_path(folder, number, digest))

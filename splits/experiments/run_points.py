@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from splits.core.convergence import REACHED_ATTRIBUTES, nest_runs
 from splits.core.progress import LogCallback, Progress
 from splits.experiments.checkpoints import PointCache
 from splits.experiments.config.accuracy import Accuracy
@@ -33,7 +34,6 @@ from splits.simulation.path_reuse import MediaGroup, group_by_shared_paths
 from splits.simulation.run_options import RunOptions
 from splits.tables.return_table import build_return_table
 
-STDERR_ATTRIBUTES = ("max_stderr_reached", "relative_stderr_reached")
 N_BEAM_RAYS = 200_000
 """Number of rays of a beam at a relative standard error of 0.02."""
 MAX_RAYS = 20_000_000
@@ -79,10 +79,11 @@ def simulate_points(
         progress = _make_progress_callback(prefix, log)
         run = RunOptions.from_arguments(seed, threads, progress=progress)
         members = [points[index] for index in indices]
-        if group is None:
-            datasets = [simulate_point(instrument, members[0], accuracy, run)]
-        else:
-            datasets = _simulate_group(instrument, members, group, accuracy, run)
+        with nest_runs():
+            if group is None:
+                datasets = [simulate_point(instrument, members[0], accuracy, run)]
+            else:
+                datasets = _simulate_group(instrument, members, group, accuracy, run)
         datasets = cache.save(indices, datasets) if cache else datasets
         results |= dict(zip(indices, datasets, strict=True))
         rays += int(datasets[0].attrs["rays"])
@@ -169,22 +170,12 @@ def _log_result(prefix: str, datasets: Sequence[xr.Dataset], log: LogCallback) -
     attributes = datasets[0].attrs
     reached = [
         f", error {max(dataset.attrs[key] for dataset in datasets):.4f}"
-        for key in STDERR_ATTRIBUTES
+        for key in REACHED_ATTRIBUTES
         if key in attributes
     ]
     is_solved = attributes.get("solver") == DISCRETE_ORDINATES
     effort = "discrete ordinates" if is_solved else f"{attributes['rays']} rays"
     log(f"{prefix}: done, {effort}{''.join(reached)}, {attributes['wall_time_s']:.1f} s")
-    reasons = {
-        "solver_error": "the error of discrete ordinates is larger than the requested one",
-        "max_rays": f"stopped by max_rays = {attributes.get('max_rays')} before the error was "
-        "reached",
-        "max_degree": "stopped before the error was reached: in some directions the BRDF changes "
-        "faster than the expansion resolves, which more rays do not improve; the stated errors "
-        "include this; `estimator: bins` resolves such peaks",
-    }
-    if attributes.get("stop_reason") in reasons:
-        log(f"{prefix}: {reasons[attributes['stop_reason']]}")
 
 
 def simulate_point(

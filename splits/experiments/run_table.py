@@ -12,6 +12,7 @@ from pathlib import Path
 import xarray as xr
 
 from splits.core.atomic import atomic_write
+from splits.core.convergence import log_missed_error
 from splits.core.progress import LogCallback, Progress
 from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.instrument_kinds import TableInstrument
@@ -125,7 +126,7 @@ def _make_table(
         block_attributes.append(block.attrs)
     seconds = time.perf_counter() - start_time
     table = assemble_dataset(arrays, plan, request, block_attributes, seconds)
-    return _add_experiment_attributes(experiment, table)
+    return _complete_table(experiment, log, table)
 
 
 def write_table(
@@ -147,12 +148,15 @@ def write_table(
         return
     log(f"{experiment.name}: {plan}")
     simulate = partial(_simulate_blocks, experiment, request, plan.path_groups, folder, log)
-    add_attributes = partial(_add_experiment_attributes, experiment)
-    write_table_blockwise(path, plan, request, simulate, add_attributes)
+    complete = partial(_complete_table, experiment, log)
+    write_table_blockwise(path, plan, request, simulate, complete)
 
 
-def _add_experiment_attributes(experiment: SimulationConfig, table: xr.Dataset) -> xr.Dataset:
-    """Return a table with the attributes of its experiment."""
+def _complete_table(
+    experiment: SimulationConfig, log: LogCallback, table: xr.Dataset
+) -> xr.Dataset:
+    """Return a table with the attributes of its experiment, and log a missed error."""
+    log_missed_error(log, experiment.name, table)
     return table.assign_attrs(
         title=f"Experiment {experiment.name}",
         experiment=experiment.name,

@@ -8,7 +8,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.core.arrays import as_1d_array, check_array_range, check_increasing, read_columns
+from splits.core.arrays import (
+    as_1d_array,
+    check_axis,
+    check_increasing,
+    read_columns,
+)
 from splits.core.validation import as_scalar, check_range, invalid
 from splits.kernels.base.scene import Layers
 from splits.kernels.base.work import NO_MAX_ORDER
@@ -183,8 +188,7 @@ def check_depths(depths_m: Any, medium: Medium) -> np.ndarray:
         return np.zeros(0)
     depths = as_1d_array("depths_m", depths_m, "numbers in metres")
     limits = 0.0, float(medium.depth_m)
-    check_array_range("depths_m", depths, *limits, "m", open_low=True, open_high=True)
-    return check_increasing("depths_m", depths)
+    return check_axis("depths_m", depths, *limits, "m", open_low=True, open_high=True)
 
 
 def make_receiver(

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.core.validation import invalid
+from splits.core.validation import format_limit, invalid
 from splits.instruments.absorption_steps import compute_absorption_steps
 from splits.media.absorbing_matrix_layer import absorb_along_path
 from splits.media.ground import BLACK_OPTICAL_DEPTH, Ground
@@ -103,7 +103,8 @@ def prepare_medium(
         min_depth = CLEARANCE_SIGMA * float(np.linalg.norm(height_fields.rms_height))
         if depths_m[0] < min_depth:
             hint = f"{CLEARANCE_SIGMA:g} standard deviations of the surface's height"
-            raise invalid("depth_m", float(depths_m[0]), f"at least {min_depth:g} m", hint)
+            limit = format_limit(min_depth, depths_m[0])
+            raise invalid("depth_m", float(depths_m[0]), f"at least {limit} m", hint)
     if medium.opaque:
         raise invalid("opaque", True, "false", "all light is absorbed at the surface")
     finite, truncation = medium, None

@@ -87,6 +87,7 @@ def hdrf(
     ----------
     Schaepman-Strub et al. (2006), Remote Sensing of Environment 103, 27-42, section 2.
     """
+    check_medium(medium, allow_semi_infinite=solver != MONTE_CARLO)
     sky_spectrum = as_sky(sky)
     named = {} if bands is None else check_bands(bands)
     if wavelength_nm is None:
@@ -96,7 +97,6 @@ def hdrf(
     wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 2 if named else 1)
     sky_spectrum.check_bands(named, wavelengths)
     run = RunOptions.from_arguments(seed, threads, progress=progress)
-    check_medium(medium, allow_semi_infinite=solver != MONTE_CARLO)
 
     def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
         return goniophotometer(

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.core.arrays import as_1d_array, check_array_range, check_increasing
+from splits.core.arrays import as_1d_array, check_axis
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.validation import (
@@ -246,14 +246,14 @@ def _choose_nodes(traced_medium: TracedMedium, max_stderr: float, has_bands: boo
 
 def _check_depths(depth_m: Any, thickness: float) -> np.ndarray:
     """Return depths inside a sample of a thickness (m), after checking them."""
-    depths = check_increasing("depth_m", as_1d_array("depth_m", depth_m, "numbers in metres"))
+    depths = as_1d_array("depth_m", depth_m, "numbers in metres")
     if depths.size > MAX_DEPTHS:
         raise invalid("depth_m", f"{depths.size} depths", f"at most {MAX_DEPTHS}")
     hint = "top and bottom are always included"
     # Rounding may put a depth at the bottom on either side of it.
     at_bottom = np.isclose(depths, thickness, rtol=ROUNDING_TOLERANCE, atol=0.0)
     depths = np.where(at_bottom, thickness, depths)
-    return check_array_range(
+    return check_axis(
         "depth_m", depths, 0.0, thickness, "m", open_low=True, open_high=True, hint=hint
     )
 

@@ -13,8 +13,7 @@ import xarray as xr
 from splits.core.arrays import (
     as_1d_array,
     as_float_array,
-    check_array_range,
-    check_increasing,
+    check_axis,
     find_labels,
     match_labels,
 )
@@ -200,7 +199,7 @@ def _compute_rms_radius(points: np.ndarray, detected: np.ndarray) -> np.ndarray:
 def check_screen_depths(key: str, values: Any) -> np.ndarray:
     """Return increasing depths of screens (m), after checking them."""
     depths = as_1d_array(key, values, "numbers in metres")
-    return check_increasing(key, check_array_range(key, depths, 0.0, 1e9, "m", open_low=True))
+    return check_axis(key, depths, 0.0, 1e9, "m", open_low=True)
 
 
 def check_ring_radius(radius_m: Any) -> float:

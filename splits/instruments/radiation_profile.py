@@ -117,6 +117,7 @@ def radiation_profile(
     >>> ds.absorbed_power.dims
     ('band', 'interval')
     """
+    check_medium(medium, allow_semi_infinite=True)
     sky_spectrum = as_sky(sky).scale_to(total_w_m2)
     wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 2)
     max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
@@ -129,8 +130,6 @@ def radiation_profile(
     weights, band_irradiance = compute_band_weights(sky_spectrum, named, wavelengths)
     direct_fraction = sky_spectrum.compute_direct_fraction(wavelengths)
     targets = make_sky_targets(direct_fraction, weights, limit_irradiance)
-
-    check_medium(medium, allow_semi_infinite=True)
 
     def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
         request = FluxRequest.from_arguments(

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.core.convergence import REACHED_ATTRIBUTES
 from splits.core.uncertainty import (
     Variable,
     compute_weighted_error,
@@ -58,7 +59,8 @@ def mix_direct_and_diffuse(
 ) -> xr.Dataset:
     """Return the results of an instrument under a sky: values, errors, and batch deviations if any.
 
-    The attributes give the rays of both runs, and the more severe of the reasons why they stopped.
+    The attributes give the rays of both runs, the larger of their errors, and the more severe of
+    the reasons why they stopped.
 
     Parameters
     ----------
@@ -107,7 +109,14 @@ def mix_direct_and_diffuse(
     rays = sum(one["rays"] for one in attributes)
     # With "auto", both runs may differ in their solver.
     solver = " and ".join(dict.fromkeys(str(one["solver"]) for one in attributes))
-    return xr.Dataset(variables, attrs={"solver": solver, "stop_reason": stop_reason, "rays": rays})
+    reached = {
+        name: max(float(one[name]) for one in attributes)
+        for name in REACHED_ATTRIBUTES
+        if name in attributes[0]
+    }
+    return xr.Dataset(
+        variables, attrs={"solver": solver, "stop_reason": stop_reason, **reached, "rays": rays}
+    )
 
 
 def compute_band_weights(

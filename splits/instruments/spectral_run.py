@@ -179,7 +179,7 @@ def make_spectrum(
         "incidence_deg": request.incidence,
         **describe_polarization(request.polarization),
         "max_stderr": request.max_stderr,
-        "stop_reason": estimate.get_stop_reason(request.max_stderr),
+        "stop_reason": estimate.get_stop_reason(request.max_stderr, request.max_rays),
         "max_stderr_reached": float(estimate.stderr.max()),
         "interpolation_error_bound": float(estimate.interpolation_error.max()),
         "max_rays": request.max_rays,

@@ -229,8 +229,8 @@ def _check_media(medium: Any, estimator: str) -> dict[str, Medium]:
     if not medium:
         raise invalid("medium", medium, "a medium, or a mapping of names to media, at least one")
     named: dict[str, Medium] = to_text_keys("medium", medium)
-    for one in named.values():
-        check_medium(one, allow_semi_infinite=True)
+    for name, one in named.items():
+        check_medium(one, allow_semi_infinite=True, key=f"medium[{name!r}]")
     check_path_sharing(named)
     return named
 

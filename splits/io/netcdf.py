@@ -67,7 +67,7 @@ def check_schema(dataset: xr.Dataset, path: str | Path) -> None:
         raise ValueError(
             f"{path}: {SCHEMA_ATTRIBUTE} = {int(version)}: must be at most {SCHEMA_VERSION}; "
             f"a newer version of the package wrote it ({written_by}): "
-            "pip install --upgrade splits-optics"
+            "update the copy of the repository, and run pip install . there"
         )
     if version < SCHEMA_VERSION:
         raise ValueError(

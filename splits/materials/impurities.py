@@ -97,7 +97,8 @@ def make_impurities(mass_ng_g: Any, cells_ml: Any) -> tuple[Impurity, ...]:
     """
     for key, given in (("impurities_ng_g", mass_ng_g), ("algae_cells_ml", cells_ml)):
         if not isinstance(given, Mapping):
-            raise invalid(key, given, "a mapping of amounts by kind")
+            example = "black_carbon" if given is mass_ng_g else ALGAE_NAMES[1]
+            raise invalid(key, given, f"a mapping of amounts by kind, such as {{{example!r}: 100}}")
     impurities = [_make_mass_impurity(name, amount) for name, amount in mass_ng_g.items()]
     for name, amount in cells_ml.items():
         number = check_range(f"algae_cells_ml.{name}", amount, 0.0, MAX_CELLS_ML, "cells/ml")

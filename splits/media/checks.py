@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import re
 from typing import Any
 
-from splits.core.validation import invalid, suggest_name
+from splits.core.validation import format_limit, invalid
 from splits.media.medium import GranularMedium, Medium
 from splits.media.particle_layer import ParticleLayer
 from splits.media.snow_packs import SnowPacks
+from splits.media.suggestions import suggest_medium
 
 MEDIUM_NAMES: dict[type, tuple[str, ...]] = {
     Medium: ("Snow", "Sand", "Stack", "ParticleLayer"),
@@ -25,8 +25,9 @@ INFINITE_DEPTH_HINT = (
 
 
 def check_medium(
-    medium: Any, kind: type[Any] = Medium, *, allow_semi_infinite: bool = False
-) -> None:
+    medium: Any, kind: type[Any] = Medium, *, allow_semi_infinite: bool = False,
+    key: str = "medium",
+) -> None:  # fmt: skip
     """Check that a medium is of an allowed class, by default of any.
 
     Parameters
@@ -36,23 +37,23 @@ def check_medium(
         A key of `MEDIUM_NAMES`.
     allow_semi_infinite : bool
         Whether infinite layers of grains are allowed; those of particles always are.
+    key : str
+        Key in error messages.
     """
-    is_class = isinstance(medium, type)
-    if isinstance(medium, kind) and not is_class:
+    if isinstance(medium, kind):
         check_thickness(medium)
         is_traceable = not (medium.is_semi_infinite and medium.lowest_layer.has_grains)
         if not (is_traceable or allow_semi_infinite):
             raise invalid("depth_m", math.inf, "finite", INFINITE_DEPTH_HINT)
         return
     names = MEDIUM_NAMES[kind]
-    if isinstance(medium, SnowPacks) and kind is Medium:
+    if isinstance(medium, SnowPacks):
         hint = "packs.make_stack(label) returns one of the snowpacks"
-        raise invalid("medium", medium, "one medium", hint)
-    kind_name = medium if is_class else getattr(medium, "kind", medium)
-    suggestion = suggest_name(medium.__name__ if is_class else str(kind_name).capitalize(), names)
-    hint = re.sub(r"mean (\w+)", r"mean splits.\1()", suggestion)
+        hint += "" if kind is Medium else ", and its layers are media"
+        raise invalid(key, medium, "one medium", hint)
+    kind_name = medium if callable(medium) else getattr(medium, "kind", medium)
     allowed = " or ".join(f"splits.{name}(...)" for name in names)
-    raise invalid("medium", kind_name, allowed, hint)
+    raise invalid(key, kind_name, allowed, suggest_medium(medium, names))
 
 
 def check_thickness(medium: Any) -> None:
@@ -60,6 +61,5 @@ def check_thickness(medium: Any) -> None:
     largest = medium.largest_grain_m
     if medium.depth_m <= largest:
         hint = "such a grain must fit between the boundaries"
-        raise invalid(
-            "depth_m", medium.depth_m, f"more than the largest grain, {largest:g} m", hint
-        )
+        limit = format_limit(largest, medium.depth_m)
+        raise invalid("depth_m", medium.depth_m, f"more than the largest grain, {limit} m", hint)

@@ -13,10 +13,8 @@ from splits.core.validation import check_choice
 from splits.media.kinds import get_kind, make_medium
 from splits.media.measured_inputs import override_keywords
 from splits.media.medium import Medium
+from splits.media.suggestions import NAMED_MEDIA, NAMED_MEDIA_FOLDER
 
-NAMED_MEDIA_FOLDER = Path(__file__).with_name("named")
-NAMED_MEDIA = tuple(sorted(path.stem for path in NAMED_MEDIA_FOLDER.glob("*.toml")))
-"""Names of the media of the package."""
 DOCUMENTATION_KEYS = ("description", "source")
 """Keys of the files of named media that are not keywords of a medium."""
 

@@ -108,6 +108,10 @@ def make_natural_snow(
     return cls(**complete_natural_keywords(keywords))
 
 
+make_natural_snow.__qualname__ = "Snow.natural"
+"""Name in error messages: that of the public function."""
+
+
 def complete_natural_keywords(keywords: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keywords of `splits.Snow` for natural snow, updated by those given.
 
@@ -131,7 +135,7 @@ def complete_natural_keywords(keywords: Mapping[str, Any]) -> dict[str, Any]:
         key, temperature = "density_kg_m3", keywords.get("temperature_c", -1.0)
         temperature = check_range("temperature_c", temperature, -40.0, 0.0, "°C")
         ice = ice_density(temperature)
-        hint = f"kg/m3, not g/cm3: ice at {temperature:g} °C has {ice:g}"
+        hint = f"ice at {temperature:g} °C has {ice:g}"
         check_range(
             key, keywords[key], MIN_NATURAL_DENSITY_KG_M3, ice, "kg/m3", hint=hint, open_high=True
         )

@@ -21,6 +21,7 @@ from splits.core.validation import (
     check_choice,
     check_flag,
     check_range,
+    format_limit,
     invalid,
     snap_to_limits,
 )
@@ -175,7 +176,8 @@ class ParticleLayer(ContentEquality, ParticleMedium):
             has_bottom = not (self.is_semi_infinite or self.opaque)
             if self.depth_m < min_depth_m and has_bottom:
                 raise invalid(
-                    "depth_m", self.depth_m, f"at least {min_depth_m:g} m",
+                    "depth_m", self.depth_m,
+                    f"at least {format_limit(min_depth_m, self.depth_m)} m",
                     f"{CLEARANCE_SIGMA:g} standard deviations of height must fit above the bottom",
                 )  # fmt: skip
 

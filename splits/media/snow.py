@@ -12,7 +12,7 @@ import numpy as np
 from splits.core.arrays import check_named_numbers
 from splits.core.equality import ContentEquality
 from splits.core.keywords import reject_unknown_keywords
-from splits.core.validation import check_choice, check_range, invalid
+from splits.core.validation import check_choice, check_range, invalid, suggest_unit
 from splits.kernels.grains.population import GrainPopulation, GrainTypes
 from splits.materials import ice_density
 from splits.materials.impurities import Impurity, describe_impurities, make_impurities
@@ -177,7 +177,8 @@ class Snow(ContentEquality, GranularMedium):
         low, high = GRAIN_SIZE_RANGE_UM
         if not low <= smallest <= largest <= high:
             allowed = f"{low:g} <= min <= max <= {high:g} micrometres"
-            raise invalid("grain_size_um", self.grain_size_um, allowed)
+            hint = suggest_unit(smallest, low, high, "µm")
+            raise invalid("grain_size_um", self.grain_size_um, allowed, hint)
         if largest > 1e3 * smallest:
             raise invalid("grain_size_um", self.grain_size_um, "max <= 1000 min")
         put("grain_size_um", (smallest, largest))
@@ -186,7 +187,7 @@ class Snow(ContentEquality, GranularMedium):
         put("saturation", check_range("saturation", self.saturation, 0.0, 1.0))
         put("temperature_c", check_range("temperature_c", self.temperature_c, -40.0, 0.0, "°C"))
         ice = ice_density(self.temperature_c)
-        hint = f"kg/m3, not g/cm3: ice at {self.temperature_c:g} °C has {ice:g}"
+        hint = f"ice at {self.temperature_c:g} °C has {ice:g}"
         key, density = "density_kg_m3", self.density_kg_m3
         put(
             key,

@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from splits.core.keywords import reject_unknown_keywords
-from splits.core.validation import check_choice, invalid, key_prefix, suggest_name
+from splits.core.validation import check_choice, invalid, key_prefix
 from splits.kernels.base.scene import MATRIX, WET_PORE
 from splits.media.formatting import format_input
 from splits.media.ground import Ground, describe_ground
@@ -20,6 +20,7 @@ from splits.media.interpretations import INTERPRETATION_SETS
 from splits.media.medium import GranularMedium, Interface, Layer, Medium
 from splits.media.particle_layer import ParticleLayer
 from splits.media.pore_fluids import PoreFluids
+from splits.media.suggestions import suggest_medium
 
 MAX_LAYERS = 200
 UNSUPPORTED_IN_STACK = {
@@ -93,11 +94,9 @@ class Stack(Medium):
                 with key_prefix(f"layers[{number}]"):
                     _check_particle_layer(layer, number == 0, number == len(layers) - 1)
                 continue
-            if isinstance(layer, type) or not isinstance(layer, GranularMedium):
-                kind = getattr(layer, "kind", layer)
-                hint = suggest_name(
-                    str(kind).title().replace("_", ""), ["Snow", "Sand", "ParticleLayer"]
-                )
+            if not isinstance(layer, GranularMedium):
+                kind = layer if callable(layer) else getattr(layer, "kind", layer)
+                hint = suggest_medium(layer, ["Snow", "Sand", "ParticleLayer"])
                 allowed = "splits.Snow(...), splits.Sand(...) or splits.ParticleLayer(...)"
                 raise invalid(f"layers[{number}]", kind, allowed, hint)
             if layer.is_semi_infinite and number < len(layers) - 1:

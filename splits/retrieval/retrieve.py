@@ -11,7 +11,10 @@ from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, check_integer, invalid
 from splits.instruments.solver import AUTO
+from splits.media.checks import MEDIUM_NAMES
+from splits.media.medium import Medium
 from splits.media.parameters import INCIDENCE_KEY
+from splits.media.suggestions import suggest_medium
 from splits.retrieval.forward_model import (
     TableForwardModel,
     choose_quantity,
@@ -175,9 +178,10 @@ def retrieve(
         )
         return make_result(state_vector, measurement, solution, settings)
     if isinstance(model, str | Mapping) or not hasattr(model, "kind"):
-        type_name = type(model).__name__
+        shown = model if isinstance(model, str) or callable(model) else type(model).__name__
         hint = "splits.Table(splits.build_table(…)), open_table, or a snow, sand, layer or stack"
-        raise invalid("model", type_name, "a Table, or a medium", hint)
+        suggestion = suggest_medium(model, MEDIUM_NAMES[Medium])
+        raise invalid("model", shown, "a Table, or a medium", suggestion or hint)
     check_choice("quantity", quantity or "reflectance", ["reflectance"])
     measurement = Measurement.from_input(measured, noise, bands)
     incidence = check_measurement_incidence(fixed, free)

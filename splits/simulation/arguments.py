@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from splits.core.arrays import as_1d_array, check_array_range, check_increasing
-from splits.core.validation import check_integer, check_range, invalid, snap_to_limits, suggest_name
+from splits.core.arrays import as_1d_array, check_array_range, check_axis
+from splits.core.validation import check_integer, check_range, invalid, suggest_name, suggest_number
 from splits.simulation.threads import count_cpus
 
 WAVELENGTH_RANGE_NM = (200.0, 100_000.0)
+FULL_TURN_DEG = 360.0
 HALF_WIDTH_RANGE_M = {"beam_spread": (1e-9, 1e6), "surface_map": (1e-9, 1e9), "lens": (1e-9, 1e6)}
 """Smallest and largest half edge (m) of the square that an instrument observes."""
 MAX_DATASET_VALUES = 10_000_000
@@ -27,15 +28,9 @@ def check_wavelengths(
     They must be strictly increasing unless `is_sorted` is false.
     """
     values = as_1d_array(key, wavelength_nm, "numbers in nanometres")
-    low, high = WAVELENGTH_RANGE_NM
-    values = snap_to_limits(values, low, high)
-    outside = values[(values < low) | (values > high)]
-    if outside.size:
-        first = float(outside[0])
-        in_micrometres = low <= 1e3 * first <= high and first < low
-        hint = f"in micrometres? write {1e3 * first:g}" if in_micrometres else ""
-        check_range(key, first, low, high, "nm", hint=hint)
-    return check_increasing(key, values) if is_sorted else values
+    if is_sorted:
+        return check_axis(key, values, *WAVELENGTH_RANGE_NM, "nm")
+    return check_array_range(key, values, *WAVELENGTH_RANGE_NM, "nm")
 
 
 def check_incidence(incidence_deg: Any) -> float | str:
@@ -44,15 +39,15 @@ def check_incidence(incidence_deg: Any) -> float | str:
         if incidence_deg == "diffuse":
             return incidence_deg
         allowed = "an angle in degrees, or diffuse"
-        raise invalid("incidence_deg", incidence_deg, allowed, _suggest_incidence(incidence_deg))
+        hint = suggest_number(incidence_deg) or suggest_name(incidence_deg, ["diffuse"])
+        raise invalid("incidence_deg", incidence_deg, allowed, hint)
     return check_single_angle(incidence_deg, "an angle in degrees, or diffuse")
 
 
 def check_beam_angle(incidence_deg: Any) -> float:
     """Return the polar angle of a beam in [0, 89.9999] degrees, after checking it."""
     if isinstance(incidence_deg, str):
-        hint = "this instrument takes a beam"
-        hint = hint if incidence_deg == "diffuse" else _suggest_incidence(incidence_deg)
+        hint = suggest_number(incidence_deg) or "this instrument takes a beam"
         raise invalid("incidence_deg", incidence_deg, "an angle", hint)
     return check_single_angle(incidence_deg, "an angle in degrees")
 
@@ -63,14 +58,6 @@ def check_single_angle(incidence_deg: Any, allowed: str) -> float:
         hint = "one call for each angle, or an experiment with a grid"
         raise invalid("incidence_deg", incidence_deg, allowed, hint)
     return check_range("incidence_deg", incidence_deg, 0.0, 89.9999, "degrees")
-
-
-def _suggest_incidence(given: str) -> str:
-    """Return a hint for text in place of an angle, empty where there is none."""
-    try:
-        return f"write {float(given):g}, without quotes"
-    except ValueError:
-        return suggest_name(given, ["diffuse"])
 
 
 def check_half_width(instrument: str, half_width_m: Any) -> float:
@@ -103,11 +90,15 @@ def check_threads(threads: Any) -> int:
 
 
 def check_direction_angles(key: str, values: Any, upper_deg: float) -> np.ndarray:
-    """Return increasing angles from 0 to below `upper_deg` degrees, after checking them."""
+    """Return increasing angles from 0 to below `upper_deg` degrees, after checking them.
+
+    Azimuths are from 0 to below 360 degrees everywhere.
+    """
     angles = as_1d_array(key, values, "numbers in degrees")
-    return check_increasing(
-        key, check_array_range(key, angles, 0.0, upper_deg, "degrees", open_high=True)
-    )
+    outside = angles[(angles < 0.0) | (angles >= upper_deg)]
+    is_azimuth = upper_deg == FULL_TURN_DEG
+    hint = f"write {outside[0] % FULL_TURN_DEG:g}" if is_azimuth and outside.size else ""
+    return check_axis(key, angles, 0.0, upper_deg, "degrees", open_high=True, hint=hint)
 
 
 def check_n_bins(n_bins: Any) -> tuple[int, int]:

@@ -69,8 +69,8 @@ def simulate(scene: Scene, tally: Tally, stop: StoppingRule, run: RunOptions) ->
                 if not stop_reason:
                     target_rays = tally.allocate_rays(stop, evaluation)
                     new_rays = limit_round(tally, target_rays, stop.max_rays)
-                    traced_rays = tally.stratum_rays + new_rays
-                    remaining_rays = float((target_rays - traced_rays).clip(0).sum())
+                    last_ray = predict_rays(tally, stop, target_rays, evaluation.error)
+                    remaining_rays = max(last_ray - tally.n_rays - int(new_rays.sum()), 0.0)
             report.error = evaluation.error
     return evaluation._replace(stop_reason=stop_reason)
 
@@ -100,6 +100,27 @@ def limit_round(tally: Tally, target_rays: np.ndarray, max_rays: int) -> np.ndar
         n_left = int(np.ceil(budget) - rounds.sum())
         rounds[np.argsort(rounds - step, kind="stable")[:n_left]] += 1.0
     return rounds.astype(np.int64) * size
+
+
+def predict_rays(tally: Tally, stop: StoppingRule, target_rays: np.ndarray, error: float) -> float:
+    """Return the number of rays at which a run will end: `max_rays`, or fewer for the error.
+
+    Parameters
+    ----------
+    tally : Tally
+    stop : StoppingRule
+    target_rays : float, shape (strata,)
+        Rays that would satisfy the stopping rule by the variances of the strata.
+    error : float
+        Error reached so far.
+    """
+    if stop.fixed:
+        return stop.max_rays
+    needed = float(np.maximum(target_rays, tally.stratum_rays).sum())
+    if not needed > tally.n_rays:
+        # The error is larger than the variances predict.
+        needed = tally.n_rays * (error / stop.max_error) ** 2
+    return min(needed, stop.max_rays)
 
 
 def estimate_cost(stratum: Stratum) -> float:

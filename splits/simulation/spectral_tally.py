@@ -109,14 +109,16 @@ class SpectralEstimate:
     interpolation_bound: np.ndarray
     rays: dict[str, Any]
 
-    def get_stop_reason(self, max_stderr: float) -> str:
+    def get_stop_reason(self, max_stderr: float, max_rays: int) -> str:
         """Return why tracing stopped: the rows reached an error, which others may not have.
 
         Without rays, it is that of discrete ordinates.
         """
         if self.stderr.max() <= max_stderr:
             return "converged"
-        return "max_rays" if self.rays["rays"] else "solver_error"
+        if not self.rays["rays"]:
+            return "solver_error"
+        return "max_rays" if self.rays["rays"] >= max_rays else "interpolation_bound"
 
     def select(self, rows: slice) -> SpectralEstimate:
         """Return the estimate of some rows; derivatives are those of all rows."""

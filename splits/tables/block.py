@@ -133,7 +133,9 @@ def _compute_spectra(
         **estimate.rays,
         "max_stderr_reached": float(estimate.stderr.max()),
         "interpolation_error_bound": float(estimate.interpolation_error.max()),
-        "stop_reason": estimate.get_stop_reason(spectral_request.max_stderr),
+        "stop_reason": estimate.get_stop_reason(
+            spectral_request.max_stderr, spectral_request.max_rays
+        ),
     }
 
 

@@ -16,6 +16,7 @@ from splits.core.keywords import reject_unknown_arguments
 from splits.core.paths import expand_path
 from splits.core.progress import ProgressCallback, report_whole_table
 from splits.core.provenance import hash_physics_sources
+from splits.core.validation import invalid
 from splits.illumination.bands import BandMatrix, check_bands, choose_band_wavelengths
 from splits.instruments.solver import MONTE_CARLO
 from splits.instruments.spectral_run import SpectralRequest
@@ -128,6 +129,8 @@ def build_table(
     {'optical_radius_um': 3, 'incidence_deg': 2, 'wavelength': 2}
     """
     start_time = time.perf_counter()
+    if not callable(make):
+        raise invalid("make", make, "a function that returns a medium", "such as Snow.natural")
     run = RunOptions.from_arguments(seed, threads, kernel)
     named = {} if bands is None else check_bands(bands)
     if wavelength_nm is None and named:

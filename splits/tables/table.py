@@ -98,8 +98,8 @@ class Table:
         polar_deg : float
             Angle from the normal (degrees), within the table.
         azimuth_deg : float, optional
-            Angle from the direction in which the beam travels (degrees), −360 to 360; 180 is the
-            side of the sun.  It has no effect at the normal, and for a beam at the normal.
+            Angle from the direction in which the beam travels (degrees), 0 to below 360; 180 is
+            the side of the sun.  It has no effect at the normal, and for a beam at the normal.
         field_of_view_deg : float
             Full angle of a conical field of view within the table, 0 to 60 degrees.
         diffuse_fraction : float or array_like, shape (wavelengths,)

@@ -14,7 +14,8 @@ import xarray as xr
 
 from splits.core.arrays import align_to_labels, check_array_range
 from splits.core.uncertainty import make_variable
-from splits.core.validation import check_range, invalid, snap_to_limits
+from splits.core.validation import check_number, check_range, invalid, snap_to_limits
+from splits.simulation.arguments import FULL_TURN_DEG, check_direction_angles
 from splits.tables.axes import INCIDENCE
 from splits.tables.axis_order import list_axes, list_quantities, load_selection
 from splits.tables.interpolated_spectra import (
@@ -141,7 +142,10 @@ class ViewRequest(NamedTuple):
 def _choose_azimuth(dataset: xr.Dataset, polar: float, azimuth_deg: Any) -> float:
     """Return the azimuth (degrees), the first of the table where it has no effect."""
     nodes = dataset[AZIMUTH].values if AZIMUTH in dataset.dims else np.zeros(1)
-    given = None if azimuth_deg is None else check_range("azimuth_deg", azimuth_deg, -360.0, 360.0)
+    given = None
+    if azimuth_deg is not None:
+        azimuth = check_number("azimuth_deg", azimuth_deg)
+        given = check_direction_angles("azimuth_deg", azimuth, FULL_TURN_DEG).item()
     incidence = np.ravel(dataset[INCIDENCE] if INCIDENCE in dataset else dataset.attrs[INCIDENCE])
     if polar == 0.0 or AZIMUTH not in dataset.dims or (incidence == 0.0).all():
         return float(nodes[0])

@@ -17,7 +17,7 @@ from splits.core.yaml import ConfigError, find_key, locate_message, read_yaml
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.measured_return import BIN_COLUMNS
 from splits.experiments.config.medium import SAMPLE_KEY
-from splits.experiments.config.messages import validate_content
+from splits.experiments.config.messages import suggest_mapping, validate_content
 from splits.experiments.config.retrieve_checks import check_measured_spectra
 from splits.experiments.config.return_checks import SECTION, check_measured_returns
 from splits.experiments.config.sections import check_path
@@ -81,7 +81,8 @@ def _parse_experiment(path: Path, media: Path, measured: Path) -> ExperimentConf
     check_replaced_settings(given)
     medium, grid = content.get("medium", {}), content.get("grid")
     if not isinstance(medium, dict):
-        raise invalid("medium", medium, "a mapping of keys to values")
+        hint = suggest_mapping("medium", medium, ())
+        raise invalid("medium", medium, "a mapping of keys to values", hint)
     if medium:
         content["medium"] = _apply_bases(medium, "medium", media)
     if isinstance(grid, dict):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from types import UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
@@ -15,8 +15,11 @@ from splits.core.validation import (
     invalid,
     short_repr,
     suggest_name,
+    suggest_number,
     unknown_key,
 )
+from splits.media.kinds import MEDIUM_CLASSES
+from splits.media.suggestions import NAMED_MEDIA
 
 TYPE_DESCRIPTIONS = {
     int: ("a whole number", "whole numbers"),
@@ -57,7 +60,8 @@ def format_validation_error(model: type[BaseModel], error: ValidationError) -> s
     if error_type in ("union_tag_invalid", "union_tag_not_found"):
         tags = [tag for option in list_options(kind) for tag in list_tags(option)]
         if not isinstance(value, Mapping):
-            return str(invalid(key, value, "a mapping of keys to values"))
+            hint = suggest_mapping(key, value, tags)
+            return str(invalid(key, value, "a mapping of keys to values", hint))
         if "kind" not in value:
             return f"{key}.kind: missing, must be one of {', '.join(tags)}"
         hint = suggest_name(value["kind"], tags)
@@ -69,7 +73,7 @@ def format_validation_error(model: type[BaseModel], error: ValidationError) -> s
     allowed = limits or describe_type(kind).replace("a number", f"a {finite}number")
     if error_type == "literal_error" and len(_list_alternatives(model, location)) > 1:
         allowed += f" for {location[-2]}"
-    return str(invalid(key, value, allowed, _suggest_value(kind, value)))
+    return str(invalid(key, value, allowed, _suggest_value(key, kind, value)))
 
 
 def _make_key_error(model: type[BaseModel], location: Sequence[Any], value: Any) -> InvalidValue:
@@ -192,9 +196,32 @@ def _describe_option(kind: Any, quote: str) -> str:
     return f"a mapping with {', '.join(required)}" if required else "a mapping of keys to values"
 
 
-def _suggest_value(kind: Any, value: Any) -> str:
+def suggest_mapping(key: str, value: Any, kinds: Iterable[str]) -> str:
+    """Return a hint for a text in place of a section of one of several kinds, or ""."""
+    if key == "medium" and value in NAMED_MEDIA:
+        return f"write {key}: {{base: {value}}}"
+    kinds = MEDIUM_CLASSES if key == "medium" else kinds
+    return f"write {key}: {{kind: {value}, …}}" if value in [*kinds] else ""
+
+
+def _suggest_value(key: str, kind: Any, value: Any) -> str:
     """Return a correction of a value that is nearly valid, or an empty string."""
     options = list_options(kind)
+    if isinstance(value, str):
+        lists = [option for option in options if get_args(option) == (float, Ellipsis)]
+        sections = [option for option in options if "kind" in getattr(option, "model_fields", ())]
+        tags = [
+            tag
+            for section in sections
+            for option in list_options(section.model_fields["kind"].annotation)
+            for tag in get_args(option)
+        ]
+        if hint := suggest_mapping(key, value, tags):
+            return hint
+        if lists and "," in value:
+            return f"write [{value}]"
+        if float in options:
+            return suggest_number(value)
     choices = [c for k in options if get_origin(k) is Literal for c in get_args(k)]
     if choices:
         return suggest_name(value, choices)

@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 
 from splits.analysis.directions import select_principal_plane
+from splits.core.convergence import nest_runs
 from splits.instruments import goniophotometer, spectrophotometer
 from splits.instruments.solver import MONTE_CARLO
 from splits.materials.library import load_dataset
@@ -106,18 +107,20 @@ class InterpretationRun:
         Runs with different numbers are independent.
         """
         error = self.errors.lobes if lobes else self.errors.brdf
-        run = goniophotometer(
-            self.make_snow(**settings),
-            np.atleast_1d(wavelength_nm),
-            incidence,
-            seed=self.seed + run_number,
-            relative_stderr=error,
-            solver=MONTE_CARLO,
-            azimuth_deg=[0.0, 180.0],
-            polar_deg=np.arange(0.0, 76.0, ANGLE_STEP_DEG),
-            threads=1,
-            max_rays=MAX_BRDF_RAYS,
-        )
+        # The ranking uses the errors that the runs reach, whatever ends them.
+        with nest_runs():
+            run = goniophotometer(
+                self.make_snow(**settings),
+                np.atleast_1d(wavelength_nm),
+                incidence,
+                seed=self.seed + run_number,
+                relative_stderr=error,
+                solver=MONTE_CARLO,
+                azimuth_deg=[0.0, 180.0],
+                polar_deg=np.arange(0.0, 76.0, ANGLE_STEP_DEG),
+                threads=1,
+                max_rays=MAX_BRDF_RAYS,
+            )
         return average_sectors(select_principal_plane(run))
 
     @cached_property

@@ -232,7 +232,9 @@ def test_an_unreached_tolerance_is_reported(monkeypatch):
 
 def test_the_missing_package_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "miepython", None)
-    with pytest.raises(ModuleNotFoundError, match=r"Mie theory needs .*splits-optics\[mie\]"):
+    with pytest.raises(
+        ModuleNotFoundError, match=r"Mie theory needs .*'\.\[mie\]' in a copy of the repository"
+    ):
         splits.compute_mie_matrix(NM, 1.33, radius_um=0.1)
 
 

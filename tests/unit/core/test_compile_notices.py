@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 import time
@@ -85,6 +86,37 @@ def test_a_closed_terminal_does_not_stop_the_run(monkeypatch):
         os.close(reader)
         with announce(COMPILING_MESSAGE):
             time.sleep(0.2)
+
+
+class CellOutput(io.StringIO):
+    """Standard error of a notebook."""
+
+    __module__ = "ipykernel.iostream"
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.2])
+def test_a_notebook_shows_compilation_until_its_end(monkeypatch, seconds):
+    display = pytest.importorskip("IPython.display", reason="comes with the extra docs")
+    lines = []
+
+    class Handle:
+        def display(self, content, raw):
+            assert raw and not lines
+            lines.append(content["text/plain"])
+
+        def update(self, content, raw):
+            assert raw and lines
+            lines.append(content["text/plain"])
+
+    monkeypatch.setattr(display, "DisplayHandle", Handle)
+    monkeypatch.setattr(sys, "stderr", CellOutput())
+    for _ in range(2):
+        with announce(COMPILING_MESSAGE):
+            time.sleep(seconds)
+    wait_for_notices()
+    # Once for all that is compiled, and in the saved notebook only results stay.
+    assert lines == ([f"splits: {COMPILING_MESSAGE}", ""] if seconds else [])
+    assert sys.stderr.getvalue() == ""
 
 
 def test_without_a_terminal_there_is_no_notice(capfd):

@@ -60,7 +60,7 @@ def test_ranges_include_their_limits_unless_open(limits, inside, outside, allowe
 
 def test_the_hint_is_at_the_end():
     with pytest.raises(ValueError, match=r"\[0, 1\] \(use less\)$"):
-        check_range("x", 2.0, 0.0, 1.0, hint="use less")
+        check_range("x", 1.5, 0.0, 1.0, hint="use less")
 
 
 def test_number_sequences_are_converted():

@@ -94,7 +94,7 @@ def test_a_missing_file_is_reported_in_one_line(tmp_path, capsys):
 def test_a_missing_extra_is_reported(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "pydantic", None)
     assert cli.main(["run", str(tmp_path / "any.yaml")]) == 1
-    message = "experiment files need the package pydantic: pip install 'splits-optics[experiments]'"
+    message = "experiment files need the package pydantic: pip install '.[experiments]' "
     assert message in capsys.readouterr().err
 
 

@@ -67,7 +67,7 @@ def test_named_media_need_no_extra():
     assert done.returncode == 0, done.stderr
     *lines, missing = done.stdout.splitlines()
     assert [line.split()[0] for line in lines] == list(NAMED_MEDIA)
-    assert "pip install 'splits-optics[experiments]'" in missing
+    assert "pip install '.[experiments]' in a copy of the repository" in missing
 
 
 def test_keywords_replace_values():

@@ -226,6 +226,45 @@ def test_progress_of_every_job_is_reported(monkeypatch):
     assert reports[-1].seconds_left == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("variances", "max_error", "scale", "expected"),
+    [
+        # The error is reached first, or the largest number of rays.
+        ([1.0, 100.0], 0.01, 1.0, 1_010_000),
+        ([1.0, 100.0], 1e-5, 1.0, 2_000_000),
+        # The variances predict fewer rays than the error needs, or it is never reached.
+        ([0.01, 0.01], 0.02, 4.0, None),
+        ([0.01, 0.01], 0.02, 1e3, 2_000_000),
+        ([0.01, 0.01], 0.02, np.inf, 2_000_000),
+    ],
+)
+def test_the_remaining_time_is_that_of_what_ends_the_run(
+    monkeypatch, variances, max_error, scale, expected
+):
+    tally, rounds = StubTally(variances), []
+    evaluate, begin_round = tally.evaluate, ProgressReport.begin_round
+
+    def record(report, n_rays, cost, remaining_rays):
+        rounds.append((tally.n_rays, n_rays, remaining_rays))
+        begin_round(report, n_rays, cost, remaining_rays)
+
+    def enlarge_error(stop):
+        state = evaluate(stop)
+        return state._replace(error=scale * state.error)
+
+    monkeypatch.setattr(tally, "evaluate", enlarge_error)
+    monkeypatch.setattr(ProgressReport, "begin_round", record)
+    stop = StoppingRule(max_error, 2_000_000)
+    evaluation = run(tally, stop)
+    assert evaluation.stop_reason == ("max_rays" if expected == stop.max_rays else "converged")
+    end = tally.n_rays
+    for done, n_rays, remaining in rounds[1:]:
+        assert remaining >= 0.0
+        predicted = done + n_rays + remaining
+        assert predicted == pytest.approx(end, rel=0.05 if expected else 0.3)
+    assert end == pytest.approx(expected or end, rel=0.01)
+
+
 def test_remaining_time_and_interval_of_reports(monkeypatch):
     clock, reports = SimpleNamespace(now=100.0), []
     monkeypatch.setattr(engine, "time", SimpleNamespace(perf_counter=lambda: clock.now))

@@ -20,7 +20,13 @@ from splits.plotting.direction_axes import (
     make_lines,
     select_line,
 )
-from splits.plotting.style import BAND_SIGMA, TWO_COLUMNS_INCHES, make_subplots, use_style
+from splits.plotting.style import (
+    BAND_SIGMA,
+    TWO_COLUMNS_INCHES,
+    make_subplots,
+    start_at_zero,
+    use_style,
+)
 
 
 def draw_polarization(
@@ -62,7 +68,8 @@ def draw_polarization(
                     alpha=0.3,
                     lw=0,
                 )
-        left.set(ylabel=QUANTITY_LABELS["brdf"], ylim=(0.0, None))
+        left.set_ylabel(QUANTITY_LABELS["brdf"])
+        start_at_zero(left, "brdf")
         right.set_ylabel("degree of polarization" + (", −Q/I" if is_symmetric else ""))
         right.axhline(0.0, color="0.6", lw=0.6)
         for axes in (left, right):

@@ -39,6 +39,7 @@ from splits.plotting.style import (
     OffscreenFigure,
     format_value,
     pick_colours,
+    start_at_zero,
     use_style,
 )
 
@@ -132,7 +133,8 @@ def _draw_plane(
         polar.fill_between(plot_angle, low, value + error, color=grid_line.colour, alpha=0.3, lw=0)
         flat.plot(angle, value, label=grid_line.label, **grid_line.to_plot_style())
         flat.fill_between(angle, low, value + error, color=grid_line.colour, alpha=0.3, lw=0)
-    format_half_circle(polar, ylim[1] if ylim else None, is_downward)
+    start_at_zero(flat, name, ylim)
+    format_half_circle(polar, flat.get_ylim()[1], is_downward)
     if has_no_light:
         _annotate_no_light(plane, name, polar, flat)
     else:
@@ -146,7 +148,7 @@ def _draw_plane(
         ha="center",
         va="bottom" if is_downward else "top",
     )
-    flat.set(xlabel=VIEWING_ANGLE_LABEL, ylabel=QUANTITY_LABELS[name], ylim=ylim or (0.0, None))
+    flat.set(xlabel=VIEWING_ANGLE_LABEL, ylabel=QUANTITY_LABELS[name])
     flat.set_xticks(np.arange(-90, 91, 30))
     flat.spines[["top", "right"]].set_visible(False)
 
@@ -203,12 +205,14 @@ def draw_bin_sizes(dataset: xr.Dataset, select: Mapping[str, float | str] | None
                 angle, value, "o-", color=colour, ms=1.2 + 0.25 * factor, lw=0.4 + 0.12 * factor,
                 label=label, zorder=zorder,
             )  # fmt: skip
-        axes.set(xlabel=VIEWING_ANGLE_LABEL, ylabel=QUANTITY_LABELS["brdf"], ylim=(0.0, None))
+        axes.set(xlabel=VIEWING_ANGLE_LABEL, ylabel=QUANTITY_LABELS["brdf"])
+        start_at_zero(axes, "brdf")
         axes.set_xticks(np.arange(-90, 91, 30))
         axes.spines[["top", "right"]].set_visible(False)
         axes.legend(title="bins, polar × azimuth", frameon=False)
         grid_cells = [grid[1, i] for i in range(len(factors))]
-        maps = draw_dataset_maps(figure, grid_cells, merged, labels, "brdf")
+        titles = [f"bins: {label}" for label in labels]
+        maps = draw_dataset_maps(figure, grid_cells, merged, titles, "brdf")
         return annotate_figure(figure, [axes, *maps], note, make_maps_note(("brdf",)))
 
 

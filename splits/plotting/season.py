@@ -92,10 +92,10 @@ def draw_season(dataset: xr.Dataset, quantity: Sequence[str] = ("reflectance",))
 def _describe_gaps(dataset: xr.Dataset) -> str:
     """Return the number of snowpacks without a result by the meaning of their flag."""
     flag = dataset.quality_flag
-    meanings = str(flag.attrs.get("flag_meanings", "")).split()
+    meanings = flag.attrs["flag_meanings"].split()
     counts = [
         f"{int((flag == value).sum())} {meaning.replace('_', ' ')}"
-        for value, meaning in zip(np.atleast_1d(flag.attrs.get("flag_values", [])), meanings)
+        for value, meaning in zip(flag.attrs["flag_values"], meanings, strict=True)
         if value != 0 and (flag == value).any()
     ]
     return f"Gaps: snowpacks without a result ({', '.join(counts)})." if counts else ""

@@ -45,6 +45,14 @@ def extract_plane(dataset: xr.Dataset) -> xr.Dataset:
     return insert_zenith_gap(plane) if dataset.attrs.get("estimator") == "bins" else plane
 
 
+def describe_bins(dataset: xr.Dataset) -> str:
+    """Return the note that explains the gap around the normal; empty without angular bins."""
+    if dataset.attrs.get("estimator") != "bins":
+        return ""
+    first = f"{float(dataset.polar.min()):.3g}°"
+    return f"Lines join the centres of angular bins; the first are at {first} from the normal."
+
+
 def insert_zenith_gap(plane: xr.Dataset) -> xr.Dataset:
     """Return a plane with a missing value at the zenith, so that its halves are not joined."""
     if 0.0 in plane.angle.values:

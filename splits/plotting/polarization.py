@@ -16,6 +16,7 @@ from splits.plotting.direction_axes import (
     MAX_POLAR_DEG,
     QUANTITY_LABELS,
     VIEWING_ANGLE_LABEL,
+    describe_bins,
     extract_plane,
     make_lines,
     select_line,
@@ -78,7 +79,9 @@ def draw_polarization(
             axes.set_xticks(np.arange(-90, 91, 30))
             axes.spines[["top", "right"]].set_visible(False)
         lines.add_legend(figure, [left], legend, MAX_INSET_LINES)
-        return annotate_figure(figure, [left, right], describe_conditions(dataset, select))
+        return annotate_figure(
+            figure, [left, right], describe_conditions(dataset, select), describe_bins(dataset)
+        )
 
 
 def _extract_degree(line: xr.Dataset, is_symmetric: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -18,6 +18,7 @@ from splits.plotting.direction_axes import (
     QUANTITY_LABELS,
     SHORT_ANGLE_LABEL,
     VIEWING_ANGLE_LABEL,
+    describe_bins,
     extract_plane,
     format_half_circle,
     get_incidence_deg,
@@ -124,7 +125,8 @@ def draw_principal_planes(
                 map_cells = [map_row[i] for i in range(n_maps)]
                 axes_list += draw_maps(figure, map_cells, dataset, name, legend)
         lines.add_legend(figure, [flat for _, _, flat, _ in planes], legend, MAX_INSET_LINES)
-        return annotate_figure(figure, axes_list, note, make_maps_note(quantity) if n_maps else "")
+        maps_note = make_maps_note(quantity) if n_maps else ""
+        return annotate_figure(figure, axes_list, note, describe_bins(dataset), maps_note)
 
 
 def _choose_panel_dim(plane: xr.Dataset, lines: PlotLines) -> str:
@@ -238,7 +240,9 @@ def draw_bin_sizes(dataset: xr.Dataset, select: Mapping[str, float | str] | None
         grid_cells = [grid[1, i] for i in range(len(factors))]
         titles = [f"bins: {label}" for label in labels]
         maps = draw_dataset_maps(figure, grid_cells, merged, titles, "brdf")
-        return annotate_figure(figure, [axes, *maps], note, make_maps_note(("brdf",)))
+        return annotate_figure(
+            figure, [axes, *maps], note, describe_bins(dataset), make_maps_note(("brdf",))
+        )
 
 
 def _draw_beams(axes: Axes, plane: xr.Dataset, lines: PlotLines, downward: bool) -> None:

@@ -98,7 +98,7 @@ def _serialize_table(label: str, entry: ExplorerTable) -> dict[str, Any]:
                 ),
                 "nodes": nodes.tolist(),
                 "law": transform,
-                "start": middle,
+                "start": float(nodes[0]) if _is_addition(name) else middle,
             }
         )
         assert np.array_equal(apply_axis_transform(transform, nodes), transformed)
@@ -192,6 +192,15 @@ def _estimate_interpolation_error(values: np.ndarray, axis: int, nodes: np.ndarr
         (1.0 - fraction) * rows[:-2] + fraction * rows[2:] - rows[1:-1]
     )
     return error
+
+
+_WATER_AXES = ("saturation", "liquid_water_content")
+"""Axes of water."""
+
+
+def _is_addition(name: str) -> bool:
+    """Return whether the first node of an axis is clean or dry; directions are of such grains."""
+    return parse_impurity_parameter(name) is not None or name in _WATER_AXES
 
 
 _UNIT_SYMBOLS = {

@@ -236,15 +236,15 @@ def test_figures_have_column_width_and_readable_text(kind):
 def test_axes_end_above_the_data_and_legends_leave_room(kind):
     figure = FIGURES[kind]()
     figure.draw_without_rendering()
+    framed = ("refractive_index", "return", "range_bias", "swatches", "interpretation")
     for axes in figure.axes:
-        if axes.name != "rectilinear" or axes.get_label() == "<colorbar>" or axes.images:
+        is_map = any(isinstance(mesh, QuadMesh) for mesh in axes.collections) or axes.images
+        if axes.name != "rectilinear" or axes.get_label() == "<colorbar>" or is_map:
             continue
         if axes.get_yscale() == "linear" and np.isfinite(axes.dataLim.ymax):
-            is_map = any(isinstance(mesh, QuadMesh) for mesh in axes.collections)
-            assert axes.dataLim.ymax < max(axes.get_ylim()) or is_map
-        has_open_frame = not any(axes.spines[side].get_visible() for side in ("top", "right"))
-        is_twin = kind in ("refractive_index", "return", "range_bias", "swatches", "interpretation")
-        assert has_open_frame or is_twin
+            assert axes.dataLim.ymax < max(axes.get_ylim())
+        is_open = not any(axes.spines[side].get_visible() for side in ("top", "right"))
+        assert is_open or kind in framed
     legends = [*figure.legends, *(axes.get_legend() for axes in figure.axes)]
     boxes = [one.get_window_extent() for one in legends if one is not None]
     assert (

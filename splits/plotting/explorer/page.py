@@ -205,6 +205,7 @@ def _is_addition(name: str) -> bool:
 
 _UNIT_SYMBOLS = {
     "1": "", "degree": "°", "um": "µm", "m2 kg-1": "m²/kg", "kg m-3": "kg/m³", "1e-9": "ng/g",
+    "ml-1": "cells/ml",
 }  # fmt: skip
 
 

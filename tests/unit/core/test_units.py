@@ -22,7 +22,8 @@ def test_every_spelling_is_known_and_the_target_changes_nothing(target):
 @pytest.mark.parametrize(
     ("unit", "target", "expected"),
     [("µm", "um", 1.0), ("m", "um", 1e6), ("K", "degC", -272.15), ("% by Vol", "1", 0.01),
-     ("kg * m^-3", "kg m-3", 1.0), ("rad", "degree", 57.29577951)],
+     ("kg * m^-3", "kg m-3", 1.0), ("rad", "degree", 57.29577951),
+     ("cells / mL", "ml-1", 1.0), ("L-1", "ml-1", 1e-3)],
 )  # fmt: skip
 def test_values_are_converted(unit, target, expected):
     assert convert_units("x", np.array(1.0), unit, target) == pytest.approx(expected)

@@ -45,6 +45,8 @@ import splits
 from splits.discrete_ordinates import grain_cache
 from splits.discrete_ordinates.applicability import make_granular_stack
 from splits.media.natural_snow import NATURAL_GRAIN_SHAPE
+from splits.plotting.annotations import annotate_figure
+from splits.plotting.lines import place_legend_above
 from splits.plotting.style import TWO_COLUMNS_INCHES, make_subplots, pick_colours, use_style
 
 WAVELENGTHS_NM = np.arange(400.0, 2501.0, 10.0)
@@ -197,6 +199,8 @@ def measure_ways() -> pd.DataFrame:
 def draw_ways(table: pd.DataFrame) -> Figure:
     """Draw the largest deviation against time; open markers are other models of snow."""
     with use_style():
+        # Other media have times only.
+        table = table[table.deviation_largest.notna()]
         names = list(dict.fromkeys(table.snowpack))
         figure, panels = make_subplots(
             1, len(names), width=TWO_COLUMNS_INCHES, height=2.9, sharex=True, sharey=True
@@ -213,9 +217,8 @@ def draw_ways(table: pd.DataFrame) -> Figure:
             axes.grid(which="major", alpha=0.3)
             axes.spines[["top", "right"]].set_visible(False)
         panels[0].set_ylabel("largest deviation of the reflectance")
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, frameon=False, ncols=6, loc="outside upper center")
-        return figure
+        place_legend_above(figure, panels[0].get_legend_handles_labels()[0], None)
+        return annotate_figure(figure, panels, "Open markers: other models of snow.")
 
 
 def measure_traced_grains() -> pd.DataFrame:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 PARAMETERS: dict[str, tuple[str, str]] = {
-    "algae_cells_ml": ("number of algae cells per volume of meltwater", "1"),
+    "algae_cells_ml": ("number of algae cells per volume of meltwater", "ml-1"),
     "asymmetry": ("mean cosine of the scattering angle", "1"),
     "bottom_albedo": ("albedo of the bottom", "1"),
     "density_kg_m3": ("mass of ice per volume", "kg m-3"),

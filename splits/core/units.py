@@ -56,6 +56,10 @@ CONVERSIONS: dict[str, dict[str, Conversion]] = {
         ("1e-9 | ng g-1 | ng/g | ug kg-1 | ug/kg", 1.0), ("ug g-1 | ug/g | mg kg-1 | mg/kg", 1e3),
         ("g g-1 | g/g | kg kg-1 | kg/kg", 1e9),
     ),
+    "ml-1": _list_spellings(
+        ("ml-1 | mL-1 | 1/ml | 1/mL | cells/ml | cells/mL | cells ml-1 | cells mL-1 | cm-3", 1.0),
+        ("l-1 | L-1 | 1/l | 1/L", 1e-3), ("m-3", 1e-6),
+    ),
     "degree": _list_spellings(
         ("degree | degrees | deg | °", 1.0), ("rad | radian | radians", 180.0 / np.pi)
     ),

@@ -83,8 +83,8 @@ def make_natural_snow(
     density_kg_m3 : float
         Mass of ice per volume of snow, from 10 kg/m³ to below the density of ice.
     depth_m : float
-        Thickness (m).  An infinite depth is allowed for spectra, albedos and profiles, and for
-        BRDFs and HDRFs by discrete ordinates.
+        Thickness (m).  An infinite depth is allowed for spectra, albedos, profiles and delays,
+        and for BRDFs and HDRFs by discrete ordinates.
 
     Raises
     ------

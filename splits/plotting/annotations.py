@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from splits.core.incident_stokes import UNPOLARIZED_LIGHT, get_incident_stokes
+from splits.media.formatting import count_digits
 from splits.plotting.style import BAND_SIGMA, SMALL_FONT_PT, format_parameter, format_value
 
 Attributes = Mapping[str, Any]
@@ -43,19 +44,14 @@ _COMMON_FORMATTERS: dict[str, Callable[[Any], str]] = {
     "depth_m": _make_formatter("depth", "m"),
     "ground": _format_ground,
 }
-_GRAIN_FORMATTERS = {
-    "density_kg_m3": _make_formatter("density", "kg m⁻³"),
-    "saturation": _format_saturation,
-}
 FORMATTERS: dict[str, dict[str, Callable[[Any], str]]] = {
     "snow": {
+        "specific_surface_area_m2_kg": _make_formatter("specific surface area", "m²/kg"),
+        "optical_radius_um": _make_formatter("optical radius", "µm"),
         "grain_size_um": _make_formatter("grains", "µm"),
-        **_GRAIN_FORMATTERS,
-        **_COMMON_FORMATTERS,
-    },
-    "natural_snow": {
-        "specific_surface_area_m2_kg": _make_formatter("surface area", "m²/kg"),
-        **_GRAIN_FORMATTERS,
+        "density_kg_m3": _make_formatter("density", "kg m⁻³"),
+        "saturation": _format_saturation,
+        "liquid_water_content": _make_formatter("liquid water content"),
         **_COMMON_FORMATTERS,
     },
     "sand": {
@@ -79,6 +75,11 @@ FORMATTERS: dict[str, dict[str, Callable[[Any], str]]] = {
     "stack": {**_COMMON_FORMATTERS},
 }
 """Formatters of the keywords that figures show, by kind of medium."""
+_EQUIVALENT_KEYS = (
+    ("specific_surface_area_m2_kg", "optical_radius_um", "grain_size_um"),
+    ("saturation", "liquid_water_content"),
+)
+"""Keywords that state the same quantity."""
 _INTERIOR_KEYS = ("optical_thickness", "single_scattering_albedo", "bottom_albedo")
 """Keywords of a layer without effect below an opaque surface."""
 _SURFACE_INSTRUMENTS = ("surface_map", "lens")
@@ -126,6 +127,13 @@ def _describe_medium(attributes: Attributes, select: dict[str, Any]) -> list[str
         for key in FORMATTERS[kind]
         if f"{kind}_{key}" in attributes
     } | select
+    for keys in _EQUIVALENT_KEYS:
+        # The selected one, or the one with the fewest digits, which is the one that was written.
+        given = [key for key in keys if key in values]
+        shown = [key for key in given if key in select] or sorted(
+            given, key=lambda key: count_digits(values[key])
+        )
+        values = {key: v for key, v in values.items() if key not in given or key == shown[0]}
     opaque = attributes.get(f"{kind}_opaque") == "true"
     has_no_interior = opaque or attributes.get("instrument") in _SURFACE_INSTRUMENTS
     items = [kind.replace("_", " ")]
@@ -162,7 +170,7 @@ def _describe_error(dataset: xr.Dataset, band: str) -> str:
     ):
         reached = dataset[key].max() if key in dataset else dataset.attrs.get(key)
         if reached is not None:
-            text = f"{description} ≤ {float(f'{float(reached):.1g}'):g}"
+            text = f"{description} ≤ {format_value(float(f'{float(reached):.1g}'))}"
             return f"{band}: {BAND_SIGMA:g} standard errors; {text}" if band else text
     return f"{band}: {BAND_SIGMA:g} standard errors" if band else ""
 

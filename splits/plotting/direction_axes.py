@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from splits.analysis.directions import select_principal_plane
 from splits.io.netcdf import select_points
 from splits.plotting.lines import PlotLines
-from splits.plotting.style import SMALL_FONT_PT, format_parameter, format_value
+from splits.plotting.style import SMALL_FONT_PT
 
 MAX_POLAR_DEG = 82.5
 """Largest angle from the normal at which directions are drawn and errors are controlled."""
@@ -27,8 +27,6 @@ QUANTITY_LABELS = {
 VIEWING_ANGLE_LABEL = "viewing angle, forward positive (°)"
 SHORT_ANGLE_LABEL = "viewing angle (°)"
 """Labels of the axis of angles, for large and small panels."""
-_MAX_TITLE_CHARS = 24
-"""Number of characters that fit above a small panel."""
 MAX_INSET_LINES = 4
 """Largest number of lines with a legend inside the axes."""
 
@@ -45,6 +43,14 @@ def extract_plane(dataset: xr.Dataset) -> xr.Dataset:
     plane = select_principal_plane(dataset)
     plane = plane.isel(angle=np.abs(plane.angle.values) <= MAX_POLAR_DEG)
     return insert_zenith_gap(plane) if dataset.attrs.get("estimator") == "bins" else plane
+
+
+def describe_bins(dataset: xr.Dataset) -> str:
+    """Return the note that explains the gap around the normal; empty without angular bins."""
+    if dataset.attrs.get("estimator") != "bins":
+        return ""
+    first = f"{float(dataset.polar.min()):.3g}°"
+    return f"Lines join the centres of angular bins; the first are at {first} from the normal."
 
 
 def insert_zenith_gap(plane: xr.Dataset) -> xr.Dataset:
@@ -66,24 +72,6 @@ def select_line(dataset: xr.Dataset, labels: Mapping[str, float | str]) -> xr.Da
     """Return the data of one line."""
     dataset = dataset.sel(labels)
     return dataset.isel(wavelength=0) if "wavelength" in dataset.dims else dataset
-
-
-def make_panel_title(labels: Mapping[str, float | str], legend: str | None = None) -> str:
-    """Return the title of a small panel: a line per parameter, two for long ones.
-
-    Parameters
-    ----------
-    labels : mapping
-        Labels of the grid.
-    legend : str, optional
-        Name of a single varying parameter; that of the parameter by default.
-    """
-    lines = []
-    for parameter, label in labels.items():
-        name = legend if legend and len(labels) == 1 else format_parameter(parameter)
-        value = format_value(label, parameter)
-        lines.append(f"{name}:{chr(10) if len(name + value) > _MAX_TITLE_CHARS else ' '}{value}")
-    return "\n".join(lines)
 
 
 def to_plot_angle(angle_deg: np.ndarray, downward: bool = False) -> np.ndarray:

@@ -19,7 +19,6 @@ from splits.plotting.direction_axes import (
     QUANTITY_LABELS,
     get_incidence_deg,
     make_lines,
-    make_panel_title,
     select_line,
     select_point,
 )
@@ -27,6 +26,7 @@ from splits.plotting.style import (
     ONE_COLUMN_INCHES,
     TWO_COLUMNS_INCHES,
     OffscreenFigure,
+    make_panel_title,
     use_style,
 )
 

@@ -15,9 +15,12 @@ from splits.plotting.nodes import draw_node_ticks, find_coarse_nodes, make_nodes
 from splits.plotting.panels import DEFAULT_LABEL, MAX_PANELS
 from splits.plotting.style import (
     BAND_SIGMA,
+    NOMINAL_PARAMETERS,
     TWO_COLUMNS_INCHES,
+    format_parameter,
     format_value,
     make_subplots,
+    start_at_zero,
     use_style,
 )
 
@@ -98,7 +101,7 @@ def draw_shifts(
             part = panels[number * rows_per_quantity : (number + 1) * rows_per_quantity].ravel()
             _draw_block(part, dataset, name, dim, axis_dim)
             part[0].set_ylabel(label)
-            part[0].set_ylim(ylim or (0.0, None))
+            start_at_zero(part[0], name, ylim)
             for axes in part:
                 draw_node_ticks(axes, nodes)
                 axes.spines[["top", "right"]].set_visible(False)
@@ -134,7 +137,9 @@ def _draw_block(
         axes.axhline(0.0, color="black", lw=0.6, zorder=1.5)
         axes.set_ylim(-limit, limit)
         # A line break may separate a dollar sign from its escape.
-        title = fill(format_value(other, dim), _MAX_TITLE_CHARS).replace("\\\n$", "\n\\$")
+        value = format_value(other, dim)
+        text = value if dim in NOMINAL_PARAMETERS else f"{format_parameter(dim)}: {value}"
+        title = fill(text, _MAX_TITLE_CHARS).replace("\\\n$", "\n\\$")
         axes.set_title(title)
     for axes in panels[1 + len(others) :]:
         axes.set_visible(False)

@@ -18,7 +18,6 @@ from splits.plotting.direction_axes import (
     format_half_circle,
     get_incidence_deg,
     make_lines,
-    make_panel_title,
     select_line,
     select_point,
     to_plot_angle,
@@ -29,6 +28,7 @@ from splits.plotting.style import (
     TWO_COLUMNS_INCHES,
     Colour,
     OffscreenFigure,
+    make_panel_title,
     use_style,
 )
 

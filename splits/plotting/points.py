@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from splits.core.escaping import escape_mathtext
 from splits.io.netcdf import select_points
-from splits.plotting.annotations import annotate_figure, describe_conditions
+from splits.plotting.annotations import add_notes, annotate_figure, describe_conditions
 from splits.plotting.interpretation_shifts import (
     INDEPENDENCE_NOTE,
     compute_shift,
@@ -22,6 +22,7 @@ from splits.plotting.interpretation_shifts import (
 )
 from splits.plotting.lines import PlotLines, place_legend_beside
 from splits.plotting.panels import DEFAULT_LABEL
+from splits.plotting.principal_plane import draw_principal_planes
 from splits.plotting.small_multiples import draw_small_multiples
 from splits.plotting.spectra import draw_spectra
 from splits.plotting.style import (
@@ -35,7 +36,8 @@ from splits.plotting.style import (
     pick_colours,
     use_style,
 )
-from splits.tables.views import VIEW_AXES
+from splits.tables.axes import INCIDENCE
+from splits.tables.views import VIEW_AXES, VIEW_QUANTITIES
 
 _SERIES_SPREAD = 0.6
 """Fraction of a row over which the series are spread."""
@@ -168,6 +170,10 @@ def draw_summary(
 ) -> Figure:
     """Draw spectra of a table: lines along its longest axis, panels along the next two.
 
+    A table of reflectance or anisotropy factors over directions is drawn in the principal plane
+    instead, with lines along its angles of incidence, at wavelengths where snow is bright, medium
+    and dark.
+
     Parameters
     ----------
     dataset : xarray.Dataset
@@ -185,6 +191,8 @@ def draw_summary(
     part = part.sel(dict(select))
     free = sorted((n for n in axes if n not in select), key=lambda n: -dataset.sizes[n])
     views = [name for name in free if name in VIEW_AXES and dataset.sizes[name] > 1]
+    if len(views) == len(VIEW_AXES) and all(name in VIEW_QUANTITIES for name in quantity):
+        return _draw_views(dataset.sel(dict(select)), quantity, legend)
     free = [name for name in free if name not in VIEW_AXES and dataset.sizes[name] > 1]
     lines, panel_dims, rest = free[:1], free[1:3], free[3:] + views
     single = [n for n in axes if n not in select and dataset.sizes[n] == 1]
@@ -212,6 +220,35 @@ def draw_summary(
     if panel_dims:
         return draw_small_multiples(shown, quantity, panel_dims, legend, note=note)
     return draw_spectra(shown, quantity, None, {}, None, legend, None)
+
+
+BRIGHTNESS_LEVELS = (0.9, 0.5, 0.1)
+"""Mean reflectances of the wavelengths that are shown, relative to the largest."""
+
+
+def _draw_views(dataset: xr.Dataset, quantity: Sequence[str], legend: str | None) -> Figure:
+    """Draw the principal plane of a table over directions, by angle of incidence."""
+    axes = dataset[quantity[0]].dims
+    brightness = dataset.get("reflectance", dataset[quantity[0]])
+    brightness = brightness.mean([d for d in brightness.dims if d != "wavelength"])
+    rows = [
+        int(np.abs(brightness - level * brightness.max()).values.argmin())
+        for level in BRIGHTNESS_LEVELS
+    ]
+    fixed = [d for d in axes if d not in (INCIDENCE, *VIEW_AXES, "wavelength")]
+    shown = {str(n): (dataset.sizes[n] - 1) // 2 for n in fixed} | {"wavelength": sorted({*rows})}
+    if INCIDENCE in axes:
+        shown[INCIDENCE] = _select_evenly(dataset.sizes[INCIDENCE], MAX_SUMMARY_LINES)
+    names = [f"{name}{suffix}" for name in quantity for suffix in ("", "_stderr")]
+    part = dataset[names].isel(shown)
+    note = " · ".join(
+        f"{format_parameter(str(n))} {format_value(part[n].item(), str(n))}" for n in fixed
+    )
+    part = part.drop_vars(fixed).rename(dict(zip(VIEW_AXES, ("polar", "azimuth"), strict=True)))
+    figure = draw_principal_planes(part, quantity, legend=legend)
+    with use_style():
+        add_notes(figure, f"at {note}" if note else "")
+    return figure
 
 
 def _select_evenly(size: int, max_count: int) -> np.ndarray:

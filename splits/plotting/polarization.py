@@ -16,11 +16,18 @@ from splits.plotting.direction_axes import (
     MAX_POLAR_DEG,
     QUANTITY_LABELS,
     VIEWING_ANGLE_LABEL,
+    describe_bins,
     extract_plane,
     make_lines,
     select_line,
 )
-from splits.plotting.style import BAND_SIGMA, TWO_COLUMNS_INCHES, make_subplots, use_style
+from splits.plotting.style import (
+    BAND_SIGMA,
+    TWO_COLUMNS_INCHES,
+    make_subplots,
+    start_at_zero,
+    use_style,
+)
 
 
 def draw_polarization(
@@ -62,7 +69,8 @@ def draw_polarization(
                     alpha=0.3,
                     lw=0,
                 )
-        left.set(ylabel=QUANTITY_LABELS["brdf"], ylim=(0.0, None))
+        left.set_ylabel(QUANTITY_LABELS["brdf"])
+        start_at_zero(left, "brdf")
         right.set_ylabel("degree of polarization" + (", −Q/I" if is_symmetric else ""))
         right.axhline(0.0, color="0.6", lw=0.6)
         for axes in (left, right):
@@ -71,7 +79,9 @@ def draw_polarization(
             axes.set_xticks(np.arange(-90, 91, 30))
             axes.spines[["top", "right"]].set_visible(False)
         lines.add_legend(figure, [left], legend, MAX_INSET_LINES)
-        return annotate_figure(figure, [left, right], describe_conditions(dataset, select))
+        return annotate_figure(
+            figure, [left, right], describe_conditions(dataset, select), describe_bins(dataset)
+        )
 
 
 def _extract_degree(line: xr.Dataset, is_symmetric: bool) -> tuple[np.ndarray, np.ndarray]:

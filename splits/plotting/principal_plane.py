@@ -18,6 +18,7 @@ from splits.plotting.direction_axes import (
     QUANTITY_LABELS,
     SHORT_ANGLE_LABEL,
     VIEWING_ANGLE_LABEL,
+    describe_bins,
     extract_plane,
     format_half_circle,
     get_incidence_deg,
@@ -29,7 +30,7 @@ from splits.plotting.direction_axes import (
 )
 from splits.plotting.hemispheres import draw_dataset_maps, draw_maps, make_maps_note
 from splits.plotting.interpretation_shifts import draw_shifts, find_default_dim
-from splits.plotting.lines import PlotLines
+from splits.plotting.lines import MAX_INSET_ENTRIES, PlotLines
 from splits.plotting.panels import can_map_hemisphere
 from splits.plotting.style import (
     BAND_SIGMA,
@@ -38,12 +39,16 @@ from splits.plotting.style import (
     Colour,
     OffscreenFigure,
     format_value,
+    make_panel_title,
     pick_colours,
+    start_at_zero,
     use_style,
 )
 
 MAX_MAPS = 4
 """Largest number of points of a grid with additional hemisphere maps."""
+MAX_PLANE_ROWS = 4
+"""Largest number of rows of panels for the values of a parameter."""
 
 
 def draw_principal_planes(
@@ -55,6 +60,7 @@ def draw_principal_planes(
 ) -> Figure:
     """Draw the principal plane as a polar plot and over the viewing angle, with error bands.
 
+    Many lines over several parameters have a row of panels for every value of the last parameter.
     Hemisphere maps are added for few points with directions over all azimuths.  Transmitted light
     points down in the polar plot.  If a value of the only parameter is labelled ``default``, panels
     show the shifts of the others from it.
@@ -81,21 +87,34 @@ def draw_principal_planes(
         labels = [QUANTITY_LABELS[name] for name in quantity]
         note += "; viewing angles are positive forward"
         return draw_shifts(plane, quantity, dim, "angle", (SHORT_ANGLE_LABEL, labels), note, ylim)
+    panel_dim = _choose_panel_dim(plane, lines)
+    if panel_dim:
+        panel_values = plane[panel_dim].values
+        lines = make_lines(plane.isel({panel_dim: 0}, drop=True), quantity[0])
+        parts = [plane.sel({panel_dim: value}) for value in panel_values]
+        titles = [make_panel_title({panel_dim: value}) for value in panel_values]
+    else:
+        parts, titles = [plane], [""]
     has_all_azimuths = can_map_hemisphere(dataset.polar.values, dataset.azimuth.values)
-    n_maps = len(lines.lines) if has_all_azimuths and len(lines.lines) <= MAX_MAPS else 0
+    is_mapped = has_all_azimuths and len(lines.lines) <= MAX_MAPS and not panel_dim
+    n_maps = len(lines.lines) if is_mapped else 0
+    blocks = [
+        (name, part, title) for name in quantity for part, title in zip(parts, titles, strict=True)
+    ]
     with use_style():
         figure = OffscreenFigure(
-            TWO_COLUMNS_INCHES, (2.2 + (1.8 if n_maps > 1 else 0.0)) * len(quantity)
+            TWO_COLUMNS_INCHES, (2.2 + (1.8 if n_maps > 1 else 0.0)) * len(blocks)
         )
         rows_per_quantity = 2 if n_maps > 1 else 1
-        grid = figure.add_gridspec(len(quantity) * rows_per_quantity, 1)
+        grid = figure.add_gridspec(len(blocks) * rows_per_quantity, 1)
         planes = []
-        for row, name in enumerate(quantity):
+        for row, (name, part, title) in enumerate(blocks):
             plane_cells = grid[rows_per_quantity * row].subgridspec(1, 3 if n_maps == 1 else 2)
             polar = figure.add_subplot(plane_cells[0], projection="polar")
-            planes.append((name, polar, figure.add_subplot(plane_cells[1]), plane_cells))
-        for name, polar, flat, _ in planes:
-            _draw_plane(plane, name, polar, flat, lines, ylim)
+            flat = figure.add_subplot(plane_cells[1])
+            _draw_plane(part, name, polar, flat, lines, ylim)
+            flat.set_title(title)
+            planes.append((name, polar, flat, plane_cells))
         axes_list = []
         for row, (name, polar, flat, plane_cells) in enumerate(planes):
             axes_list += [polar, flat]
@@ -106,7 +125,16 @@ def draw_principal_planes(
                 map_cells = [map_row[i] for i in range(n_maps)]
                 axes_list += draw_maps(figure, map_cells, dataset, name, legend)
         lines.add_legend(figure, [flat for _, _, flat, _ in planes], legend, MAX_INSET_LINES)
-        return annotate_figure(figure, axes_list, note, make_maps_note(quantity) if n_maps else "")
+        maps_note = make_maps_note(quantity) if n_maps else ""
+        return annotate_figure(figure, axes_list, note, describe_bins(dataset), maps_note)
+
+
+def _choose_panel_dim(plane: xr.Dataset, lines: PlotLines) -> str:
+    """Return the parameter with a row of panels for every value, "" if one row shows all lines."""
+    varying = [dim for dim in lines.dims if plane.sizes[dim] > 1]
+    if len(varying) < 2 or len(lines.lines) <= MAX_INSET_ENTRIES:
+        return ""
+    return varying[-1] if plane.sizes[varying[-1]] <= MAX_PLANE_ROWS else ""
 
 
 def _draw_plane(
@@ -132,7 +160,8 @@ def _draw_plane(
         polar.fill_between(plot_angle, low, value + error, color=grid_line.colour, alpha=0.3, lw=0)
         flat.plot(angle, value, label=grid_line.label, **grid_line.to_plot_style())
         flat.fill_between(angle, low, value + error, color=grid_line.colour, alpha=0.3, lw=0)
-    format_half_circle(polar, ylim[1] if ylim else None, is_downward)
+    start_at_zero(flat, name, ylim)
+    format_half_circle(polar, flat.get_ylim()[1], is_downward)
     if has_no_light:
         _annotate_no_light(plane, name, polar, flat)
     else:
@@ -146,7 +175,7 @@ def _draw_plane(
         ha="center",
         va="bottom" if is_downward else "top",
     )
-    flat.set(xlabel=VIEWING_ANGLE_LABEL, ylabel=QUANTITY_LABELS[name], ylim=ylim or (0.0, None))
+    flat.set(xlabel=VIEWING_ANGLE_LABEL, ylabel=QUANTITY_LABELS[name])
     flat.set_xticks(np.arange(-90, 91, 30))
     flat.spines[["top", "right"]].set_visible(False)
 
@@ -203,13 +232,17 @@ def draw_bin_sizes(dataset: xr.Dataset, select: Mapping[str, float | str] | None
                 angle, value, "o-", color=colour, ms=1.2 + 0.25 * factor, lw=0.4 + 0.12 * factor,
                 label=label, zorder=zorder,
             )  # fmt: skip
-        axes.set(xlabel=VIEWING_ANGLE_LABEL, ylabel=QUANTITY_LABELS["brdf"], ylim=(0.0, None))
+        axes.set(xlabel=VIEWING_ANGLE_LABEL, ylabel=QUANTITY_LABELS["brdf"])
+        start_at_zero(axes, "brdf")
         axes.set_xticks(np.arange(-90, 91, 30))
         axes.spines[["top", "right"]].set_visible(False)
         axes.legend(title="bins, polar × azimuth", frameon=False)
         grid_cells = [grid[1, i] for i in range(len(factors))]
-        maps = draw_dataset_maps(figure, grid_cells, merged, labels, "brdf")
-        return annotate_figure(figure, [axes, *maps], note, make_maps_note(("brdf",)))
+        titles = [f"bins: {label}" for label in labels]
+        maps = draw_dataset_maps(figure, grid_cells, merged, titles, "brdf")
+        return annotate_figure(
+            figure, [axes, *maps], note, describe_bins(dataset), make_maps_note(("brdf",))
+        )
 
 
 def _draw_beams(axes: Axes, plane: xr.Dataset, lines: PlotLines, downward: bool) -> None:

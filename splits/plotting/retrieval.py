@@ -187,7 +187,7 @@ def _draw_spectrum(figure: Figure, cell: SubplotSpec, part: xr.Dataset, title: s
     bottom.axhline(0.0, color="black", lw=0.6)
     expected = float(part.chi2_expected.isel(model=0))
     top.set_title(title if part.sizes["model"] == 1 else f"{title} (χ² expected: {expected:.0f})")
-    top.set_ylabel(str(part.attrs.get("quantity", "reflectance")).replace("_", " "))
+    top.set_ylabel(format_value(str(part.attrs.get("quantity", "reflectance"))))
     # Room for a legend of several lines.
     several = part.sizes["model"] > 1
     top.set_ylim(0.0, (1.35 + 0.13 * part.sizes["model"] if several else 1.1) * highest)

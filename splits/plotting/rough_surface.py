@@ -19,6 +19,7 @@ from splits.plotting.style import (
     BAND_SIGMA,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
+    compute_axis_top,
     make_subplots,
     pick_colours,
     use_style,
@@ -78,7 +79,7 @@ def draw_surface(dataset: xr.Dataset, select: Mapping[str, float | str] | None =
             fontsize=SMALL_FONT_PT,
         )  # fmt: skip
         is_wide = slopes[-1] > 10.0 * slopes[0]
-        right.set(xlabel="rms slope of a realization", ylim=(0.0, 1.0))
+        right.set(xlabel="rms slope of a realization", ylim=(0.0, compute_axis_top(1.0)))
         right.set_xscale("log" if is_wide else "linear")
         right.set_ylabel("cumulative fraction of realizations")
         return annotate_figure(figure, [left, right], describe_conditions(dataset, select, ""))

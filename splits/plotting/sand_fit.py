@@ -71,7 +71,9 @@ def _share_axes(dataset: xr.Dataset, tops: np.ndarray, bottoms: np.ndarray) -> N
     error = BAND_SIGMA * dataset.reflectance_stderr
     difference = dataset.reflectance - dataset.measured
     highest = max(float(dataset.measured.max()), float((dataset.reflectance + error).max()))
-    low, high = float((difference - error).min()), float((difference + error).max())
+    # The line of no difference is always visible.
+    low = min(0.0, float((difference - error).min()))
+    high = max(0.0, float((difference + error).max()))
     margin = 0.05 * (high - low)
     for top, bottom in zip(tops, bottoms, strict=True):
         top.set_ylim(0.0, 1.12 * highest)

@@ -18,6 +18,7 @@ from splits.plotting.style import (
     format_parameter,
     make_subplots,
     pick_colours,
+    start_at_zero,
     use_style,
 )
 
@@ -178,7 +179,7 @@ def draw_sobol_indices(indices: Mapping[str, xr.Dataset]) -> Figure:
             top.set_ylim(-0.03, 1.19)
             top.set_yticks(np.linspace(0.0, 1.0, 6))
             top.legend(frameon=False, fontsize=SMALL_FONT_PT, ncols=2, loc="upper center")
-            bottom.set_ylim(bottom=0.0)
+            start_at_zero(bottom)
             bottom.set_xlabel("wavelength (nm)")
             for axes in (top, bottom):
                 axes.spines[["top", "right"]].set_visible(False)

@@ -11,14 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from splits.plotting.annotations import annotate_figure
-from splits.plotting.lines import MAX_INSET_ENTRIES, PlotLines
+from splits.plotting.lines import PlotLines
 from splits.plotting.nodes import draw_node_ticks, find_coarse_nodes, make_nodes_note
 from splits.plotting.style import (
     BAND_SIGMA,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
-    format_parameter,
-    format_value,
+    compute_axis_top,
+    make_panel_title,
     make_subplots,
     use_style,
 )
@@ -26,7 +26,7 @@ from splits.plotting.style import (
 DEFAULT_COLUMNS = 4
 """Default number of columns; a parameter of up to `MAX_ROW_VALUES` values fills a row."""
 MAX_ROW_VALUES = 6
-_PANEL_HEIGHT_INCHES = 1.35
+_PANEL_HEIGHT_INCHES, _TITLE_LINE_INCHES = 1.25, 0.11
 _RASTERIZED_ZORDER = -10.0
 """Drawing order of lines and bands, which SVG files contain as one image per panel."""
 
@@ -62,6 +62,8 @@ def draw_small_multiples(
     columns = last if len(panel_dims) == 2 and last <= MAX_ROW_VALUES else DEFAULT_COLUMNS
     panel_points = list(itertools.product(*(dataset[d].values for d in panel_dims)))
     columns = min(columns, len(panel_points))
+    titles = [make_panel_title(dict(zip(panel_dims, p, strict=True))) for p in panel_points]
+    n_title_lines = max(title.count("\n") for title in titles) + 1
     rows = -(-len(panel_points) // columns) * len(quantity)
     nodes = find_coarse_nodes(dataset)
     with use_style():
@@ -69,18 +71,20 @@ def draw_small_multiples(
             rows,
             columns,
             width=TWO_COLUMNS_INCHES,
-            height=0.5 + _PANEL_HEIGHT_INCHES * rows,
+            height=0.5 + (_PANEL_HEIGHT_INCHES + _TITLE_LINE_INCHES * n_title_lines) * rows,
             sharex=True,
             squeeze=False,
         )
         blocks = np.split(panels, len(quantity))
         for panels_of_quantity, name in zip(blocks, quantity, strict=True):
             top = ylim or (0.0, _compute_axis_top(dataset, name))
-            for axes, panel_point in zip(panels_of_quantity.flat, panel_points, strict=False):
+            for axes, panel_point, title in zip(
+                panels_of_quantity.flat, panel_points, titles, strict=False
+            ):
                 labels = dict(zip(panel_dims, panel_point, strict=True))
                 _draw_panel(axes, dataset.sel(labels), name, lines)
                 draw_node_ticks(axes, nodes)
-                axes.set_title(" · ".join(format_value(label, d) for d, label in labels.items()))
+                axes.set_title(title)
                 axes.set_ylim(top)
                 axes.label_outer()
             for axes in panels_of_quantity.flat[len(panel_points) :]:
@@ -92,25 +96,14 @@ def draw_small_multiples(
             shown = [axes for axes in column if axes.get_visible()]
             shown[-1].tick_params(labelbottom=True)
             shown[-1].set_xlabel("wavelength (nm)")
-        description = "panels: " + " · ".join(map(format_parameter, panel_dims))
-        # A legend of few lines is placed above the panels.
-        has_legend_above = not lines.has_colour_bar and len(lines.lines) <= MAX_INSET_ENTRIES
-        if not has_legend_above:
-            figure.suptitle(description)
         lines.add_legend(figure, list(panels.flat), legend, max_inset_entries=0)
-        return annotate_figure(
-            figure,
-            panels.flat,
-            description if has_legend_above else "",
-            note,
-            make_nodes_note(nodes),
-        )
+        return annotate_figure(figure, panels.flat, note, make_nodes_note(nodes))
 
 
 def _compute_axis_top(dataset: xr.Dataset, name: str) -> float:
     """Return the upper limit of the axis of all panels."""
-    value = float((dataset[name] + BAND_SIGMA * dataset[f"{name}_stderr"]).max())
-    return 1.05 * value if value > 0.0 else 1.0
+    highest = float((dataset[name] + BAND_SIGMA * dataset[f"{name}_stderr"]).max())
+    return compute_axis_top(highest, name)
 
 
 def _draw_panel(axes: Axes, part: xr.Dataset, name: str, lines: PlotLines) -> None:

@@ -25,6 +25,7 @@ from splits.plotting.style import (
     format_value,
     make_subplots,
     pick_colours,
+    start_at_zero,
     use_style,
 )
 
@@ -105,8 +106,8 @@ def draw_spectra(
             _draw_lines(axes, dataset, name, lines)
             if measured is not None and name in measured:
                 measured_handles = [_draw_measured(axes, measured, name)]
-            axes.set_ylabel(_make_axis_label(dataset[name]))
-            axes.set_ylim(ylim or (0.0, None))
+            axes.set_ylabel(make_axis_label(dataset[name]))
+            start_at_zero(axes, name, ylim)
             axes.margins(x=0.01)
             draw_node_ticks(axes, nodes)
             axes.spines[["top", "right"]].set_visible(False)
@@ -136,7 +137,7 @@ def _draw_measured(axes: Axes, table: pd.DataFrame, name: str) -> Artist:
     )
 
 
-def _make_axis_label(variable: xr.DataArray) -> str:
+def make_axis_label(variable: xr.DataArray) -> str:
     """Return the label of an axis, on two lines if it is long."""
     label = escape_mathtext(str(variable.attrs.get("long_name", variable.name)))
     first, _, last = label.rpartition(" ")
@@ -229,7 +230,7 @@ def draw_measured_albedo(table: pd.DataFrame, note: str = "") -> Figure:
             first = groups[0][1]
             top.plot(first.wavelength_nm, first.measured, "ks", ms=2.5, label="measured")
             bottom.axhline(0, color="black", lw=0.6)
-            top.set_title(f"{1e3 * depth:g} mm" + (" over black" if depth < 0.1 else ""))
+            top.set_title(f"depth: {1e3 * depth:g} mm" + (" over black" if depth < 0.1 else ""))
             top.set_ylim(0, 1.05)
             bottom.set_xlabel("wavelength (nm)")
             for axes in (top, bottom):

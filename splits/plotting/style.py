@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any
 import matplotlib
 import matplotlib.style
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.font_manager import fontManager
@@ -88,6 +89,12 @@ NOMINAL_PARAMETERS = (
     "layers",
 )
 """Parameters with unordered values."""
+FRACTIONS = ("reflectance", "transmittance", "absorptance", "albedo", "band_albedo")
+"""Quantities from 0 to 1."""
+NEARLY_ONE = 0.85
+"""Value of a fraction above which its axis shows the limit 1."""
+_HEADROOM = 1.05
+"""Upper end of an axis from zero, relative to the largest value."""
 _NUMBER_PATTERN = r"\d+(?:\.\d+)?(?:e[+-]?\d+)?"
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -134,6 +141,28 @@ def format_value(value: object, parameter: str | None = None) -> str:
         real, sign, imaginary = match.groups()
         return f"{_format_number(real)} {sign.replace('-', '−')} {_format_number(imaginary)}i"
     return escape_mathtext(text.replace("_", " "))
+
+
+_MAX_TITLE_CHARS = 24
+"""Number of characters that fit above a small panel."""
+
+
+def make_panel_title(labels: Mapping[str, float | str], legend: str | None = None) -> str:
+    """Return the title of a small panel: a line per parameter, two for long ones.
+
+    Parameters
+    ----------
+    labels : mapping
+        Labels of the grid.
+    legend : str, optional
+        Name of a single varying parameter; that of the parameter by default.
+    """
+    lines = []
+    for parameter, label in labels.items():
+        name = legend if legend and len(labels) == 1 else format_parameter(parameter)
+        value = format_value(label, parameter)
+        lines.append(f"{name}:{chr(10) if len(name + value) > _MAX_TITLE_CHARS else ' '}{value}")
+    return "\n".join(lines)
 
 
 def _format_number(number: str) -> str:
@@ -216,6 +245,29 @@ def make_subplots(
     """
     figure = OffscreenFigure(width, height)
     return figure, figure.subplots(rows, columns, **settings)
+
+
+def compute_axis_top(highest: float, quantity: str = "") -> float:
+    """Return the upper end of an axis from zero, above 1 for fractions near 1."""
+    if quantity in FRACTIONS and highest > NEARLY_ONE:
+        highest = max(highest, 1.0)
+    return _HEADROOM * highest if highest > 0.0 else 1.0
+
+
+def start_at_zero(axes: Axes, quantity: str = "", ylim: tuple[float, float] | None = None) -> None:
+    """Set the vertical axis from zero to above all lines and bands, or to given limits.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        With everything drawn.
+    quantity : str
+        Name of the quantity; see `FRACTIONS`.
+    ylim : (low, high), optional
+    """
+    # Axes without data have infinite limits of data.
+    highest = float(axes.dataLim.ymax) if np.isfinite(axes.dataLim.ymax) else 0.0
+    axes.set_ylim(ylim or (0.0, compute_axis_top(highest, quantity)))
 
 
 def pick_colours(count: int, parameter: str | None = None) -> list[Colour]:

@@ -12,6 +12,7 @@ from splits.plotting.style import (
     SMALL_FONT_PT,
     make_subplots,
     pick_colours,
+    start_at_zero,
     use_style,
 )
 
@@ -46,7 +47,7 @@ def draw_fitted_spectra(table: pd.DataFrame, note: str = "") -> Figure:
             bottom.plot(x, rows.difference.where(rows.fitted), color=colour)
             bottom.plot(x, rows.difference, color=colour, lw=0.6, ls=":")
         top.plot([], [], ".", ms=2.5, color="0.4", label="measured")
-        top.set_ylim(bottom=0)
+        start_at_zero(top, "reflectance")
         top.set_ylabel("reflectance")
         top.legend(frameon=False)
         bottom.axhline(0, color="black", lw=0.6)
@@ -80,9 +81,15 @@ def draw_area_law(table: pd.DataFrame, note: str = "") -> Figure:
         figure, axes = make_subplots(height=2.9)
         for (snow, rows), colour in zip(groups, pick_colours(len(groups)), strict=True):
             axes.errorbar(rows.area, rows.reflectance, BAND_SIGMA * rows.stderr, color=colour,
-                          marker="o", ms=2.5, label=snow)  # fmt: skip
+                          marker="o", ms=2.5, label=escape_mathtext(str(snow)))  # fmt: skip
         for (law, rows), dashes in zip(laws, _LAW_DASHES, strict=False):
-            axes.plot(rows.area, rows.reflectance, ls=dashes, color="0.35", label=law)
+            axes.plot(
+                rows.area,
+                rows.reflectance,
+                ls=dashes,
+                color="0.35",
+                label=escape_mathtext(str(law)),
+            )
         axes.axhspan(*GALLET_2009_RANGE, color="0.92", zorder=0,
                      label="below 60 m²/kg (Gallet et al. 2009)")  # fmt: skip
         axes.set_xlim(left=0)

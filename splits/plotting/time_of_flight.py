@@ -17,6 +17,7 @@ from splits.plotting.style import (
     BAND_SIGMA,
     ONE_COLUMN_INCHES,
     TWO_COLUMNS_INCHES,
+    compute_axis_top,
     format_parameter,
     make_subplots,
     use_style,
@@ -65,7 +66,7 @@ def draw_returns(
             returned = np.cumsum(line.return_rate.values * (end - begin))
             right.plot(1e9 * end, returned, **style)
         left.set(yscale="log", ylabel="returned light per time (ns⁻¹)")
-        right.set(ylabel="light returned since the first delay", ylim=(0.0, 1.0))
+        right.set(ylabel="light returned since the first delay", ylim=(0.0, compute_axis_top(1.0)))
         for axes in (left, right):
             axes.set(xscale="log", xlabel="delay (ns)")
             axes.spines["right"].set_visible(False)

@@ -9,6 +9,7 @@ from matplotlib.lines import Line2D
 
 from splits.experiments.papers.performance import METHODS, SCALED, THEORIES
 from splits.plotting.annotations import annotate_figure
+from splits.plotting.lines import place_legend_above
 from splits.plotting.style import TWO_COLUMNS_INCHES, Colour, make_subplots, pick_colours, use_style
 
 METHOD_MARKERS = ("s", "D", "v", "^", "o", "P", "X")
@@ -34,9 +35,8 @@ def draw_speed_against_error(table: pd.DataFrame) -> Figure:
     colours: list[Colour] = [*pick_colours(len(METHODS) - len(THEORIES), "sample"), *THEORY_GREYS]
     styles = dict(zip(METHODS, zip(colours, METHOD_MARKERS, strict=True), strict=True))
     with use_style():
-        height = 2.3 * rows + 0.8
         figure, panels = make_subplots(
-            rows, columns, width=TWO_COLUMNS_INCHES, height=height, sharex=True, sharey=True,
+            rows, columns, width=TWO_COLUMNS_INCHES, height=2.6 * rows, sharex=True, sharey=True,
             squeeze=False,
         )  # fmt: skip
         for medium, axes in zip(media, panels.flat, strict=False):
@@ -57,9 +57,7 @@ def draw_speed_against_error(table: pd.DataFrame) -> Figure:
             for name in shown
         ]  # fmt: skip
         scaled = Line2D([], [], color="0.3", marker="o", mfc="white", ls="none", label="scaled")
-        figure.legend(
-            handles=[*handles, scaled], frameon=False, ncols=columns, loc="outside upper center"
-        )
+        place_legend_above(figure, [*handles, scaled], None)
         return annotate_figure(figure, panels.flat)
 
 

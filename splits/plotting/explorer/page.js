@@ -168,10 +168,13 @@ function hemisphere(table, nm) {
   paper.putImageData(image, 0, 0);
   const size = amountOf(table, "optical_radius_um"), beam = amountOf(table, "incidence_deg");
   const ends = [d.optical_radius_um, d.incidence_deg], outside = [size, beam].some((x, k) => x < ends[k][0] || x > ends[k][ends[k].length - 1]);
-  const text = `Reflected light at ${found.nm} nm: π·BRDF from ${low.toFixed(2)} (dark) to ${high.toFixed(2)} (bright). ` +
+  const text = `Reflected light at ${found.nm} nm: π·BRDF from ${low.toFixed(2)} to ${high.toFixed(2)}. ` +
     `The rim is the horizon; light comes from the left. Clean, dry grains. Standard error: ${Math.round(100 * d.typical)} % typically, ${Math.round(100 * d.error)} % at most` +
     (outside ? `; shown for the nearest of ${ends[0][0]} to ${ends[0][ends[0].length - 1]} µm and ${ends[1][0]} to ${ends[1][ends[1].length - 1]}°.` : ".");
   show("direction-note").textContent = text;
+  show("scale").style.background = `linear-gradient(to right, ${SHADES.map((c) => `rgb(${c})`).join(", ")})`;
+  show("lowest").textContent = low.toFixed(2);
+  show("highest").textContent = high.toFixed(2);
   canvas.setAttribute("aria-label", text);
   canvas.dataset.factors = Array.from(value, (x) => x.toFixed(5)).join(" ");
 }

@@ -98,7 +98,7 @@ def _serialize_table(label: str, entry: ExplorerTable) -> dict[str, Any]:
                 ),
                 "nodes": nodes.tolist(),
                 "law": transform,
-                "start": middle,
+                "start": float(nodes[0]) if _is_addition(name) else middle,
             }
         )
         assert np.array_equal(apply_axis_transform(transform, nodes), transformed)
@@ -194,8 +194,18 @@ def _estimate_interpolation_error(values: np.ndarray, axis: int, nodes: np.ndarr
     return error
 
 
+_WATER_AXES = ("saturation", "liquid_water_content")
+"""Axes of water."""
+
+
+def _is_addition(name: str) -> bool:
+    """Return whether the first node of an axis is clean or dry; directions are of such grains."""
+    return parse_impurity_parameter(name) is not None or name in _WATER_AXES
+
+
 _UNIT_SYMBOLS = {
     "1": "", "degree": "°", "um": "µm", "m2 kg-1": "m²/kg", "kg m-3": "kg/m³", "1e-9": "ng/g",
+    "ml-1": "cells/ml",
 }  # fmt: skip
 
 

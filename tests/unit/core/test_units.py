@@ -26,7 +26,8 @@ def test_every_spelling_is_known_and_the_target_changes_nothing(target):
      ("kg m⁻³", "kg m-3", 1.0), ("kg·m⁻³", "kg m-3", 1.0), ("G/CM³", "kg m-3", 1000.0),
      ("m²/Kg", "m2 kg-1", 1.0), ("M2/KG", "m2 kg-1", 1.0), ("℃", "degC", 1.0),
      ("Micron", "um", 1.0), ("μm", "um", 1.0), ("Cm", "m", 0.01), ("in", "m", 0.0254),
-     ("ft", "m", 0.3048), ("kg m−3", "kg m-3", 1.0)],
+     ("ft", "m", 0.3048), ("kg m−3", "kg m-3", 1.0),
+     ("cells / mL", "ml-1", 1.0), ("L-1", "ml-1", 1e-3)],
 )  # fmt: skip
 def test_values_are_converted(unit, target, expected):
     assert convert_units("x", np.array(1.0), unit, target) == pytest.approx(expected)

@@ -6,11 +6,13 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from matplotlib.collections import QuadMesh
 from test_figure_directions import BIN_CENTERS
 from test_figure_directions import make_dataset as make_directions
 from test_figure_lines import X
 from test_figure_lines import make_dataset as make_spectra
 
+import splits
 from splits.experiments import ExperimentConfig
 from splits.experiments.papers.performance_figure import draw_speed_against_error
 from splits.experiments.papers.sensitivity_table import describe_ranges
@@ -97,6 +99,34 @@ def make_minerals_dataset():
     return xr.Dataset(index, {"wavelength": X, "material": ["ice", "water"]})
 
 
+def make_season():
+    """Return spectra of snowpacks over time, one of them without a result."""
+    time = pd.date_range("2024-01-01", periods=5)
+    values = np.full((5, 2), 0.97)
+    values[2] = np.nan
+    dims = ("time", "wavelength")
+    meanings = {"flag_values": [0, 1], "flag_meanings": "good no_snow"}
+    return xr.Dataset(
+        {"reflectance": (dims, values), "reflectance_stderr": (dims, np.full((5, 2), 1e-3)),
+         "quality_flag": ("time", [0, 0, 1, 0, 0], meanings)},
+        {"time": time, "wavelength": [500.0, 1300.0]},
+    )  # fmt: skip
+
+
+def make_views():
+    """Return a table of anisotropy factors over directions."""
+    axes = {
+        "optical_radius_um": [50.0, 200.0], "incidence_deg": np.arange(0.0, 80.0, 10.0),
+        "polar_deg": [0.0, 30.0, 60.0], "azimuth_deg": [0.0, 90.0, 180.0],
+        "wavelength": np.linspace(400.0, 2500.0, 7),
+    }  # fmt: skip
+    shape = tuple(map(len, axes.values()))
+    values = np.linspace(1.0, 0.1, 7) * np.ones(shape)
+    variables = {name: (tuple(axes), value) for name, value in (
+        ("anisotropy_factor", values), ("anisotropy_factor_stderr", 1e-3 * values))}  # fmt: skip
+    return xr.Dataset(variables, axes)
+
+
 def make_surface_area_rows():
     row = {"spectrum": "A@10", "area": 20.0, "measured": 0.5, "model": 0.5, "stderr": 0.01,
            "difference": 0.0, "fitted": True}  # fmt: skip
@@ -173,6 +203,11 @@ FIGURES = {
     "interpretation": lambda: draw_interpretation_shifts(make_statements()),
     "sensitivity": lambda: draw_sensitivity_bars(make_indices()),
     "speed": lambda: draw_speed_against_error(SPEED),
+    "season": draw_kind("season", make_season),
+    "views": draw_kind("summary", make_views, quantity=["anisotropy_factor"]),
+    "planes of many": draw_kind(
+        "principal_plane", lambda: make_directions({"depth_m": [0.1, 0.2, 0.3, 0.4],
+                                                    "saturation": [0.0, 0.1]})),
 }  # fmt: skip
 
 
@@ -195,6 +230,68 @@ def test_figures_have_column_width_and_readable_text(kind):
     panels = [axes for axes in figure.axes if axes.get_visible() and axes not in bars]
     assert len(letters) in (len(panels), 0)
     assert letters or len(panels) == 1 or kind == "refractive_index"
+
+
+@pytest.mark.parametrize("kind", FIGURES)
+def test_axes_end_above_the_data_and_legends_leave_room(kind):
+    figure = FIGURES[kind]()
+    figure.draw_without_rendering()
+    framed = ("refractive_index", "return", "range_bias", "swatches", "interpretation")
+    for axes in figure.axes:
+        is_map = any(isinstance(mesh, QuadMesh) for mesh in axes.collections) or axes.images
+        if axes.name != "rectilinear" or axes.get_label() == "<colorbar>" or is_map:
+            continue
+        if axes.get_yscale() == "linear" and np.isfinite(axes.dataLim.ymax):
+            assert axes.dataLim.ymax < max(axes.get_ylim())
+        is_open = not any(axes.spines[side].get_visible() for side in ("top", "right"))
+        assert is_open or kind in framed
+    legends = [*figure.legends, *(axes.get_legend() for axes in figure.axes)]
+    boxes = [one.get_window_extent() for one in legends if one is not None]
+    assert (
+        sum(box.width * box.height for box in boxes) < 0.3 * figure.bbox.width * figure.bbox.height
+    )
+
+
+@pytest.mark.parametrize("draw_figure", [
+    draw_kind("spectra", lambda: make_spectra({"incidence_deg": np.arange(20.0),
+                                               "depth_m": [0.1, 0.2, 0.3, 0.4]})),
+    draw_kind("principal_plane", lambda: make_directions({"depth_m": [0.1, 0.2, 0.3, 0.4],
+                                                          "saturation": [0.0, 0.1]})),
+    draw_kind("hemisphere", lambda: make_directions({"depth_m": [0.1, 0.2]})),
+    draw_kind("bins", make_many_bins_dataset),
+    draw_kind("spectra", lambda: make_spectra({"saturation": ["default", "0.5"]})),
+])  # fmt: skip
+def test_titles_of_numbers_name_the_parameter(draw_figure):
+    titles = [axes.get_title(loc="left").partition(") ")[2] for axes in draw_figure().axes]
+    numeric = [title for title in titles if title and title[-1].isdigit()]
+    assert numeric and all(": " in title.replace("\n", " ") for title in numeric)
+
+
+@pytest.mark.parametrize(("value", "has_one"), [(0.99, True), (0.5, False)])
+def test_axes_of_fractions_near_one_show_one(value, has_one):
+    dataset = make_spectra({})
+    dataset["reflectance"] = xr.full_like(dataset.reflectance, value)
+    axes = draw(dataset, SECTION | {"kind": "spectra"}).axes[0]
+    low, high = axes.get_ylim()
+    assert low == 0.0 and high > value and (high > 1.0) == has_one
+    assert (1.0 in axes.get_yticks()[axes.get_yticks() < high]) == has_one
+
+
+@pytest.mark.parametrize(
+    ("keywords", "text"),
+    [
+        ({"specific_surface_area_m2_kg": 50}, "specific surface area 50 m²/kg"),
+        ({"optical_radius_um": 250}, "optical radius 250 µm"),
+        ({"grain_size_um": (100, 200)}, "grains 100–200 µm"),
+        ({"optical_radius_um": 500, "liquid_water_content": 0.03}, "liquid water content 0.03"),
+        ({"optical_radius_um": 500, "saturation": 0.1}, "water saturation 0.1"),
+    ],
+)
+def test_conditions_state_what_was_written(keywords, text):
+    snow = splits.Snow.natural(**keywords)
+    attributes = {"medium": "snow"} | {f"snow_{key}": v for key, v in snow.describe().items()}
+    found = describe_conditions(make_spectra({}).assign_attrs(attributes)).replace("\u00a0", " ")
+    assert text in found and found.count("µm") + found.count("m²/kg") == 1
 
 
 def test_panel_letters_continue_after_z():

@@ -162,6 +162,22 @@ def test_browser_shows_reflectance_factors(explorer_file, tmp_path, size, beam):
     assert ("nearest of 60 to 960" in text) == (size > 960.0)
 
 
+def test_start_is_clean_and_dry_like_the_directions():
+    axes = page._serialize_table("snow", ExplorerTable(make_explorer_table(), "a.nc", ""))["axes"]
+    starts = {axis["name"]: axis["start"] for axis in axes}
+    assert starts["impurities_ng_g.black_carbon"] == starts["saturation"] == 0.0
+    assert starts["optical_radius_um"] == 200.0 and starts["incidence_deg"] == 40.0
+
+
+@NEEDS_BROWSER
+def test_browser_shows_the_colour_scale_of_the_directions(explorer_file, tmp_path):
+    text = render_page(explorer_file, tmp_path, 0, (60.0, 0.0, 0.0, 0.0))
+    factors = read_numbers(text, "factors")
+    for name, value in (("lowest", factors.min()), ("highest", factors.max())):
+        assert f'<span id="{name}">{value:.2f}</span>' in text
+    assert 'id="scale" style="background: linear-gradient' in text
+
+
 def test_directions_over_other_axes_are_rejected(tmp_path):
     renamed = (
         make_explorer_table()

@@ -25,6 +25,13 @@ from splits.kernels.base.scene import DRY_PORE, MATRIX
 from splits.media.medium import Layer, Medium
 from splits.simulation.scene import compute_material_constants
 
+MAX_PATH_EXCESS = 0.25
+"""Largest relative error of the path per absorbed light of rays, above which mean chords have
+`CHORD_ERROR`."""
+CHORD_ERROR = 0.15
+"""Relative error of the path per absorbed light by mean chords, compared with that of the single
+scattering of natural snow, where steps are large."""
+
 
 class AbsorptionSteps(NamedTuple):
     """Steps in which weights decrease inside a medium, each of shape (intervals, wavelengths).
@@ -122,13 +129,15 @@ class PathRatio(NamedTuple):
     ----------
     value : float
         Metres; infinite where nothing absorbs.
-    relative_stderr : float
-        NaN where the ratio differs within the layer and by its light; the value is then that of
-        mean chords.
+    relative_error : float
+    by_rays : bool
+        Whether the ratio of the rays of a run is more accurate than the value, which is that of
+        mean chords; the error is that of rays.
     """
 
     value: np.ndarray
-    relative_stderr: np.ndarray
+    relative_error: np.ndarray
+    by_rays: np.ndarray
 
     @classmethod
     def from_medium(
@@ -152,12 +161,12 @@ class PathRatio(NamedTuple):
         return cls(*map(np.stack, zip(*ratios, strict=True)))
 
     def find_largest_error(self, medium: Medium, planes_m: np.ndarray) -> np.ndarray:
-        """Return the largest relative error of the layers in intervals, NaN if any has none.
+        """Return the largest relative error of the layers in intervals between planes.
 
         The shape is (intervals, wavelengths).
         """
         inside = find_layers_between(medium.scene_layers, planes_m)
-        return np.array([self.relative_stderr[one].max(axis=0) for one in inside])
+        return np.array([self.relative_error[one].max(axis=0) for one in inside])
 
 
 def _compute_layer_ratio(
@@ -166,18 +175,28 @@ def _compute_layer_ratio(
     """Return the ratio of a layer by wavelength.
 
     In dry point grains of one material, a metre of recorded path has κ (1 − ω) losses in grains,
-    where 1/α metres of path in them are one loss (`splits.discrete_ordinates.stack_profile`).
+    where 1/α metres of path in them are one loss (`splits.discrete_ordinates.stack_profile`).  Rays
+    assume that weights decrease evenly.  They decrease in steps of optical depth d, so that a path
+    by weight may be d/(1 − exp(−d)) times as long; above a limit, mean chords are closer.
     """
     absorption = compute_material_constants(layer, wavelength_nm).absorption
+    steps = compute_layer_steps(layer, absorption)
     with np.errstate(divide="ignore"):
-        value = 1.0 / compute_layer_steps(layer, absorption).absorption_rate
-    stderr = np.full_like(value, np.nan if layer.has_grains else 0.0)
+        value = 1.0 / steps.absorption_rate
+    if not layer.has_grains:
+        return PathRatio(value, np.zeros_like(value), np.isinf(value))
+    excess = _compute_path_excess(steps.optical_depth)
+    by_rays = excess <= MAX_PATH_EXCESS
+    error = np.where(by_rays, excess, CHORD_ERROR)
     absorbs = absorption[:, -1] > 0.0
     absorbing = wavelength_nm[absorbs]
-    if not layer.has_grains or layer.wet_fraction > 0.0 or not absorbs.any():
-        return PathRatio(value, stderr)
-    if find_obstacle(layer, absorbing) or find_profile_obstacle(layer, absorbing):
-        return PathRatio(value, stderr)
+    if (
+        layer.wet_fraction > 0.0
+        or not absorbs.any()
+        or find_obstacle(layer, absorbing)
+        or find_profile_obstacle(layer, absorbing)
+    ):
+        return PathRatio(value, error, by_rays)
     (optics,) = make_granular_stack(layer, absorbing, max_stderr, threads).layers
 
     def compute(layers: Sequence[GranularLayer]) -> np.ndarray:
@@ -190,39 +209,16 @@ def _compute_layer_ratio(
     value[absorbs] = compute([optics])
     if isinstance(optics.grains, GrainTable):
         in_pores = 1.0 - 1.0 / (absorption[absorbs, -1] * value[absorbs])
-        stderr[absorbs] = in_pores * find_similarity_error(optics.contrast, is_wet=False)
+        error[absorbs] = in_pores * find_similarity_error(optics.contrast, is_wet=False)
     else:
-        stderr[absorbs] = compute_replicate_error([optics], compute) / value[absorbs]
-    return PathRatio(value, stderr)
+        error[absorbs] = compute_replicate_error([optics], compute) / value[absorbs]
+    return PathRatio(value, error, by_rays & ~absorbs)
 
 
 def _compute_path_excess(optical_depth: np.ndarray) -> np.ndarray:
     """Return the relative excess of a path over one along which weights decrease evenly."""
     d = np.maximum(optical_depth, 1e-9)
     return d / -np.expm1(-d) - 1.0
-
-
-def bound_actinic_flux_error(
-    steps: AbsorptionSteps, actinic_flux: np.ndarray, absorption: np.ndarray
-) -> np.ndarray:
-    """Return a bound on the error of the actinic flux, shape (intervals, wavelengths).
-
-    The path per absorbed light of an interval is that of rays whose weights are assumed to decrease
-    evenly along the path between two planes.  They decrease in steps of optical depth d, so that a
-    path by weight may be d/(1 − exp(−d)) times as long.  Where that error is large, the path by
-    mean chords is closer: twice the difference, plus a tenth, is then the smaller bound.
-
-    Parameters
-    ----------
-    steps : AbsorptionSteps
-    actinic_flux : float, shape (intervals, wavelengths)
-    absorption : float, shape (intervals, wavelengths)
-        Light absorbed in an interval, over its thickness (1/m).
-    """
-    path, rate = np.full_like(actinic_flux, np.inf), steps.absorption_rate
-    np.divide(np.maximum(absorption, 0.0), rate, out=path, where=rate > 0.0)
-    by_chords = 2.0 * np.abs(path - actinic_flux) + 0.1 * np.abs(actinic_flux)
-    return np.minimum(_compute_path_excess(steps.optical_depth) * np.abs(actinic_flux), by_chords)
 
 
 def bound_material_absorptance_error(
@@ -233,7 +229,7 @@ def bound_material_absorptance_error(
 ) -> np.ndarray:
     """Return a bound on the error of the absorptances of materials.
 
-    It follows from the effect of steps on paths (see `bound_actinic_flux_error`), and is at most
+    It follows from the effect of steps on paths (see `PathRatio`), and is at most
     the total absorptance; an excess of one material is a deficit of the others.
 
     Parameters

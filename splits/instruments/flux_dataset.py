@@ -15,7 +15,6 @@ from splits.core.uncertainty import (
     make_variable,
 )
 from splits.instruments.absorption_steps import (
-    bound_actinic_flux_error,
     bound_material_absorptance_error,
     compute_absorption_steps,
 )
@@ -112,13 +111,8 @@ def _make_path_variables(result: FluxResult, traced_medium: TracedMedium) -> dic
     thickness = np.diff(edges)[:, np.newaxis]
     absorptance = estimate.split_quantities(estimate.quantities.mean(axis=0))[2]
     fluxes = [_compute_actinic_flux(one, traced_medium) for one in estimates]
-    flux = fluxes[0].mean(axis=0)
-    relative_error = traced_medium.path_ratio.find_largest_error(traced_medium.medium, edges)
-    ratio_error = np.where(
-        np.isnan(relative_error),
-        bound_actinic_flux_error(steps, flux, absorptance / thickness),
-        np.abs(flux) * relative_error,
-    )
+    ratio_error = traced_medium.path_ratio.find_largest_error(traced_medium.medium, edges)
+    ratio_error *= np.abs(fluxes[0].mean(axis=0))
     # Light that no ray carries is absorbed, and has a path per absorbed light.
     longest = 1.0 / np.maximum(steps.absorption_rate * thickness, np.finfo(float).tiny)
     unsampled_flux = result.unsampled_light * np.minimum(longest, 1.0)

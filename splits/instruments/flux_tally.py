@@ -199,10 +199,10 @@ class FluxTally(ExitTally):
         is_rounding = np.abs((absorbed - scored).mean(axis=0)) <= IRRADIANCE_ROUNDING * incident
         absorbed = np.where(is_rounding, scored, absorbed)
         mean_scored, mean_path = scored.mean(axis=0), scored_path.mean(axis=0)
-        ratio, relative_stderr = self._find_path_ratios()
-        by_rays = (np.isnan(relative_stderr) & (mean_scored > 0.0)) | np.isinf(ratio)
-        scale = np.ones_like(ratio)
+        ratio, _, by_rays = self._find_path_ratios()
         has_ratio = by_rays & (mean_scored > 0.0)
+        by_rays = has_ratio | np.isinf(ratio)
+        scale = np.ones_like(ratio)
         np.divide(absorbed.mean(axis=0), mean_scored, out=scale, where=has_ratio)
         ratio = np.where(by_rays, 0.0, ratio)
         np.divide(mean_path, mean_scored, out=ratio, where=has_ratio)

@@ -96,30 +96,43 @@ def compute_layer_steps(medium: Layer, absorption: np.ndarray) -> AbsorptionStep
         return AbsorptionSteps(zeros, absorption[:, MATRIX])
     grains = medium.make_grain_population()
     segment, types = 1.0 / grains.collision_coefficient, grains.types
-    pore_path = segment * medium.pore_fraction
     type_fractions = np.diff(grains.type_cdf, prepend=0.0)
-    depths, fractions = [], []
+    grain_depths, pore_depths = [], []
     for grain_type in np.flatnonzero(type_fractions > 0.0):
         n_coatings = types.n_shells[grain_type] - 1
         materials, thicknesses = types.material[grain_type], types.coating_thickness[grain_type]
         coating = absorption[:, materials[:n_coatings]] @ thicknesses[:n_coatings]
         core = absorption[:, materials[n_coatings]]
-        depths.append(medium.mean_chord_m * (core + 4.5 * coating))
-        fractions.append(type_fractions[grain_type])
+        depth = medium.mean_chord_m * (core + 4.5 * coating)
+        grain_depths.append((type_fractions[grain_type], depth))
     dry_fraction = 1.0 - medium.wet_fraction - sum(medium.pores.values())
-    n_pores = 0
     for pore, fraction in enumerate([dry_fraction, medium.wet_fraction, *medium.pores.values()]):
         if fraction > 0.0:
-            n_pores += 1
-            depths.append(segment * absorption[:, pore])
-            fractions.append(fraction)
-    losses = -np.expm1(-np.array(depths))
-    n_grains = len(depths) - n_pores
-    # Light that decreases along a chord c by exp(-d) has the mean path c (1 - exp(-d))/d.
-    weights = np.divide(losses, depths, out=np.ones_like(losses), where=np.array(depths) > 0.0)
-    grain_path = medium.mean_chord_m * np.array(fractions)[:n_grains] @ weights[:n_grains]
-    rate = np.array(fractions) @ losses / (pore_path + grain_path)
-    return AbsorptionSteps(np.max(depths, axis=0), rate)
+            pore_depths.append((fraction, segment * absorption[:, pore]))
+    in_pore, pore_part = _average_losses(pore_depths)
+    in_grain, grain_part = _average_losses(grain_depths)
+    # Of the light in a pore, that which is not absorbed reaches a grain.
+    absorbed = in_pore + (1.0 - in_pore) * in_grain
+    path = segment * medium.pore_fraction * pore_part
+    path += (1.0 - in_pore) * medium.mean_chord_m * grain_part
+    largest = np.max([depth for _, depth in pore_depths + grain_depths], axis=0)
+    return AbsorptionSteps(largest, absorbed / path)
+
+
+def _average_losses(depths: Sequence[tuple[float, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean absorbed light, and the mean path by weight over the length of a step.
+
+    Light that decreases by exp(−d) along a length has the path (1 − exp(−d))/d of this length.
+
+    Parameters
+    ----------
+    depths : sequence of (fraction, float (wavelengths,))
+        Fractions of the steps, and their optical depths.
+    """
+    fractions, depth = (np.array(values) for values in zip(*depths, strict=True))
+    absorbed = -np.expm1(-depth)
+    part = np.divide(absorbed, depth, out=np.ones_like(depth), where=depth > 0.0)
+    return fractions @ absorbed, fractions @ part
 
 
 class PathRatio(NamedTuple):

@@ -21,6 +21,7 @@ from splits.discrete_ordinates.traced_grains import (
 from splits.media.medium import GranularMedium, Medium
 from splits.media.natural_snow import is_natural
 from splits.media.snow import Snow
+from splits.simulation.scene import N_PORE_MATERIALS, compute_material_constants
 
 MAX_WATER_DIFFERENCE = 0.005
 """Largest difference of the index of water from that of the table of wet grains."""
@@ -121,6 +122,28 @@ def find_direction_obstacle(medium: Medium) -> str | None:
             return "the BRDF of wet grains other than natural snow needs paths"
         if layer.interpretation.grain_extent != "point":
             return "the BRDF of grains that are no points needs paths"
+    return None
+
+
+def find_profile_obstacle(medium: Medium, wavelength_nm: np.ndarray) -> str | None:
+    """Return why path lengths in a medium without other obstacle do not follow from absorption.
+
+    Parameters
+    ----------
+    medium : Medium
+        See `splits.discrete_ordinates.applicability.find_obstacle`.
+    wavelength_nm : float, shape (wavelengths,)
+    """
+    layers: Any = medium.scene_layers
+    for number, layer in enumerate(layers):
+        if len(layer.list_materials()) > N_PORE_MATERIALS + 1:
+            return f"layers[{number}] has grains of several materials"
+        if layer.interpretation.grain_extent != "point":
+            return f"layers[{number}] has no point grains"
+        transparent = compute_material_constants(layer, wavelength_nm).absorption[:, -1] <= 0.0
+        if transparent.any():
+            first = wavelength_nm[transparent][0]
+            return f"the grains of layers[{number}] absorb nothing at {first:g} nm"
     return None
 
 

@@ -1,16 +1,36 @@
-"""Errors of path lengths inside a medium, where weights decrease in steps."""
+"""Path lengths of light inside a medium for the light absorbed there, and their errors.
+
+In a layer all of whose light loses the same part per metre of path, the path length follows from
+the absorbed light, which is known from the irradiances around it.  Elsewhere rays give the path per
+absorbed light, on the assumption that their weights decrease evenly between two planes.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from splits.kernels.base.scene import MATRIX
+from splits.discrete_ordinates.applicability import (
+    find_obstacle,
+    find_profile_obstacle,
+    make_granular_stack,
+)
+from splits.discrete_ordinates.grain_table import GrainTable
+from splits.discrete_ordinates.granular_layers import GranularLayer
+from splits.discrete_ordinates.interval_profile import find_similarity_error
+from splits.discrete_ordinates.replicates import compute_replicate_error
+from splits.kernels.base.scene import DRY_PORE, MATRIX
 from splits.media.medium import Layer, Medium
+from splits.simulation.scene import compute_material_constants
 
-MAX_RATE_ERROR = 0.1
-"""Relative error of the absorption per path, which is computed from mean chords."""
+MAX_PATH_EXCESS = 0.25
+"""Largest relative error of the path per absorbed light of rays, above which mean chords have
+`CHORD_ERROR`."""
+CHORD_ERROR = 0.15
+"""Relative error of the path per absorbed light by mean chords, compared with that of the single
+scattering of natural snow, where steps are large."""
 
 
 class AbsorptionSteps(NamedTuple):
@@ -21,17 +41,13 @@ class AbsorptionSteps(NamedTuple):
     optical_depth : float
         Largest optical depth of a mean step: through a grain, or through a pore from one grain to
         the next.
-    unscored_path_m : float
-        Mean segment before a ray's first step (m), times the fraction of its light absorbed there.
-    absorption_rate, max_absorption_rate : float
-        Smallest and largest fraction of the light absorbed in steps, per metre of path, in the
-        layers of an interval.
+    absorption_rate : float
+        Smallest fraction of the light absorbed in steps, per metre of path in grains and pores, in
+        the layers of an interval.
     """
 
     optical_depth: np.ndarray
-    unscored_path_m: np.ndarray
     absorption_rate: np.ndarray
-    max_absorption_rate: np.ndarray
 
 
 def compute_absorption_steps(
@@ -50,19 +66,25 @@ def compute_absorption_steps(
     layers = medium.scene_layers
     columns = np.cumsum([len(layer.list_materials()) for layer in layers])
     by_layer = zip(layers, np.split(absorption, columns, axis=1), strict=False)
-    steps = np.stack([_compute_layer_steps(*one) for one in by_layer], axis=1)
-    bottoms = np.cumsum([float(layer.depth_m) for layer in layers])
-    begin, end = planes_m[:-1, np.newaxis], planes_m[1:, np.newaxis]
-    in_interval = (begin < bottoms) & (end > np.append(0.0, bottoms[:-1]))
+    steps = np.stack([compute_layer_steps(*one) for one in by_layer], axis=1)
+    in_interval = find_layers_between(layers, planes_m)
     return AbsorptionSteps(
         *(
             np.array([reduce(table[inside], axis=0) for inside in in_interval])
-            for table, reduce in zip(steps, (np.max, np.max, np.min, np.max), strict=True)
+            for table, reduce in zip(steps, (np.max, np.min), strict=True)
         )
     )
 
 
-def _compute_layer_steps(medium: Layer, absorption: np.ndarray) -> AbsorptionSteps:
+def find_layers_between(layers: Sequence[Layer], planes_m: np.ndarray) -> np.ndarray:
+    """Return whether each layer is in each interval between planes, shape (intervals, layers)."""
+    bottoms = np.cumsum([float(layer.depth_m) for layer in layers])
+    begin, end = planes_m[:-1, np.newaxis], planes_m[1:, np.newaxis]
+    inside: np.ndarray = (begin < bottoms) & (end > np.append(0.0, bottoms[:-1]))
+    return inside
+
+
+def compute_layer_steps(medium: Layer, absorption: np.ndarray) -> AbsorptionSteps:
     """Return the steps in a layer by wavelength; 0 where particles absorb along paths.
 
     The mean segment between two grains is that of a ray in the pore space.  A ray crosses some
@@ -71,95 +93,145 @@ def _compute_layer_steps(medium: Layer, absorption: np.ndarray) -> AbsorptionSte
     """
     if not medium.has_grains:
         zeros = np.zeros(len(absorption))
-        return AbsorptionSteps(zeros, zeros, absorption[:, MATRIX], absorption[:, MATRIX])
+        return AbsorptionSteps(zeros, absorption[:, MATRIX])
     grains = medium.make_grain_population()
     segment, types = 1.0 / grains.collision_coefficient, grains.types
-    pore_path = segment * medium.pore_fraction
     type_fractions = np.diff(grains.type_cdf, prepend=0.0)
-    depths, fractions = [], []
+    grain_depths, pore_depths = [], []
     for grain_type in np.flatnonzero(type_fractions > 0.0):
         n_coatings = types.n_shells[grain_type] - 1
         materials, thicknesses = types.material[grain_type], types.coating_thickness[grain_type]
         coating = absorption[:, materials[:n_coatings]] @ thicknesses[:n_coatings]
         core = absorption[:, materials[n_coatings]]
-        depths.append(medium.mean_chord_m * (core + 4.5 * coating))
-        fractions.append(type_fractions[grain_type])
+        depth = medium.mean_chord_m * (core + 4.5 * coating)
+        grain_depths.append((type_fractions[grain_type], depth))
     dry_fraction = 1.0 - medium.wet_fraction - sum(medium.pores.values())
     for pore, fraction in enumerate([dry_fraction, medium.wet_fraction, *medium.pores.values()]):
         if fraction > 0.0:
-            depths.append(segment * absorption[:, pore])
-            fractions.append(fraction)
-    absorbed = np.array(fractions) @ -np.expm1(-np.array(depths))
-    rate = absorbed / pore_path
-    return AbsorptionSteps(
-        np.max(depths, axis=0), pore_path * np.minimum(absorbed, 1.0), rate, rate
-    )
+            pore_depths.append((fraction, segment * absorption[:, pore]))
+    in_pore, pore_part = _average_losses(pore_depths)
+    in_grain, grain_part = _average_losses(grain_depths)
+    # Of the light in a pore, that which is not absorbed reaches a grain.
+    absorbed = in_pore + (1.0 - in_pore) * in_grain
+    path = segment * medium.pore_fraction * pore_part
+    path += (1.0 - in_pore) * medium.mean_chord_m * grain_part
+    largest = np.max([depth for _, depth in pore_depths + grain_depths], axis=0)
+    return AbsorptionSteps(largest, absorbed / path)
+
+
+def _average_losses(depths: Sequence[tuple[float, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean absorbed light, and the mean path by weight over the length of a step.
+
+    Light that decreases by exp(−d) along a length has the path (1 − exp(−d))/d of this length.
+
+    Parameters
+    ----------
+    depths : sequence of (fraction, float (wavelengths,))
+        Fractions of the steps, and their optical depths.
+    """
+    fractions, depth = (np.array(values) for values in zip(*depths, strict=True))
+    absorbed = -np.expm1(-depth)
+    part = np.divide(absorbed, depth, out=np.ones_like(depth), where=depth > 0.0)
+    return fractions @ absorbed, fractions @ part
+
+
+class PathRatio(NamedTuple):
+    """Path length of light over its absorptance in each layer, of shape (layers, wavelengths).
+
+    Attributes
+    ----------
+    value : float
+        Metres; infinite where nothing absorbs.
+    relative_error : float
+    by_rays : bool
+        Whether the ratio of the rays of a run is more accurate than the value, which is that of
+        mean chords; the error is that of rays.
+    """
+
+    value: np.ndarray
+    relative_error: np.ndarray
+    by_rays: np.ndarray
+
+    @classmethod
+    def from_medium(
+        cls, medium: Medium, wavelength_nm: np.ndarray, max_stderr: float, threads: int
+    ) -> PathRatio:
+        """Return the ratio for a medium whose particles absorb along paths.
+
+        Parameters
+        ----------
+        medium : Medium
+        wavelength_nm : float, shape (wavelengths,)
+        max_stderr : float
+            For paths through single grains, see `make_granular_stack`.
+        threads : int
+            For these paths.
+        """
+        ratios = [
+            _compute_layer_ratio(layer, wavelength_nm, max_stderr, threads)
+            for layer in medium.scene_layers
+        ]
+        return cls(*map(np.stack, zip(*ratios, strict=True)))
+
+    def find_largest_error(self, medium: Medium, planes_m: np.ndarray) -> np.ndarray:
+        """Return the largest relative error of the layers in intervals between planes.
+
+        The shape is (intervals, wavelengths).
+        """
+        inside = find_layers_between(medium.scene_layers, planes_m)
+        return np.array([self.relative_error[one].max(axis=0) for one in inside])
+
+
+def _compute_layer_ratio(
+    layer: Layer, wavelength_nm: np.ndarray, max_stderr: float, threads: int
+) -> PathRatio:
+    """Return the ratio of a layer by wavelength.
+
+    In dry point grains of one material, a metre of recorded path has κ (1 − ω) losses in grains,
+    where 1/α metres of path in them are one loss (`splits.discrete_ordinates.stack_profile`).  Rays
+    assume that weights decrease evenly.  They decrease in steps of optical depth d, so that a path
+    by weight may be d/(1 − exp(−d)) times as long; above a limit, mean chords are closer.
+    """
+    absorption = compute_material_constants(layer, wavelength_nm).absorption
+    steps = compute_layer_steps(layer, absorption)
+    with np.errstate(divide="ignore"):
+        value = 1.0 / steps.absorption_rate
+    if not layer.has_grains:
+        return PathRatio(value, np.zeros_like(value), np.isinf(value))
+    excess = _compute_path_excess(steps.optical_depth)
+    by_rays = excess <= MAX_PATH_EXCESS
+    error = np.where(by_rays, excess, CHORD_ERROR)
+    absorbs = absorption[:, -1] > 0.0
+    absorbing = wavelength_nm[absorbs]
+    if (
+        layer.wet_fraction > 0.0
+        or not absorbs.any()
+        or find_obstacle(layer, absorbing)
+        or find_profile_obstacle(layer, absorbing)
+    ):
+        return PathRatio(value, error, by_rays)
+    (optics,) = make_granular_stack(layer, absorbing, max_stderr, threads).layers
+
+    def compute(layers: Sequence[GranularLayer]) -> np.ndarray:
+        (one,) = layers
+        extinction, scattering = (values[..., 0] for values in one.compute_optics(1)[1:3])
+        loss = extinction - scattering[..., 0, 0]
+        in_grains = loss - one.pore_absorption[..., DRY_PORE]
+        return (layer.pore_fraction + in_grains / absorption[absorbs, -1]) / loss
+
+    value[absorbs] = compute([optics])
+    if isinstance(optics.grains, GrainTable):
+        in_pores = 1.0 - 1.0 / (absorption[absorbs, -1] * value[absorbs])
+        error[absorbs] = in_pores * find_similarity_error(optics.contrast, is_wet=False)
+    else:
+        error[absorbs] = compute_replicate_error([optics], compute) / value[absorbs]
+    return PathRatio(value, error, by_rays & ~absorbs)
 
 
 def _compute_path_excess(optical_depth: np.ndarray) -> np.ndarray:
     """Return the relative excess of a path over one along which weights decrease evenly."""
     d = np.maximum(optical_depth, 1e-9)
     return d / -np.expm1(-d) - 1.0
-
-
-def bound_actinic_flux_error(
-    steps: AbsorptionSteps, actinic_flux: np.ndarray, absorption: np.ndarray, incident: np.ndarray
-) -> np.ndarray:
-    """Return a bound on the error of the actinic flux, shape (intervals, wavelengths).
-
-    Between two planes weights are assumed to decrease evenly along the path.  They decrease in
-    steps of optical depth d, so that a path by weight may be d/(1 − exp(−d)) times as long.  Where
-    steps are so large that a ray ends in its first one, the segment before it is not scored.  Where
-    that error is large, the path also follows from the absorptance of the interval, which is known
-    independently: twice the difference, plus a tenth, is then the smaller bound.
-
-    Parameters
-    ----------
-    steps : AbsorptionSteps
-    actinic_flux : float, shape (intervals, wavelengths)
-    absorption, incident : float, shape (intervals, wavelengths)
-        Light absorbed in an interval, and light incident through its planes, over its thickness
-        (1/m).
-    """
-    excess = _compute_path_excess(steps.optical_depth)
-    step_bound = excess * actinic_flux + steps.unscored_path_m * incident
-    path, rate = np.full_like(actinic_flux, np.inf), steps.absorption_rate
-    np.divide(np.maximum(absorption, 0.0), rate, out=path, where=rate > 0.0)
-    return np.minimum(step_bound, 2.0 * np.abs(path - actinic_flux) + 0.1 * actinic_flux)
-
-
-def estimate_rare_path_error(
-    steps: AbsorptionSteps, actinic_flux: np.ndarray, absorption: np.ndarray
-) -> np.ndarray:
-    """Return the error of the actinic flux by paths that a run does not contain.
-
-    A segment counts with the weight at its end, which Russian roulette raised if the ray survived
-    much absorption.  Few such segments make much of the actinic flux of an interval that absorbs
-    most of the light, and a run may contain none.  The absorptance of an interval does not depend
-    on them.  The error is the deviation from the range of paths that follows from it, within
-    `MAX_RATE_ERROR`.
-
-    Parameters
-    ----------
-    steps : AbsorptionSteps
-    actinic_flux : float, shape (intervals, wavelengths)
-    absorption : float, shape (intervals, wavelengths)
-        Light absorbed in an interval over its thickness (1/m).
-
-    Returns
-    -------
-    float, shape (intervals, wavelengths)
-        0 where nothing absorbs.
-    """
-    shortest, longest = actinic_flux.copy(), actinic_flux.copy()
-    absorbed, rates = (
-        np.maximum(absorption, 0.0),
-        (steps.max_absorption_rate, steps.absorption_rate),
-    )
-    for path, rate in zip((shortest, longest), rates, strict=True):
-        np.divide(absorbed, rate, out=path, where=rate > 0.0)
-    shortest, longest = (1.0 - MAX_RATE_ERROR) * shortest, (1.0 + MAX_RATE_ERROR) * longest
-    return np.asarray(np.maximum(shortest - actinic_flux, actinic_flux - longest).clip(0.0))
 
 
 def bound_material_absorptance_error(
@@ -170,7 +242,7 @@ def bound_material_absorptance_error(
 ) -> np.ndarray:
     """Return a bound on the error of the absorptances of materials.
 
-    It follows from the effect of steps on paths (see `bound_actinic_flux_error`), and is at most
+    It follows from the effect of steps on paths (see `PathRatio`), and is at most
     the total absorptance; an excess of one material is a deficit of the others.
 
     Parameters

@@ -15,10 +15,8 @@ from splits.core.uncertainty import (
     make_variable,
 )
 from splits.instruments.absorption_steps import (
-    bound_actinic_flux_error,
     bound_material_absorptance_error,
     compute_absorption_steps,
-    estimate_rare_path_error,
 )
 from splits.instruments.flux_errors import bound_flux_interpolation_error, estimate_rare_event_error
 from splits.instruments.flux_media import TracedMedium
@@ -111,17 +109,14 @@ def _make_path_variables(result: FluxResult, traced_medium: TracedMedium) -> dic
     absorption = traced_medium.constants.absorption[: traced_medium.n_wavelengths]
     steps = compute_absorption_steps(traced_medium.medium, absorption, edges)
     thickness = np.diff(edges)[:, np.newaxis]
-    downward, upward, absorptance = estimate.split_quantities(estimate.quantities.mean(axis=0))
-    from_below = np.zeros_like(absorptance)
-    from_below[: len(upward) - 1] = upward[1:]
-    incident = (downward[: len(thickness)] + from_below) / thickness
+    absorptance = estimate.split_quantities(estimate.quantities.mean(axis=0))[2]
     fluxes = [_compute_actinic_flux(one, traced_medium) for one in estimates]
-    flux_bound = bound_actinic_flux_error(
-        steps, fluxes[0].mean(axis=0), absorptance / thickness, incident
-    )
-    rare_error = estimate_rare_path_error(steps, fluxes[0].mean(axis=0), absorptance / thickness)
-    flux_bound = np.maximum(flux_bound, rare_error)
-    flux_error = _combine_errors(fluxes, result, result.unsampled_light, flux_bound)
+    ratio_error = traced_medium.path_ratio.find_largest_error(traced_medium.medium, edges)
+    ratio_error *= np.abs(fluxes[0].mean(axis=0))
+    # Light that no ray carries is absorbed, and has a path per absorbed light.
+    longest = 1.0 / np.maximum(steps.absorption_rate * thickness, np.finfo(float).tiny)
+    unsampled_flux = result.unsampled_light * np.minimum(longest, 1.0)
+    flux_error = _combine_errors(fluxes, result, unsampled_flux, ratio_error)
     if traced_medium.semi_infinite:
         flux_error[-1] *= ~traced_medium.is_absorbing()
     scored = estimate.material_absorptance.sum(axis=2)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.core.validation import format_limit, invalid
-from splits.instruments.absorption_steps import compute_absorption_steps
+from splits.instruments.absorption_steps import PathRatio
 from splits.media.absorbing_matrix_layer import absorb_along_path
 from splits.media.ground import BLACK_OPTICAL_DEPTH, Ground
 from splits.media.medium import Medium
@@ -48,6 +48,8 @@ class TracedMedium(NamedTuple):
         Whether diffusion theory replaces the part below.
     material_columns : dict of str to int
         Columns of the materials, by name.
+    path_ratio : PathRatio
+        Of its layers, at each wavelength.
     """
 
     medium: Medium
@@ -57,6 +59,7 @@ class TracedMedium(NamedTuple):
     semi_infinite: bool
     truncated: bool
     material_columns: dict[str, int]
+    path_ratio: PathRatio
 
     @property
     def edges_m(self) -> np.ndarray:
@@ -72,10 +75,7 @@ class TracedMedium(NamedTuple):
 
     def is_absorbing(self) -> np.ndarray:
         """Return at which wavelengths the lowest layer absorbs, shape (wavelengths,)."""
-        absorption = self.constants.absorption[: self.n_wavelengths]
-        lowest_interval = self.planes_m[-1] * np.array([1.0 - 1e-6, 1.0])
-        steps = compute_absorption_steps(self.medium, absorption, lowest_interval)
-        return steps.absorption_rate[0] > 0.0
+        return np.isfinite(self.path_ratio.value[-1])
 
 
 def prepare_medium(
@@ -130,6 +130,7 @@ def prepare_medium(
     return TracedMedium(
         traced, constants, wavelengths.size, planes, medium.is_semi_infinite, truncated,
         medium.material_columns,
+        PathRatio.from_medium(traced, wavelengths, max_stderr, run.threads),
     )  # fmt: skip
 
 

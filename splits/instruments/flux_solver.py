@@ -26,30 +26,7 @@ from splits.instruments.flux_dataset import (
 from splits.instruments.solver import DISCRETE_ORDINATES
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.medium import Medium
-from splits.simulation.scene import N_PORE_MATERIALS, compute_material_constants
 from splits.simulation.threads import limit_blas_threads
-
-
-def find_profile_obstacle(medium: Medium, wavelength_nm: np.ndarray) -> str | None:
-    """Return why path lengths in a medium without other obstacle do not follow from absorption.
-
-    Parameters
-    ----------
-    medium : Medium
-        See `splits.discrete_ordinates.applicability.find_obstacle`.
-    wavelength_nm : float, shape (wavelengths,)
-    """
-    layers: Any = medium.scene_layers
-    for number, layer in enumerate(layers):
-        if len(layer.list_materials()) > N_PORE_MATERIALS + 1:
-            return f"layers[{number}] has grains of several materials"
-        if layer.interpretation.grain_extent != "point":
-            return f"layers[{number}] has no point grains"
-        transparent = compute_material_constants(layer, wavelength_nm).absorption[:, -1] <= 0.0
-        if transparent.any():
-            first = wavelength_nm[transparent][0]
-            return f"the grains of layers[{number}] absorb nothing at {first:g} nm"
-    return None
 
 
 def solve_flux(

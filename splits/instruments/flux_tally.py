@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.core.uncertainty import compute_batch_stderr
+from splits.instruments.absorption_steps import PathRatio
 from splits.instruments.flux_errors import (
     bound_flux_interpolation_error,
     bound_unsampled_light,
@@ -25,6 +26,9 @@ from splits.simulation.stratum import Stratum, compute_absorption_per_mfp
 
 FLUX_RAYS_PER_CHUNK = 32
 """Rays whose weights are added up together: few, so that a first round of all batches is short."""
+IRRADIANCE_ROUNDING = 1e-6
+"""Rounding of light absorbed between two planes, relative to the light incident on them: weights
+have single precision."""
 MIN_SCATTER_FRACTION = 0.1
 """Fraction of the requested variance that is always available for statistical scatter."""
 
@@ -40,7 +44,8 @@ class FluxEstimate(NamedTuple):
     material_absorptance : float, shape (N_BATCHES, intervals, materials, wavelengths)
         From the lengths in each material.
     path_length : float, shape (N_BATCHES, intervals, wavelengths)
-        Metres; of a semi-infinite interval, down to the end of tracing.
+        Metres; of a semi-infinite interval, down to the end of tracing.  Where light is absorbed,
+        it is the absorptance times the path per absorbed light.
     """
 
     quantities: np.ndarray
@@ -153,10 +158,11 @@ class FluxTally(ExitTally):
         continues below it.
         """
         planes, n_batch_rays = self.boundary_rows, self.count_rays() / N_BATCHES
-        irradiance = self.irradiance_sums[:, :, planes] / n_batch_rays
-        irradiance[:, 0, 0] = 1.0
+        levels = self.irradiance_sums / n_batch_rays
+        levels[:, 0, 0] = 1.0
         absorbed = self.absorptance_sums[:, : planes[-1]] / n_batch_rays
-        path_length = self.path_length_sums[:, : planes[-1]] / n_batch_rays
+        path_length = self._estimate_path_lengths(levels)[:, : planes[-1]]
+        irradiance = levels[:, :, planes]
         net = irradiance[:, DOWNWELLING] - irradiance[:, UPWELLING]
         absorptance = net[:, :-1] - net[:, 1:]
         by_material = np.add.reduceat(absorbed, planes[:-1], axis=1)
@@ -172,6 +178,47 @@ class FluxTally(ExitTally):
             [irradiance[:, DOWNWELLING], irradiance[:, UPWELLING], absorptance], axis=1
         )
         return FluxEstimate(quantities, by_material, path_length)
+
+    def _estimate_path_lengths(self, irradiance: np.ndarray) -> np.ndarray:
+        """Return path lengths in each layer (m), shape (N_BATCHES, layers, node rows).
+
+        A path between two planes counts with the weight at its end, which Russian roulette raised
+        for few rays, and made 0 for most.  Where it did, path lengths scatter much more than the
+        light absorbed according to the irradiances.  Otherwise both agree, except for rounding.
+
+        Parameters
+        ----------
+        irradiance : float, shape (N_BATCHES, 2, boundaries, node rows)
+        """
+        n_batch_rays = self.count_rays() / N_BATCHES
+        scored_path = self.path_length_sums / n_batch_rays
+        scored = self.absorptance_sums.sum(axis=2) / n_batch_rays
+        net = irradiance[:, DOWNWELLING] - irradiance[:, UPWELLING]
+        absorbed = net[:, :-1] - net[:, 1:]
+        incident = (irradiance[:, DOWNWELLING, :-1] + irradiance[:, UPWELLING, 1:]).mean(axis=0)
+        is_rounding = np.abs((absorbed - scored).mean(axis=0)) <= IRRADIANCE_ROUNDING * incident
+        absorbed = np.where(is_rounding, scored, absorbed)
+        mean_scored, mean_path = scored.mean(axis=0), scored_path.mean(axis=0)
+        ratio, _, by_rays = self._find_path_ratios()
+        has_ratio = by_rays & (mean_scored > 0.0)
+        by_rays = has_ratio | np.isinf(ratio)
+        scale = np.ones_like(ratio)
+        np.divide(absorbed.mean(axis=0), mean_scored, out=scale, where=has_ratio)
+        ratio = np.where(by_rays, 0.0, ratio)
+        np.divide(mean_path, mean_scored, out=ratio, where=has_ratio)
+        # The ratio of the rays varies by batch to first order.
+        deviation = np.where(by_rays, scale * (scored_path - ratio * scored), 0.0)
+        return ratio * absorbed + deviation
+
+    def _find_path_ratios(self) -> PathRatio:
+        """Return the path per absorbed light in each layer for each node row."""
+        boundaries = self.scene.layers.boundaries
+        middles = -0.5 * (boundaries[1:] + boundaries[:-1])
+        layers = self.traced_medium.medium.scene_layers
+        bottoms = np.cumsum([float(layer.depth_m) for layer in layers])
+        owners = np.searchsorted(bottoms[:-1], middles)[:, np.newaxis]
+        columns = self.rows % self.traced_medium.n_wavelengths
+        return PathRatio(*(values[owners, columns] for values in self.traced_medium.path_ratio))
 
     def evaluate(self, stop: StoppingRule) -> Evaluation:
         """Return the largest standard error.

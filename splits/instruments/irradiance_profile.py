@@ -17,10 +17,10 @@ from splits.core.validation import (
     check_range,
     invalid,
 )
-from splits.discrete_ordinates.applicability import find_obstacle
+from splits.discrete_ordinates.applicability import find_obstacle, find_profile_obstacle
 from splits.instruments.flux_dataset import make_flux_dataset
 from splits.instruments.flux_media import TracedMedium, prepare_medium
-from splits.instruments.flux_solver import find_profile_obstacle, solve_flux
+from splits.instruments.flux_solver import solve_flux
 from splits.instruments.flux_tally import FluxTally
 from splits.instruments.flux_target import FluxTarget
 from splits.instruments.solver import (

@@ -21,6 +21,7 @@ from splits.simulation.grain_optics import (
     compute_grain_matrix,
     compute_grain_optics,
 )
+from splits.simulation.incident_light import IncidentPolarization
 from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 from splits.simulation.scattering_matrix_tally import MatrixEstimate
 from splits.simulation.scene import build_scene, compute_material_constants
@@ -90,7 +91,9 @@ def single_scattering(
         S n²/(S n² + 1 − S), with the index n of water relative to air, which is correct deep in
         the sample, where radiance is proportional to n².
     stokes : bool
-        Whether the scattering matrix is computed as well, from further rays.
+        Whether polarization is traced, as for `splits.spectrophotometer`, which changes the
+        asymmetry parameter of smooth spheres by 0.003; and whether the scattering matrix is
+        computed as well, from further rays.
 
     Returns
     -------
@@ -137,7 +140,8 @@ def single_scattering(
     run = RunOptions.from_arguments(seed, threads)
     check_choice("wet_pores", wet_pores, WET_PORE_MODELS)
     check_flag("stokes", stokes)
-    scene = build_scene(medium, 0.0, False)
+    # Polarization changes how much light successive interfaces reflect, and so all other means.
+    scene = build_scene(medium, 0.0, False, IncidentPolarization() if stokes else None)
     request = GrainOpticsRequest(moments, rays, wet_pores, run)
     constants = compute_material_constants(medium, wavelengths)
     nodes = choose_nodes(constants.indices, medium.list_interfaces(), INTERPOLATION_TOLERANCE)

@@ -17,6 +17,7 @@ from splits.materials.lorentz import make_goethite
 from splits.materials.refractive_index import (
     ConstantIndex,
     RefractiveIndex,
+    ScaledIndex,
     SellmeierIndex,
     TabulatedIndex,
 )
@@ -170,3 +171,9 @@ def list_datasets(material: str) -> list[str]:
 def load_dataset(material: str, name: str) -> RefractiveIndex:
     """Return the dataset `name` of a material (see `list_datasets`), cached."""
     return _DATASET_LOADERS[material][name]()
+
+
+def is_dataset(material: str, index: RefractiveIndex) -> bool:
+    """Return whether a refractive index is a dataset of a material, perhaps with k scaled."""
+    known = index.index if isinstance(index, ScaledIndex) else index
+    return any(known == load_dataset(material, name) for name in _DATASET_LOADERS[material])

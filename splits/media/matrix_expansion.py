@@ -12,9 +12,9 @@ generalized spherical functions).
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
-from splits.core.optional import import_optional
+import numpy as np
 
 COEFFICIENTS = ("alpha1", "alpha2", "alpha3", "alpha4", "beta1", "beta2")
 ANGLES_PER_ORDER = 40
@@ -37,27 +37,49 @@ def sum_expansion(coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     elements : float, shape (n, 6)
         P11, P12, P33, P34, P22 and P44.
     """
-    special = import_optional("scipy.special", "retrieval", "expansions need")
     alpha1, alpha2, alpha3, alpha4, beta1, beta2 = coefficients
-    orders = np.arange(alpha1.size)
-    n_angles = int(np.clip(ANGLES_PER_ORDER * orders.size + 1, MIN_ANGLES, MAX_ANGLES))
+    n_angles = int(np.clip(ANGLES_PER_ORDER * alpha1.size + 1, MIN_ANGLES, MAX_ANGLES))
     angle = np.linspace(0.0, 180.0, n_angles)
-    mu = np.cos(np.radians(angle))[:, np.newaxis]
-    d00, high = special.eval_legendre(orders, mu), np.maximum(orders - 2, 0)
-    has_high = orders >= 2
-    norm = np.sqrt(
-        np.divide(
-            (orders + 1.0) * (orders + 2.0), np.maximum(orders * (orders - 1.0), 1.0),
-        )
-    )  # fmt: skip
-    d02 = np.where(has_high, 0.25 * norm * (1.0 - mu**2) * special.eval_jacobi(high, 2, 2, mu), 0.0)
-    d22, d2m2 = (
-        np.where(has_high, half**2 * special.eval_jacobi(high, *powers, mu), 0.0)
-        for half, powers in ((0.5 + 0.5 * mu, (0, 4)), (0.5 - 0.5 * mu, (4, 0)))
+    mu = np.cos(np.radians(angle))
+    p11, p44 = _sum_functions(0, 0, mu, alpha1, alpha4)
+    p12, p34 = _sum_functions(0, 2, mu, -beta1, -beta2)
+    (total,) = _sum_functions(2, 2, mu, alpha2 + alpha3)
+    (difference,) = _sum_functions(2, -2, mu, alpha2 - alpha3)
+    p22, p33 = 0.5 * (total + difference), 0.5 * (total - difference)
+    return angle, np.stack([p11, p12, p33, p34, p22, p44], axis=-1)
+
+
+def _sum_functions(m: int, n: int, mu: np.ndarray, *coefficients: np.ndarray) -> np.ndarray:
+    """Return sums of the functions d^l_mn over l, for |m| ≤ |n|, each with its coefficients.
+
+    Functions of successive orders follow from the recurrence of Mishchenko et al. (2002), Eq. B.22.
+
+    Parameters
+    ----------
+    m, n : int
+    mu : float, shape (angles,)
+        Cosines.
+    *coefficients : float, shape (orders,)
+        From order 0 on.
+
+    Returns
+    -------
+    float, shape (sums, angles)
+    """
+    first = abs(n)
+    orders = np.arange(coefficients[0].size + 1.0)
+    above = np.maximum(orders, 1.0)
+    root = np.sqrt(np.maximum((orders**2 - m**2) * (orders**2 - n**2), 0.0)) / above
+    shift = m * n / (above * (orders + 1.0))
+    scale = 0.5**first * math.sqrt(
+        math.factorial(2 * first) / (math.factorial(abs(m - n)) * math.factorial(abs(m + n)))
     )
-    total, difference = d22 @ (alpha2 + alpha3), d2m2 @ (alpha2 - alpha3)
-    elements = [
-        d00 @ alpha1, -d02 @ beta1, 0.5 * (total - difference), -d02 @ beta2,
-        0.5 * (total + difference), d00 @ alpha4,
-    ]  # fmt: skip
-    return angle, np.stack(elements, axis=-1)
+    low = np.zeros_like(mu)
+    high = scale * (1.0 - mu) ** (abs(m - n) // 2) * (1.0 + mu) ** (abs(m + n) // 2)
+    sums = np.zeros((len(coefficients), mu.size))
+    for order in range(first, coefficients[0].size):
+        for total, values in zip(sums, coefficients, strict=True):
+            total += values[order] * high
+        following = (2.0 * order + 1.0) * (mu - shift[order]) * high - root[order] * low
+        low, high = high, following / root[order + 1]
+    return sums

@@ -37,7 +37,7 @@ from splits.media.formatting import find_differences, format_call
 from splits.media.ground import Ground
 from splits.media.medium import LayerBottom, ParticleMedium
 from splits.media.rough_surface import RoughSurface
-from splits.media.scattering_matrix import ScatteringMatrix
+from splits.media.scattering_matrix import MAX_DENSITY, ScatteringMatrix, check_density
 
 CLEARANCE_SIGMA = 8.0
 """Minimum distance between the mean surface and the bottom, in standard deviations of height."""
@@ -321,8 +321,5 @@ def _make_tabulated_phase(table: Mapping[str, Any]) -> PhaseFunction:
     cosine[[0, -1]] = -1.0, 1.0
     if (np.diff(cosine) <= 0.0).any():
         raise invalid("phase_function.cosine", cosine.tolist(), "increasing from -1 to 1")
-    density = snap_to_limits(density, 0.0, 1e100)
-    in_range = (density >= 0.0).all() and (density <= 1e100).all()
-    if not in_range or not density.max() > 1e-100:
-        raise invalid("phase_function.density", density.tolist(), "0 to 1e100, not all of them 0")
-    return make_tabulated(cosine, density)
+    density = snap_to_limits(density, 0.0, MAX_DENSITY)
+    return make_tabulated(cosine, check_density("phase_function.density", density))

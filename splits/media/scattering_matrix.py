@@ -18,7 +18,13 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.core.arrays import as_1d_array, as_float_array, check_increasing, read_columns
+from splits.core.arrays import (
+    as_1d_array,
+    as_float_array,
+    check_array_range,
+    check_increasing,
+    read_columns,
+)
 from splits.core.equality import ContentEquality
 from splits.core.paths import expand_path
 from splits.core.validation import check_integer, invalid, join_names
@@ -39,6 +45,8 @@ STDERR = "_stderr"
 N_STDERR = 5.0
 """Violation of the inequalities, in the largest standard error of an element at an angle, that
 elements with errors may have."""
+MIN_DENSITY, MAX_DENSITY = 1e-100, 1e100
+"""Limits of the largest value of a phase function."""
 KEY = "scattering_matrix"
 ALLOWED = (
     f"columns {ANGLE}, {', '.join(REQUIRED_ELEMENTS)} and perhaps P22, P44, or expansion "
@@ -99,8 +107,7 @@ class ScatteringMatrix(ContentEquality):
     def _check_physical(self, error: np.ndarray) -> None:
         """Reject a matrix that is no sum of matrices of single particles, within an error."""
         p11, p12, p33, p34, p22, p44 = self.elements.T
-        if not ((p11 >= 0.0).all() and p11.max() > 0.0):
-            raise invalid(f"{KEY}.P11", float(p11.min()), "numbers from 0, not all of them 0")
+        check_density(f"{KEY}.P11", p11)
         allowance = PHYSICAL_TOLERANCE * p11 + error
         # A matrix is a sum of matrices of single particles if its coherency matrix has no negative
         # eigenvalue (Cloude 1986, Optik 75, 26); these are its three blocks.
@@ -134,6 +141,14 @@ class ScatteringMatrix(ContentEquality):
         cosines[[0, -1]] = 1.0, -1.0
         ratios = np.stack([p12, p22, p33, p34, p44], axis=-1) * scale[:, np.newaxis]
         return make_tabulated(cosines, p11, ratios)
+
+
+def check_density(key: str, values: np.ndarray) -> np.ndarray:
+    """Return a phase function in any unit, checked for sums that overflow or lose all digits."""
+    if not ((values >= 0.0) & (values <= MAX_DENSITY)).all() or values.max() < MIN_DENSITY:
+        allowed = f"numbers from 0 to {MAX_DENSITY:g}, one of them at least {MIN_DENSITY:g}"
+        raise invalid(key, values.tolist(), allowed, "the unit is arbitrary")
+    return values
 
 
 def _read_columns(value: Any) -> Mapping[str, Any]:
@@ -202,6 +217,8 @@ def _read_coefficients(columns: Mapping[str, Any]) -> np.ndarray:
     if len(sizes) != 1 or not rows[0].size or rows[0][0] <= 0.0:
         found = dict(zip(COEFFICIENTS, [row.size for row in rows], strict=True))
         raise invalid(KEY, found, "lists of the same length from order 0 on, with alpha1 above 0")
+    for name, row in zip(COEFFICIENTS, rows, strict=True):
+        check_array_range(f"{KEY}.{name}", row, -MAX_DENSITY, MAX_DENSITY)
     return np.stack(rows)
 
 

@@ -22,6 +22,9 @@ COLLISION_COEFFICIENT_RANGE = (1e-12, 1e300)
 """Scatterings per metre of a layer without particles, so that its mean free path is finite, and of
 an opaque layer."""
 
+INDEX_RANGE, MAX_EXTINCTION_INDEX = (0.1, 15.0), 1e4
+"""Refractive indices of grains and of pores."""
+
 N_PORE_MATERIALS = 2
 """Number of materials for dry and wet pores; they precede those of other pore fluids."""
 
@@ -59,10 +62,27 @@ def compute_material_constants(medium: Medium, wavelength_nm: np.ndarray) -> Opt
     The absorption applies to path lengths as recorded by the kernels.
     """
     index = medium.compute_refractive_indices(wavelength_nm)
+    _check_indices(index, medium, wavelength_nm)
     absorption = absorption_coefficient(index, wavelength_nm[:, np.newaxis])
     absorption *= compute_path_fractions(medium)
     added = [layer.compute_added_absorption(wavelength_nm) for layer in medium.scene_layers]
     return OpticalConstants(index, absorption + np.concatenate(added, axis=1))
+
+
+def _check_indices(index: np.ndarray, medium: Medium, wavelength_nm: np.ndarray) -> None:
+    """Check that light leaves grains of these indices after a number of reflections that ends.
+
+    In a grain of many directions light is reflected some n³ times before it leaves.
+    """
+    low, high = INDEX_RANGE
+    inside = (index.real >= low) & (index.real <= high) & (index.imag <= MAX_EXTINCTION_INDEX)
+    if not inside.all():
+        row, column = np.argwhere(~inside)[0]
+        raise invalid(
+            f"refractive_index[{medium.list_materials()[column]}]", complex(index[row, column]),
+            f"n + kj with n from {low:g} to {high:g} and k up to {MAX_EXTINCTION_INDEX:g}",
+            f"at {wavelength_nm[row]:g} nm",
+        )  # fmt: skip
 
 
 def compute_path_fractions(medium: Medium) -> np.ndarray:

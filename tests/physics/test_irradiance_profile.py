@@ -87,6 +87,76 @@ def test_absorber_without_grains_follows_beers_law(incidence):
         np.testing.assert_allclose(ds.actinic_flux[0], path, rtol=2e-5)
 
 
+SOOTY = {
+    "specific_surface_area_m2_kg": 20.0, "density_kg_m3": 300.0,
+    "impurities_ng_g": {"black_carbon": 2000.0},
+}  # fmt: skip
+ABSORBED = {
+    "sooty snow": (splits.Snow.natural(**SOOTY, depth_m=0.1), [350.0, 900.0, 1500.0], [0.03]),
+    "clean snow": (
+        splits.Snow.natural(specific_surface_area_m2_kg=20.0, depth_m=0.05), [400.0, 700.0], [0.01]
+    ),
+    "deep snow": (splits.Snow.natural(**SOOTY), [350.0, 1030.0], [0.01, 0.05]),
+    "layers": (
+        splits.Stack(
+            [splits.Snow.natural(specific_surface_area_m2_kg=40.0, depth_m=0.01),
+             splits.Snow.natural(**SOOTY, depth_m=0.05)], ground=0.5
+        ),
+        [400.0, 1030.0], [0.005, 0.01, 0.04],
+    ),
+    "particles": (
+        splits.ParticleLayer(optical_thickness=20.0, single_scattering_albedo=0.9, depth_m=0.4),
+        [500.0], [0.1, 0.3],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ABSORBED)
+def test_actinic_flux_times_absorption_coefficient_is_the_absorptance(name):
+    """The coefficient is that of the layer, the same in all intervals and for both solvers."""
+    medium, wavelengths, depths = ABSORBED[name]
+    paths = splits.irradiance_profile(
+        medium, wavelengths, depths, 30.0, 0.01, solver="monte_carlo", kernel="scalar"
+    )
+    thickness = (paths.interval_bottom - paths.interval_top).values
+    if name == "particles":
+        coefficient = np.full((1, 1), 0.1 * 20.0 / 0.4)
+    else:
+        solved = splits.irradiance_profile(
+            medium, wavelengths, depths, 30.0, solver="discrete_ordinates"
+        )
+        with np.errstate(divide="ignore", invalid="ignore"):
+            coefficient = (solved.absorptance / (solved.actinic_flux * thickness)).values
+        seen = solved.absorptance.values > 1e-12
+        first = np.searchsorted(paths.interval_top, 0.01) if name == "layers" else 0
+        same = coefficient[:, first:-1] / coefficient[:, first : first + 1]
+        np.testing.assert_allclose(same[seen[:, first:-1]], 1.0, rtol=1e-6)
+    product = paths.actinic_flux * np.where(np.isinf(thickness), 0.0, thickness) * coefficient
+    finite = np.isfinite(product.values) & np.isfinite(thickness)
+    difference = (product - paths.absorptance).values
+    assert finite.any()
+    np.testing.assert_allclose(difference[finite], 0.0, atol=2e-6)
+    is_absorbed = finite & (paths.absorptance.values > 1e-3)
+    relative = difference[is_absorbed] / paths.absorptance.values[is_absorbed]
+    np.testing.assert_allclose(relative, 0.0, atol=1e-5)
+
+
+def test_actinic_flux_in_the_dark_is_not_low():
+    """Few rays survive the absorption by soot; the others have been absorbed in the interval."""
+    medium, _, depths = ABSORBED["sooty snow"]
+    solved = splits.irradiance_profile(medium, [350.0], depths, solver="discrete_ordinates")
+    z, flux = [], []
+    for seed in range(1, 9):
+        paths = splits.irradiance_profile(
+            medium, [350.0], depths, seed=seed, solver="monte_carlo", kernel="scalar"
+        )
+        stderr = np.hypot(paths.actinic_flux_stderr, solved.actinic_flux_stderr)
+        z.append(((paths.actinic_flux - solved.actinic_flux) / stderr).values[0])
+        flux.append(paths.actinic_flux.values[0, -1])
+    judge_z(np.array(z), independent=8)
+    assert np.mean(flux) == pytest.approx(solved.actinic_flux.values[0, -1], rel=0.1)
+
+
 @pytest.mark.parametrize("error", [0.012, pytest.param(0.004, marks=pytest.mark.long)])
 def test_kernels_agree_on_profiles(error):
     z = []

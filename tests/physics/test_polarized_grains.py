@@ -39,6 +39,32 @@ def test_matrix_of_smooth_spheres_is_that_of_geometric_optics():
         judge_z(z, f"sphere, {name}", independent=z.size // 2)
 
 
+def compute_asymmetry(ds):
+    """Return the mean cosine of P11, whose values are means with linear functions of the cosine."""
+    cosines = np.cos(np.radians(ds.angle_deg.values))
+    width = np.append(-np.diff(cosines), 0.0) + np.append(0.0, -np.diff(cosines))
+    return 0.25 * float(np.sum(width * cosines * ds.P11.values))
+
+
+@NEEDS_JIT
+@pytest.mark.parametrize(
+    ("medium", "exact"), [(SPHERES, 0.7850), (FACETED, None), (SAND, None)],
+    ids=["spheres", "snow", "sand"],
+)  # fmt: skip
+def test_moments_and_matrix_of_a_dataset_are_of_the_same_light(medium, exact):
+    """Polarization changes g of smooth spheres of n = 1.31 from 0.7816 to 0.7850."""
+    if exact is not None:
+        medium = replace(medium, refractive_index={"ice": 1.31})
+    ds = splits.single_scattering(medium, NM, 2, rays=400_000, stokes=True).squeeze("wavelength")
+    g, stderr = float(ds.asymmetry_parameter), float(ds.asymmetry_parameter_stderr)
+    # The rays of the matrix are as many, but others.
+    assert abs(compute_asymmetry(ds) - g) < 4.0 * np.sqrt(2.0) * stderr
+    if exact is not None:
+        assert abs(g - exact) < 4.0 * stderr + 5e-5
+        scalar = splits.single_scattering(medium, NM, 2, rays=400_000)
+        assert abs(scalar.asymmetry_parameter.item() - 0.7816) < 4.0 * stderr + 5e-5
+
+
 @NEEDS_JIT
 @pytest.mark.parametrize("medium", [FACETED, SAND], ids=["snow", "sand"])
 def test_matrices_of_grains_have_their_symmetries(medium):

@@ -20,6 +20,7 @@ from splits.kernels.grains.spheroid import sample_entry_point
 from splits.kernels.grains.state import sample_entry_variates, sample_grain
 from splits.kernels.math.rng import start_stream, uniform
 from splits.kernels.math.vectors import ORIGIN, UP, dot
+from splits.kernels.optics.stokes import make_unpolarized
 from splits.kernels.tallies.exits import compute_path_weight
 
 N_SCATTERING_BATCHES = 16
@@ -36,7 +37,8 @@ class ScatteringSums(NamedTuple):
 class IsolatedGrain(NamedTuple):
     """Isolated grain, which rays reach through a wet pore with `wet_probability`.
 
-    Of the layer of the scene only the wet_fraction is used, not the boundaries.
+    Of the layer of the scene only the wet_fraction is used, not the boundaries.  Rays are polarized
+    if the scene is; the incident light is not.
     """
 
     wet_probability: float
@@ -107,7 +109,8 @@ def tally_single_scattering(seed, work, orders, isolated_grain, absorption):
         path_lengths[:] = 0.0
         # A pore is wet if its variate is below the wet fraction.
         pore_variate = 0.0 if uniform(state) < isolated_grain.wet_probability else 1.0
-        ray = make_ray(ORIGIN, UP, None, pore_variate, FIRST_ROULETTE_DEPTH, work[MAX_ORDER])
+        light = make_unpolarized(UP, isolated_grain.scene.stokes)
+        ray = make_ray(ORIGIN, UP, light, pore_variate, FIRST_ROULETTE_DEPTH, work[MAX_ORDER])
         grain_sample, entry = sample_hit_grain(state, isolated_grain)
         ray = trace_through_grain(
             state,

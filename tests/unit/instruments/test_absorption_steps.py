@@ -1,4 +1,4 @@
-"""Steps in which weights decrease inside media: lengths and rates of the path through pores."""
+"""Path per absorbed light of layers: steps in which weights decrease, and single scattering."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import pytest
 
 import splits
 from splits.instruments.absorption_steps import (
-    MAX_RATE_ERROR,
-    AbsorptionSteps,
+    CHORD_ERROR,
+    PathRatio,
     compute_absorption_steps,
-    estimate_rare_path_error,
 )
+from splits.media.absorbing_matrix_layer import absorb_along_path
 from splits.simulation.scene import compute_optical_constants
 
 WAVELENGTHS = np.array([900.0, 1500.0])
@@ -24,24 +24,45 @@ MEDIA = {
 
 @pytest.mark.parametrize("name", MEDIA)
 def test_steps_are_those_of_one_segment_and_one_grain(name):
-    """Of a segment between grains, the pore fraction is path; each grain absorbs on its chord."""
+    """The pore fraction of a segment is path; light that is left at its end hits a grain."""
     medium = MEDIA[name]
     absorption = compute_optical_constants(medium, WAVELENGTHS).absorption
     steps = compute_absorption_steps(medium, absorption, np.array([0.0, 0.05, 0.1]))
-    segment = medium.mean_free_path_m
-    path = segment * medium.pore_fraction
-    chord = medium.mean_grain_distance_m * (1.0 - medium.porosity)
-    fractions = [1.0 - medium.wet_fraction, medium.wet_fraction, 1.0]
-    lengths = [segment, segment, chord]
-    absorbed = np.array(fractions) @ -np.expm1(-np.array(lengths)[:, np.newaxis] * absorption.T)
-    np.testing.assert_allclose(steps.unscored_path_m, [path * absorbed] * 2, rtol=1e-12)
-    np.testing.assert_allclose(steps.absorption_rate, [absorbed / path] * 2, rtol=1e-12)
-    assert (steps.unscored_path_m < segment).all()
+    segment, chord = medium.mean_free_path_m, medium.mean_chord_m
+    wet = medium.wet_fraction
+    depths = absorption[:, [0, 1, -1]] * [segment, segment, chord]
+    left = np.exp(-depths)
+    part = np.where(depths > 0.0, (1.0 - left) / np.maximum(depths, 1e-300), 1.0)
+    reaches = (1.0 - wet) * left[:, 0] + wet * left[:, 1]
+    path = segment * medium.pore_fraction * ((1.0 - wet) * part[:, 0] + wet * part[:, 1])
+    path += reaches * chord * part[:, 2]
+    rate = (1.0 - reaches * left[:, 2]) / path
+    np.testing.assert_allclose(steps.absorption_rate, [rate] * 2, rtol=1e-9)
+    is_present = [True, wet > 0.0, True]
+    np.testing.assert_allclose(
+        steps.optical_depth, [depths[:, is_present].max(axis=1)] * 2, rtol=1e-12
+    )
 
 
-def test_actinic_flux_is_compared_with_the_absorptance():
-    rate, flux = np.array([[10.0, 10.0, 10.0, 0.0]]), np.array([[1.0, 0.0, 3.0, 2.0]])
-    steps = AbsorptionSteps(0.1 * rate, 0.0 * rate, rate, 2.0 * rate)
-    error = estimate_rare_path_error(steps, flux, np.array([[15.0, 15.0, 15.0, 0.0]]))
-    shortest, longest = 0.75 * (1.0 - MAX_RATE_ERROR), 1.5 * (1.0 + MAX_RATE_ERROR)
-    np.testing.assert_allclose(error, [[0.0, shortest, 3.0 - longest, 0.0]])
+def test_mean_chords_are_close_to_single_scattering_where_steps_are_large():
+    """`CHORD_ERROR` is that of natural snow at the absorption above which chords are used."""
+    medium, wavelengths = MEDIA["natural snow"], np.array([1450.0, 1500.0, 1950.0, 2500.0])
+    exact = PathRatio.from_medium(medium, wavelengths, 0.005, threads=1)
+    absorption = compute_optical_constants(medium, wavelengths).absorption
+    steps = compute_absorption_steps(medium, absorption, np.array([0.0, 0.1]))
+    ratio = 1.0 / (steps.absorption_rate * exact.value)
+    large = steps.optical_depth > 0.48
+    assert large.any() and (np.abs(ratio - 1.0)[large] <= CHORD_ERROR).all()
+    assert (exact.relative_error < 0.01).all() and not exact.by_rays.any()
+
+
+def test_ratios_of_particles_and_of_transparent_layers():
+    layer = splits.ParticleLayer(optical_thickness=3.0, single_scattering_albedo=0.75, depth_m=0.5)
+    ratio = PathRatio.from_medium(absorb_along_path(layer), WAVELENGTHS, 0.005, threads=1)
+    np.testing.assert_allclose(ratio.value, 1.0 / (0.25 * 6.0), rtol=1e-12)
+    assert (ratio.relative_error == 0.0).all() and not ratio.by_rays.any()
+    clear = splits.Snow(depth_m=0.1, refractive_index={"ice": 1.31}, saturation=0.0)
+    ratio = PathRatio.from_medium(clear, WAVELENGTHS, 0.005, threads=1)
+    assert np.isinf(ratio.value).all() and ratio.by_rays.all()
+    wet = PathRatio.from_medium(MEDIA["wet snow"], WAVELENGTHS, 0.005, threads=1)
+    assert wet.by_rays[0, 0] and np.isfinite(wet.value).all()

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from splits.materials.group_index import compute_group_index
+import splits
+from splits.instruments.slowness import SPEED_OF_LIGHT, compute_slowness
+from splits.materials.group_index import (
+    WATER_RANGE_NM,
+    compute_group_index,
+    compute_water_group_index,
+)
 from splits.materials.refractive_index import ConstantIndex, SellmeierIndex, TabulatedIndex
 
 QUARTZ = SellmeierIndex("test", "test", (250.0, 3500.0), 0.0, ((0.6961663, 0.0684043**2),
@@ -44,3 +50,59 @@ def test_kinks_of_tables_have_a_large_error():
     slope = 0.04 / np.log(532.0 / 300.0)
     np.testing.assert_allclose(group.value, 1.31 + 0.5 * slope, rtol=1e-6)
     np.testing.assert_allclose(group.stderr, 0.5 * slope, rtol=1e-6)
+
+
+WATER = [
+    [400.0, 1.3827], [532.0, 1.3581], [589.0, 1.3528],
+]  # fmt: skip
+"""Group index of water at 0 °C, from differences of the tables of IAPWS R9-97."""
+
+
+def test_water_at_the_melting_point_has_the_group_index_of_iapws():
+    w, expected = np.array(WATER).T
+    np.testing.assert_allclose(compute_water_group_index(w, True).value, expected, atol=5e-5)
+
+
+def test_group_index_of_water_is_that_of_a_measured_dispersion():
+    """Daimon & Masumura 2007, Applied Optics 46, 3811: four terms of Sellmeier at 19 °C."""
+    terms = ((0.5672526103, 5.085550461e-3), (0.1736581125, 1.814938654e-2),
+             (2.121531502e-2, 2.617260739e-2), (0.1138493213, 10.73888649))  # fmt: skip
+    measured = SellmeierIndex("test", "test", (182.0, 1129.0), 0.0, terms)
+    w = np.linspace(*WATER_RANGE_NM, 91)
+    step = 0.01
+    slope = (measured(w + step).real - measured(w - step).real) / (2.0 * step)
+    cold, other = (compute_water_group_index(w, cold) for cold in (True, False))
+    # Between the values at 0 and 20 °C, of which the mean is known.
+    warm = 2.0 * other.value - cold.value
+    assert (np.abs(warm - (measured(w).real - w * slope)) <= 1.1 * cold.stderr + 1e-4).all()
+    assert (other.stderr >= np.abs(other.value - cold.value)).all()
+
+
+@pytest.mark.parametrize(
+    ("medium", "column"),
+    [
+        (splits.Snow(saturation=0.3, depth_m=0.1), 1),
+        (splits.Snow.natural(specific_surface_area_m2_kg=20, depth_m=0.1, saturation=0.1), 1),
+        (splits.Stack([splits.Snow(depth_m=0.1, saturation=0.0),
+                       splits.Snow(depth_m=0.1, saturation=0.2)]), 4),
+        (splits.Sand(depth_m=0.01, saturation=0.5), 1),
+    ],
+)  # fmt: skip
+def test_wet_media_use_the_formulation(medium, column):
+    w = np.array([400.0, 532.0, 1064.0])
+    slowness = compute_slowness(medium, w)
+    group, stderr = (
+        values[:, column] * SPEED_OF_LIGHT / slowness.path_fractions[column]
+        for values in slowness[:2]
+    )
+    expected = compute_water_group_index(w, not isinstance(medium, splits.Sand))
+    np.testing.assert_allclose(group, expected.value, rtol=1e-12)
+    np.testing.assert_allclose(stderr, expected.stderr, rtol=1e-12)
+
+
+def test_an_index_of_the_user_keeps_its_own_dispersion():
+    index = {"water": 1.33 + 1e-9j, "ice": 1.31 + 1e-9j}
+    snow = splits.Snow(saturation=0.3, depth_m=0.1, refractive_index=index)
+    slowness = compute_slowness(snow, np.array([532.0]))
+    group = slowness.value[0, 1] * SPEED_OF_LIGHT / slowness.path_fractions[1]
+    assert group == pytest.approx(1.33, rel=1e-12)

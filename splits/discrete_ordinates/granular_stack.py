@@ -37,8 +37,8 @@ WET_ERROR = 5e-4
 GRAINS, AIR, REVERSED = "grains", "air", "reversed"
 GRAZING_COSINE = 0.035
 """Cosine of a beam below which the change by more streams oscillates with the angle."""
-NEIGHBOUR_FACTORS = (0.5, 2.0)
-"""Cosines of the beams beside a grazing one, relative to its own, that have changes as large."""
+NEIGHBOUR_FACTORS = (2.0, 4.0)
+"""Cosines of the beams beside a grazing one, relative to its own, whose changes are as large."""
 
 
 class StackElements(NamedTuple):

@@ -16,6 +16,7 @@ Modules, each importing only those above it:
 - `grain_table`, `grain_tabulation`: single scattering by the grains of natural snow
 - `traced_grains`: single scattering by other grains
 - `grain_cache`: kept results of paths through them
+- `phase_series`: phase functions from a limited number of moments
 - `granular_layers`: layers of grains and their optics
 - `replicates`: the same without some of these paths, for errors
 - `granular_stack`: spectra of layers, with errors

@@ -11,6 +11,7 @@ from splits.discrete_ordinates.applicability import make_granular_stack
 from splits.discrete_ordinates.granular_stack import (
     GranularStack,
     SpectrumSolution,
+    add_neighbours,
     choose_trial_wavelengths,
     spread_truncation,
 )
@@ -114,10 +115,13 @@ class WetDerivatives(NamedTuple):
     snowpack : GranularStack
     differences : sequence of SolutionDifference
         Over each of the parameters.
+    incidence : float or "diffuse"
+        Degrees, or isotropic light.
     """
 
     snowpack: GranularStack
     differences: Sequence[SolutionDifference]
+    incidence: float | str
 
     @classmethod
     def from_medium(
@@ -128,7 +132,7 @@ class WetDerivatives(NamedTuple):
             SolutionDifference.from_parameter(medium, name, wavelength_nm, incidence)
             for name in names
         ]
-        return cls(make_granular_stack(medium, wavelength_nm), differences)
+        return cls(make_granular_stack(medium, wavelength_nm), differences, incidence)
 
     def select(self, wavelengths: np.ndarray) -> WetDerivatives:
         """Return the derivatives at some of the wavelengths."""
@@ -136,7 +140,16 @@ class WetDerivatives(NamedTuple):
             one._replace(snowpacks=[version.select(wavelengths) for version in one.snowpacks])
             for one in self.differences
         ]
-        return WetDerivatives(self.snowpack.select(wavelengths), differences)
+        return WetDerivatives(self.snowpack.select(wavelengths), differences, self.incidence)
+
+    def move_beam(self, incidence: float) -> WetDerivatives:
+        """Return the derivatives for another angle of incidence (degrees)."""
+        shift = incidence - float(self.incidence)
+        differences = [
+            one._replace(angles=[angle + shift for angle in one.angles])
+            for one in self.differences
+        ]
+        return self._replace(differences=differences, incidence=incidence)
 
     def scale_optics(self, scale: OpticsScale) -> WetDerivatives:
         """Return the derivatives for other optics of the grains."""
@@ -144,7 +157,9 @@ class WetDerivatives(NamedTuple):
             one._replace(snowpacks=[scale.apply_to_layers(version) for version in one.snowpacks])
             for one in self.differences
         ]
-        return WetDerivatives(scale.apply_to_layers(self.snowpack), differences)
+        return self._replace(
+            snowpack=scale.apply_to_layers(self.snowpack), differences=differences
+        )
 
     def solve(self, n_streams: int) -> tuple[np.ndarray, np.ndarray]:
         """Return derivatives and their errors due to steps, as those of dry snow."""
@@ -172,8 +187,7 @@ def solve_derivatives(
     values, step_error = derivatives.solve(solution.n_streams)
     trial = choose_trial_wavelengths(solution.optics_error.size)
     few, coarse = derivatives.select(trial), values[..., trial]
-    fine, _ = few.solve(2 * solution.n_streams)
-    errors = [np.abs(coarse - fine)]
+    errors = [_measure_truncation(few, coarse, solution.n_streams)]
     change = _compute_optics_change(few.snowpack, solution.optics_error[trial])
     for scale in SCALES:
         scaled, _ = few.scale_optics(scale).solve(solution.n_streams)
@@ -182,6 +196,29 @@ def solve_derivatives(
         np.sqrt(np.square(errors).sum(axis=0)), trial, solution.optics_error.size
     )
     return values, np.hypot(step_error, error)
+
+
+def _measure_truncation(
+    derivatives: DryDerivatives | WetDerivatives, coarse: np.ndarray, n_streams: int
+) -> np.ndarray:
+    """Return the change of derivatives by twice as many streams, or beside a grazing beam.
+
+    Parameters
+    ----------
+    derivatives : DryDerivatives or WetDerivatives
+    coarse : float, shape (2, parameters, wavelengths)
+        With `n_streams`.
+    n_streams : int
+    """
+    change = np.abs(coarse - derivatives.solve(2 * n_streams)[0])
+    if isinstance(derivatives.incidence, str):
+        return change
+    cosine = np.cos(np.radians([derivatives.incidence]))
+    for neighbour in add_neighbours(cosine)[1:]:
+        beside = derivatives.move_beam(float(np.degrees(np.arccos(neighbour))))
+        one, other = (beside.solve(number)[0] for number in (n_streams, 2 * n_streams))
+        change = np.maximum(change, np.abs(one - other))
+    return change
 
 
 def _compute_optics_change(snowpack: GranularStack, error: np.ndarray) -> np.ndarray:

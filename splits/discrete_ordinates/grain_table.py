@@ -145,11 +145,15 @@ class GrainTable(NamedTuple):
         return moments
 
     def interpolate_stderr(self, contrast: np.ndarray, absorption: np.ndarray) -> np.ndarray:
-        """Return the standard errors of a reflectance, shape (..., values), at the next nodes."""
+        """Return the standard errors of a reflectance, shape (..., values), at the next nodes.
+
+        A half-space of grains without absorption reflects all light, whatever their moments.  The
+        error at this node is therefore that of no other layer, and not used.
+        """
         q = absorption / (1.0 + absorption)
         row, column = (
-            np.searchsorted(axis.nodes, values).clip(0, axis.nodes.size - 1)
-            for axis, values in ((self.contrast, contrast), (self.absorption, q))
+            np.searchsorted(axis.nodes, values).clip(first, axis.nodes.size - 1)
+            for first, axis, values in ((0, self.contrast, contrast), (1, self.absorption, q))
         )
         stderr: np.ndarray = self.stderr[row, column]
         return stderr

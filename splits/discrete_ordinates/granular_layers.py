@@ -9,6 +9,7 @@ import numpy as np
 from splits.discrete_ordinates.grain_table import GrainTable
 from splits.discrete_ordinates.integrals import TINY
 from splits.discrete_ordinates.layer_optics import LayerOptics
+from splits.discrete_ordinates.phase_series import extend_forward_peak
 from splits.discrete_ordinates.pores import DRY, WET
 from splits.discrete_ordinates.traced_grains import TracedGrains
 from splits.kernels.base.scene import DRY_PORE, WET_PORE
@@ -93,7 +94,8 @@ class GranularLayer(NamedTuple):
         Parameters
         ----------
         orders : int
-            Number of Legendre moments.
+            Number of Legendre moments, up to `N_PEAK_ORDERS`.  In wet pores, those beyond the table
+            are those of its forward peak.
         in_air : bool
             Whether wet and dry pores are in equilibrium with air, so that all is reciprocal,
             instead of the equilibrium of the grains, which differs by a few per cent.
@@ -103,8 +105,8 @@ class GranularLayer(NamedTuple):
             np.broadcast_to(values[..., np.newaxis], shape)
             for values in (self.collisions_per_m, self.depth_m)
         )
-        moments = self._compute_moments(orders)
-        n_states = moments.shape[-2]
+        n_states, n_known = self.grains.n_states, self.grains.n_orders
+        moments = self._compute_moments(orders if n_states == 1 else min(orders, n_known))
         extinction = collisions[..., np.newaxis] + self.pore_absorption[..., :n_states]
         rate = collisions[..., np.newaxis, np.newaxis, np.newaxis]
         depth = depth * self._compute_packing_ratio()
@@ -113,6 +115,8 @@ class GranularLayer(NamedTuple):
         wet_fraction = np.maximum(self.wet_fraction, MIN_WET_FRACTION)[..., np.newaxis]
         ratio = wet_fraction * self.water_index**2 / (1.0 - wet_fraction) if in_air else None
         scattering, equilibrium = _balance_states(moments, wet_fraction, ratio)
+        if orders > n_known:
+            scattering = extend_forward_peak(scattering)[..., :orders]
         return LayerOptics(depth, extinction, rate * scattering, equilibrium)
 
     def compute_air_equilibrium(self) -> np.ndarray:

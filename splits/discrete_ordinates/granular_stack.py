@@ -35,8 +35,10 @@ WET_ERROR = 5e-4
 
 
 GRAINS, AIR, REVERSED = "grains", "air", "reversed"
-GRAZING_COSINE = 0.02
-"""Cosine of a beam below which the change by more streams oscillates with wavelength."""
+GRAZING_COSINE = 0.035
+"""Cosine of a beam below which the change by more streams oscillates with the angle."""
+NEIGHBOUR_FACTORS = (2.0, 4.0)
+"""Cosines of the beams beside a grazing one, relative to its own, whose changes are as large."""
 
 
 class StackElements(NamedTuple):
@@ -188,8 +190,9 @@ class Truncation(NamedTuple):
 
     @classmethod
     def measure(cls, snowpack: GranularStack, cosines: np.ndarray, n_streams: int) -> Truncation:
-        """Return the budgets for the beams of `GranularStack.build`."""
-        return cls(*(snowpack.solve(cosines, number) for number in (n_streams, 2 * n_streams)))
+        """Return the budgets for the beams of `GranularStack.build`, and beside grazing ones."""
+        beams = add_neighbours(cosines)
+        return cls(*(snowpack.solve(beams, number) for number in (n_streams, 2 * n_streams)))
 
     @property
     def largest(self) -> np.ndarray:
@@ -202,10 +205,22 @@ class Truncation(NamedTuple):
         largest: np.ndarray = changes.max(axis=(0, -1))
         return largest
 
-    def estimate_error(self, cosines: np.ndarray) -> np.ndarray:
-        """Return the error for beams as in `GranularStack.build`, shape (..., wavelengths)."""
-        is_grazing = cosines.min(axis=-1, initial=1.0) < GRAZING_COSINE
-        return np.where(is_grazing, self.largest.max(axis=-1, keepdims=True), self.largest)
+
+def add_neighbours(cosines: np.ndarray) -> np.ndarray:
+    """Return the cosines of beams, and of others beside those that graze the surface.
+
+    The change by more streams of a grazing beam may be small by chance, where it changes its sign;
+    it is then large at other angles.
+
+    Parameters
+    ----------
+    cosines : float, shape (..., beams)
+    """
+    is_grazing = cosines < GRAZING_COSINE
+    if not is_grazing.any():
+        return cosines
+    neighbours = (np.where(is_grazing, factor * cosines, cosines) for factor in NEIGHBOUR_FACTORS)
+    return np.concatenate([cosines, *neighbours], axis=-1)
 
 
 class SpectrumSolution(NamedTuple):
@@ -247,12 +262,16 @@ class SpectrumSolution(NamedTuple):
         ----------
         values : float, shape (quantities, wavelengths)
         """
-        # A bounded quantity cannot be wrong by much more than itself.
-        errors = np.minimum(self.error, np.maximum(values, np.finfo(float).eps))
-        transmittance = np.maximum(values[1], np.finfo(float).tiny)
-        # Errors of thick layers act on the logarithm of the transmittance.
-        relative = self.exponent_error * (1.0 + np.abs(np.log(transmittance)))
-        errors[1] = np.minimum(errors[1], transmittance * relative)
+        # A fraction cannot be wrong by much more than itself, nor than what is left of the light.
+        largest = np.minimum(values, 1.0 - values)
+        errors = np.minimum(self.error, np.maximum(largest, np.finfo(float).eps))
+        transmittance = np.clip(values[1], np.finfo(float).tiny, 1.0)
+        # Errors of thick layers act on the logarithm of the transmittance, which is at most 0.
+        logarithm = np.log(transmittance)
+        change = np.minimum(
+            self.exponent_error * (1.0 - logarithm), np.finfo(float).eps - logarithm
+        )
+        errors[1] = np.minimum(errors[1], transmittance * np.expm1(change))
         return errors
 
 
@@ -287,8 +306,7 @@ def solve_spectrum(
         by_paths = compute_replicate_error(few.layers, solve_few).max(axis=(0, -1))
         optics_error = np.hypot(optics_error, spread(by_paths))
     return SpectrumSolution(
-        snowpack.solve(cosines, n_streams), n_streams, spread(truncation.estimate_error(cosines)),
-        optics_error,
+        snowpack.solve(cosines, n_streams), n_streams, spread(truncation.largest), optics_error,
         truncation,
     )  # fmt: skip
 

@@ -111,7 +111,7 @@ def _choose_streams(
             # All trial wavelengths of a snowpack are in the same part.
             part = snowpacks.select(trial[columns], rows)
             beams = cosines[rows, np.newaxis]
-            difference = Truncation.measure(part, beams, n_streams).estimate_error(beams)
+            difference = Truncation.measure(part, beams, n_streams).largest
             result.truncation[rows] = spread_truncation(difference, trial, n_wavelengths)
             result.n_streams[rows] = n_streams
             failed.append(rows[difference.max(axis=-1) > 0.5 * max_error])

@@ -166,6 +166,10 @@ class DryDerivatives(NamedTuple):
         tangents = [tangent.select(wavelengths) for tangent in self.tangents]
         return DryDerivatives(self.snowpack.select(wavelengths), tangents, self.incidence)
 
+    def move_beam(self, incidence: float) -> DryDerivatives:
+        """Return the derivatives for another angle of incidence (degrees)."""
+        return self._replace(incidence=incidence)
+
     def scale_optics(self, scale: OpticsScale) -> DryDerivatives:
         """Return the derivatives for other optics of the grains."""
         tangents = [

@@ -31,7 +31,7 @@ from splits.discrete_ordinates.granular_stack import (
 )
 from splits.discrete_ordinates.integrals import TINY
 from splits.discrete_ordinates.layer_optics import LayerOptics
-from splits.discrete_ordinates.phase_series import estimate_phase_error, extend_forward_peak
+from splits.discrete_ordinates.phase_series import N_PEAK_ORDERS, estimate_phase_error
 from splits.discrete_ordinates.pores import WET
 from splits.discrete_ordinates.radiance import compute_bidirectional, sum_legendre
 from splits.discrete_ordinates.streams import Streams
@@ -293,11 +293,11 @@ def _count_orders(snowpack: GranularStack) -> int:
 
 def _stack_layers(snowpack: GranularStack, orders: int) -> PlaneLayers:
     """Return the layers with a number of moments, and with the forward peak of wet layers."""
+    if snowpack.is_wet and orders > 1:
+        orders = N_PEAK_ORDERS
     layers = [layer.compute_optics(orders, in_air=True) for layer in snowpack.layers]
     optics = LayerOptics(*(np.stack(values) for values in zip(*layers, strict=True)))
     if not snowpack.is_wet:
         return PlaneLayers(optics, snowpack.ground)
-    if orders > 1:
-        optics = optics._replace(scattering=extend_forward_peak(optics.scattering))
     wet_fractions = [max(float(layer.wet_fraction), MIN_WET_FRACTION) for layer in snowpack.layers]
     return PlaneLayers(optics, snowpack.ground, wet_fractions, snowpack.layers[0].water_index)

@@ -20,7 +20,6 @@ import hashlib
 import json
 import math
 import os
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,9 +29,10 @@ import netCDF4
 import numpy as np
 
 from splits.core.atomic import atomic_write, check_disk_space
+from splits.core.locks import make_lock
 
 CHECKSUM_ATTRIBUTE = "content_sha256"
-NETCDF_LOCK = threading.RLock()
+NETCDF_LOCK = make_lock()
 """Lock for all reading and writing, because the HDF5 library is not thread-safe."""
 REMEDY_HINT = "make it again; a run of snakemake does so automatically"
 _TRAILER_MARK = b"splits-sha256:"

@@ -17,7 +17,9 @@ from typing import Any
 
 from threadpoolctl import ThreadpoolController
 
-_thread_local, _blas_lock = threading.local(), threading.RLock()
+from splits.core.locks import make_lock
+
+_thread_local, _blas_lock = threading.local(), make_lock()
 
 
 def count_cpus() -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import threading
 import time
 from concurrent.futures import CancelledError
@@ -12,6 +13,7 @@ from chi2 import NEEDS_JIT
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import splits
+from splits.io.integrity import NETCDF_LOCK
 from splits.simulation import engine
 from splits.simulation.arguments import check_threads
 from splits.simulation.run_options import RunOptions
@@ -62,6 +64,46 @@ def test_blas_is_restored_after_concurrent_limits():
     with DaemonThreadPool(4) as threads:
         list(threads.map(limit_often, range(4)))
     assert count_blas_threads() == before
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs os.fork")
+@pytest.mark.parametrize("hold", [limit_blas_threads, lambda: NETCDF_LOCK], ids=["solve", "read"])
+def test_forked_children_find_locks_of_other_threads_free(hold):
+    """While another thread solves or reads, forking waits until it has finished."""
+    inside = threading.Event()
+
+    def occupy():
+        with hold():
+            inside.set()
+            time.sleep(0.3)
+
+    before = count_blas_threads()
+    thread = threading.Thread(target=occupy)
+    thread.start()
+    assert inside.wait(LONG_TIME_S)
+    child = os.fork()
+    if child == 0:
+        # The alarm ends a child that waits for ever.
+        signal.alarm(int(LONG_TIME_S))
+        with hold():
+            pass
+        os._exit(count_blas_threads() != before)
+    assert os.waitpid(child, 0)[1] == 0
+    thread.join()
+    with hold():
+        pass
+    assert count_blas_threads() == before
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs os.fork")
+def test_children_forked_while_locks_are_held_keep_them():
+    with limit_blas_threads():
+        child = os.fork()
+        if child == 0:
+            signal.alarm(int(LONG_TIME_S))
+            with limit_blas_threads():
+                os._exit(set(count_blas_threads()) != {1})
+    assert os.waitpid(child, 0)[1] == 0
 
 
 @pytest.mark.parametrize("n_threads", [1, 2, 7])

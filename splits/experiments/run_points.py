@@ -81,9 +81,12 @@ def simulate_points(
         members = [points[index] for index in indices]
         with nest_runs():
             if group is None:
-                datasets = [simulate_point(instrument, members[0], accuracy, run)]
+                one = instrument.select_point(indices[0])
+                datasets = [simulate_point(one, members[0], accuracy, run)]
             else:
-                datasets = _simulate_group(instrument, members, group, accuracy, run)
+                instruments = [instrument.select_point(index) for index in indices]
+                error = min(one.scale_stderr(accuracy.max_stderr) for one in instruments)
+                datasets = _simulate_group(instrument, members, group, error, accuracy, run)
         datasets = cache.save(indices, datasets) if cache else datasets
         results |= dict(zip(indices, datasets, strict=True))
         rays += int(datasets[0].attrs["rays"])
@@ -98,12 +101,11 @@ def _group_by_shared_paths(
     if not isinstance(instrument, Spectrophotometer) or instrument.estimator == "analog":
         return [([index], None) for index in range(len(points))]
     wavelengths = np.asarray(instrument.get_wavelengths(), dtype=float)
-    max_stderr = instrument.scale_stderr(accuracy.max_stderr)
-    solved = [
-        index
-        for index, (_, medium, _) in enumerate(points)
-        if instrument.choose_solver(medium, max_stderr) == DISCRETE_ORDINATES
-    ]
+    solved = []
+    for index, (_, medium, _) in enumerate(points):
+        max_stderr = instrument.select_point(index).scale_stderr(accuracy.max_stderr)
+        if instrument.choose_solver(medium, max_stderr) == DISCRETE_ORDINATES:
+            solved.append(index)
     groups: list[tuple[list[int], MediaGroup | None]] = [([index], None) for index in solved]
     traced = [index for index in range(len(points)) if index not in set(solved)]
     for beam in dict.fromkeys(incidence for *_, incidence in points):
@@ -119,11 +121,15 @@ def _simulate_group(
     instrument: Instrument,
     points: Sequence[GridPoint],
     group: MediaGroup,
+    error: float,
     accuracy: Accuracy,
     run: RunOptions,
 ) -> list[xr.Dataset]:
-    """Simulate points that share paths, in the order of the group's media."""
-    error, rays = instrument.scale_stderr(accuracy.max_stderr), accuracy.max_rays or MAX_RAYS
+    """Simulate points that share paths to the smallest of their target errors.
+
+    The points are in the order of the group's media.
+    """
+    rays = accuracy.max_rays or MAX_RAYS
     wavelengths, (_, _, beam) = instrument.get_wavelengths(), points[0]
     request = SpectralRequest.from_arguments(wavelengths, beam, error, rays, run)
     spectra = simulate_spectra(group.path_sharing, request)

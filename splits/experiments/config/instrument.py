@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
@@ -88,6 +88,14 @@ class Instrument(FiniteSection):
         seed: int | None = getattr(self, "seed", None)
         return default if seed is None else seed
 
+    def select_point(self, position: int) -> Self:
+        """Return the instrument at a point of a grid, with the target error of this point."""
+        scales = getattr(self, "point_stderr_scale", None)
+        if scales is None:
+            return self
+        scale = scales[position] * getattr(self, "stderr_scale", 1.0)
+        return self.model_copy(update={"stderr_scale": scale, "point_stderr_scale": None})
+
     def scale_stderr(self, stderr: float) -> float:
         """Return the target error of the experiment for that of the accuracy."""
         return min(getattr(self, "stderr_scale", 1.0) * stderr, MAX_STDERR)
@@ -103,8 +111,9 @@ class Instrument(FiniteSection):
 
     def list_arguments(self) -> dict[str, Any]:
         """Return the keyword arguments of the instrument's function that no other one has."""
-        shared = {"kind", "wavelength_nm", "incidence_deg", "stderr_scale", "seed"}
-        return self.model_dump(exclude=shared, exclude_none=True)
+        shared = {"kind", "wavelength_nm", "incidence_deg", "seed"}
+        errors = {"stderr_scale", "point_stderr_scale"}
+        return self.model_dump(exclude=shared | errors, exclude_none=True)
 
     def check_medium(self, medium: Medium) -> None:
         """Reject a medium that the instrument or its estimator cannot measure."""
@@ -155,14 +164,18 @@ class OpticalInstrument(SpectralInstrument):
     also `sun`, the zenith angle of each"""
     stderr_scale: float = Field(1.0, ge=0.01, le=100.0)
     """factor of the target error of the accuracy; not with `rays` or bins"""
+    point_stderr_scale: tuple[Annotated[float, Field(ge=0.01, le=100.0)], ...] | None = None
+    """further factors of the target error, one for each point of the grid, of which the last
+    parameter varies fastest; not for tables"""
     seed: Seed = None
 
     @model_validator(mode="after")
     def _check_stderr_scale(self) -> OpticalInstrument:
         uses_bins = getattr(self, "estimator", None) == "bins"
         has_rays = getattr(self, "rays", None) is not None
-        if (has_rays or uses_bins) and self.stderr_scale != 1.0:
-            allowed = f"left out with {'rays' if has_rays else 'bins'}"
-            hint = "the number of rays is fixed there, not the error"
-            raise invalid("stderr_scale", self.stderr_scale, allowed, hint)
+        for key, default in (("stderr_scale", 1.0), ("point_stderr_scale", None)):
+            if (has_rays or uses_bins) and getattr(self, key) != default:
+                allowed = f"left out with {'rays' if has_rays else 'bins'}"
+                hint = "the number of rays is fixed there, not the error"
+                raise invalid(key, getattr(self, key), allowed, hint)
         return self

@@ -94,6 +94,7 @@ class SimulationConfig(ConfigSection):
     def _check_runnable(self) -> SimulationConfig:
         kind = self.medium.get("kind", "snow")
         check_choice("medium.kind", kind, (*MEDIUM_CLASSES, PACKS_KIND))
+        self._check_point_errors()
         if self.has_packs:
             for key in ("grid", "fit"):
                 if getattr(self, key):
@@ -214,6 +215,17 @@ class SimulationConfig(ConfigSection):
         varied = {key: list(given) for key, given in self.grid.items() if len(given) > 1}
         if instrument.kind == "refractive_index" and varied:
             raise invalid("grid", varied, "of one value for refractive_index")
+
+    def _check_point_errors(self) -> None:
+        """Reject target errors of points that are not those of the grid."""
+        scales = getattr(self.instrument, "point_stderr_scale", None)
+        n_points = math.prod(len(values) for values in self.grid.values())
+        if scales is None or (len(scales) == n_points and not (self.is_in_parts or self.fit)):
+            return
+        allowed = f"{n_points} numbers, one for each point of the grid"
+        if self.is_in_parts or self.fit:
+            allowed = "left out for tables, fits and snowpacks"
+        raise invalid("instrument.point_stderr_scale", list(scales), allowed)
 
     def _check_medium(self, kind: str, medium: Medium) -> None:
         """Reject a medium that the instrument or its estimator does not allow."""

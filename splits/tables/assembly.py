@@ -151,11 +151,13 @@ def average_nodes(
 ) -> xr.Dataset:
     """Return the means of a table over bands at all nodes, with their errors."""
     axes = {"band": list(bands), "wavelength": table.wavelength}
-    weights, error_weights = (xr.DataArray(one, axes, list(axes)) for one in matrix)
+    weights = xr.DataArray(matrix.weights, axes, list(axes))
+    error_weights = xr.DataArray(matrix.error_weights, axes, ("estimate", *axes))
     variables: dict[str, Any] = {}
     for quantity in list_quantities(table):
         error = compute_weighted_error(table, quantity, weights)
-        error = np.hypot(error, (error_weights * table[quantity]).sum("wavelength"))
+        between = (error_weights * table[quantity]).sum("wavelength")
+        error = (error**2 + (between**2).sum("estimate")) ** 0.5
         mean = (weights * table[quantity]).sum("wavelength")
         dims = tuple("band" if dim == "wavelength" else str(dim) for dim in table[quantity].dims)
         values, stderr = (one.transpose(*dims).values.astype(np.float32) for one in (mean, error))

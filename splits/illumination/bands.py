@@ -159,8 +159,7 @@ class BandMatrix(NamedTuple):
         error_weights = np.zeros((2, *weights.shape))
         for i, (name, band) in enumerate(bands.items()):
             weights[i] = compute_response_weights(name, band, wavelengths)
-            points, factors = _make_quadrature(name, band, wavelengths)
-            cubic = factors @ _compute_cubic_weights(wavelengths, points) / factors.sum()
+            cubic = compute_response_weights(name, band, wavelengths, n_nodes=4)
             error_weights[0, i] = weights[i] - cubic
             first, last = np.flatnonzero(weights[i])[[0, -1]]
             kept = np.delete(np.arange(wavelengths.size), np.arange(first + 1, last, 2))
@@ -170,17 +169,16 @@ class BandMatrix(NamedTuple):
         return cls(weights, error_weights)
 
 
-def compute_response_weights(name: str, band: SpectralBand, wavelengths: np.ndarray) -> np.ndarray:
-    """Return the weights of the wavelengths in the response-weighted mean over a band."""
+def compute_response_weights(
+    name: str, band: SpectralBand, wavelengths: np.ndarray, n_nodes: int = 2
+) -> np.ndarray:
+    """Return the weights of the wavelengths in the response-weighted mean over a band.
+
+    The spectrum is interpolated by polynomials through the nearest nodes, 2 for a linear one.
+    """
     points, factors = _make_quadrature(name, band, wavelengths)
-    weights = np.array(
-        [
-            (np.interp(points, wavelengths, unit) * factors).sum()
-            for unit in np.eye(wavelengths.size)
-        ]
-    )
-    total: float = weights.sum()
-    return weights / total
+    weights: np.ndarray = factors @ _interpolate_locally(wavelengths, points, n_nodes)
+    return weights / weights.sum()
 
 
 def _make_quadrature(
@@ -194,7 +192,7 @@ def _make_quadrature(
         raise invalid(f"bands[{name!r}]", [low, high], allowed)
     inside = wavelengths[(wavelengths > low) & (wavelengths < high)]
     breakpoints = np.unique(np.concatenate([nodes, inside]))
-    # Spectrum and response are both linear between these points, so Simpson's rule is exact.
+    # Where spectrum and response are linear between these points, Simpson's rule is exact.
     points = np.stack(
         [breakpoints[:-1], 0.5 * (breakpoints[:-1] + breakpoints[1:]), breakpoints[1:]]
     )
@@ -202,9 +200,9 @@ def _make_quadrature(
     return points.ravel(), (np.interp(points, nodes, band.response) * simpson).ravel()
 
 
-def _compute_cubic_weights(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return weights of the cubics through the four nearest nodes, shape (points, nodes)."""
-    size = min(4, nodes.size)
+def _interpolate_locally(nodes: np.ndarray, points: np.ndarray, n_nodes: int) -> np.ndarray:
+    """Return weights of the polynomials through the nearest nodes, shape (points, nodes)."""
+    size = min(n_nodes, nodes.size)
     first = np.clip(np.searchsorted(nodes, points) - size // 2, 0, nodes.size - size)
     stencil = first[:, np.newaxis] + np.arange(size)
     distances = points[:, np.newaxis] - nodes[stencil]

@@ -138,8 +138,9 @@ class BandMatrix(NamedTuple):
 
     Attributes
     ----------
-    weights, error_weights : float, shape (bands, wavelengths)
-        Of the means, and of their errors, of either sign, due to interpolation between wavelengths.
+    weights : float, shape (bands, wavelengths)
+    error_weights : float, shape (estimates, bands, wavelengths)
+        Weights of estimates of the error of interpolation between wavelengths, whose squares add.
     """
 
     weights: np.ndarray
@@ -149,27 +150,41 @@ class BandMatrix(NamedTuple):
     def from_bands(cls, bands: Mapping[str, SpectralBand], wavelengths: np.ndarray) -> BandMatrix:
         """Return the operators for a spectrum at wavelengths (nm), which all bands must be within.
 
-        The error of a linear interpolation is proportional to the square of the distance of its
-        nodes: a mean without every other wavelength of a band has four times the error.
+        The means are those of a spectrum that is linear between wavelengths.  A curvature within
+        the intervals shows in the difference from cubics, and an edge, as of an absorption band, in
+        that from a mean without every other wavelength.  The latter has four times the error, as
+        the error of linear interpolation is proportional to the square of the interval.
         """
-        weights, error_weights = np.zeros((2, len(bands), wavelengths.size))
-        for row, error_row, (name, band) in zip(weights, error_weights, bands.items(), strict=True):
-            row[:] = compute_response_weights(name, band, wavelengths)
-            first, last = np.flatnonzero(row)[[0, -1]]
-            left_out = np.arange(first + 1, last, 2)
-            if not left_out.size:
-                # Of two wavelengths around a band, one is interpolated from the next one.
-                left_out = np.array([last if last + 1 < wavelengths.size else first])
-            if left_out[0] == 0:
-                continue
-            kept = np.delete(np.arange(wavelengths.size), left_out)
-            error_row[:] = row / 3.0
-            error_row[kept] -= compute_response_weights(name, band, wavelengths[kept]) / 3.0
+        weights = np.zeros((len(bands), wavelengths.size))
+        error_weights = np.zeros((2, *weights.shape))
+        for i, (name, band) in enumerate(bands.items()):
+            weights[i] = compute_response_weights(name, band, wavelengths)
+            cubic = compute_response_weights(name, band, wavelengths, n_nodes=4)
+            error_weights[0, i] = weights[i] - cubic
+            first, last = np.flatnonzero(weights[i])[[0, -1]]
+            kept = np.delete(np.arange(wavelengths.size), np.arange(first + 1, last, 2))
+            error_weights[1, i] = weights[i] / 3.0
+            thinned = compute_response_weights(name, band, wavelengths[kept])
+            error_weights[1, i, kept] -= thinned / 3.0
         return cls(weights, error_weights)
 
 
-def compute_response_weights(name: str, band: SpectralBand, wavelengths: np.ndarray) -> np.ndarray:
-    """Return the weights of the wavelengths in the response-weighted mean over a band."""
+def compute_response_weights(
+    name: str, band: SpectralBand, wavelengths: np.ndarray, n_nodes: int = 2
+) -> np.ndarray:
+    """Return the weights of the wavelengths in the response-weighted mean over a band.
+
+    The spectrum is interpolated by polynomials through the nearest nodes, 2 for a linear one.
+    """
+    points, factors = _make_quadrature(name, band, wavelengths)
+    weights: np.ndarray = factors @ _interpolate_locally(wavelengths, points, n_nodes)
+    return weights / weights.sum()
+
+
+def _make_quadrature(
+    name: str, band: SpectralBand, wavelengths: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return points (nm) of an integral over a band, and their weights times the response."""
     nodes = snap_to_limits(band.wavelength_nm, wavelengths[0], wavelengths[-1])
     low, high = nodes[[0, -1]].tolist()
     if low < wavelengths[0] or high > wavelengths[-1]:
@@ -177,12 +192,23 @@ def compute_response_weights(name: str, band: SpectralBand, wavelengths: np.ndar
         raise invalid(f"bands[{name!r}]", [low, high], allowed)
     inside = wavelengths[(wavelengths > low) & (wavelengths < high)]
     breakpoints = np.unique(np.concatenate([nodes, inside]))
-    # Spectrum and response are both linear between these points, so Simpson's rule is exact.
-    grid = np.stack([breakpoints[:-1], 0.5 * (breakpoints[:-1] + breakpoints[1:]), breakpoints[1:]])
-    simpson = np.array([[1.0], [4.0], [1.0]]) * np.diff(breakpoints) / 6.0
-    response = np.interp(grid, nodes, band.response) * simpson
-    weights = np.array(
-        [(np.interp(grid, wavelengths, unit) * response).sum() for unit in np.eye(wavelengths.size)]
+    # Where spectrum and response are linear between these points, Simpson's rule is exact.
+    points = np.stack(
+        [breakpoints[:-1], 0.5 * (breakpoints[:-1] + breakpoints[1:]), breakpoints[1:]]
     )
-    total: float = weights.sum()
-    return weights / total
+    simpson = np.array([[1.0], [4.0], [1.0]]) * np.diff(breakpoints) / 6.0
+    return points.ravel(), (np.interp(points, nodes, band.response) * simpson).ravel()
+
+
+def _interpolate_locally(nodes: np.ndarray, points: np.ndarray, n_nodes: int) -> np.ndarray:
+    """Return weights of the polynomials through the nearest nodes, shape (points, nodes)."""
+    size = min(n_nodes, nodes.size)
+    first = np.clip(np.searchsorted(nodes, points) - size // 2, 0, nodes.size - size)
+    stencil = first[:, np.newaxis] + np.arange(size)
+    distances = points[:, np.newaxis] - nodes[stencil]
+    weights = np.zeros((points.size, nodes.size))
+    for i in range(size):
+        others = np.delete(np.arange(size), i)
+        spans = nodes[stencil[:, [i]]] - nodes[stencil[:, others]]
+        weights[np.arange(points.size), stencil[:, i]] = (distances[:, others] / spans).prod(axis=1)
+    return weights

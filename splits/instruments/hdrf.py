@@ -93,6 +93,7 @@ def hdrf(
     if wavelength_nm is None:
         if not named:
             raise invalid("wavelength_nm", None, "given, or bands")
+        sky_spectrum.check_bands(named, sky_spectrum.wavelength_nm)
         wavelength_nm = choose_band_wavelengths(named, *sky_spectrum.wavelength_nm[[0, -1]])
     wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 2 if named else 1)
     sky_spectrum.check_bands(named, wavelengths)

@@ -170,8 +170,8 @@ def average_over_bands(
     variables = make_variable(f"band_{name}", dims, values, stderr, label)
     if f"{name}_batches" in spectrum:
         deviations = (normalized * spectrum[f"{name}_batches"]).sum("wavelength")
-        deviations = deviations.transpose("batch", *dims).values
-        variables |= make_deviation_variable(f"band_{name}", dims, deviations, label)
+        rows = deviations.transpose("batch", *dims).values
+        variables |= make_deviation_variable(f"band_{name}", dims, rows, label)
     return variables | make_coverage_variable(weights, band_irradiance)
 
 

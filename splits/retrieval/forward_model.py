@@ -65,8 +65,7 @@ class MeasurementOperator(NamedTuple):
     ) -> MeasurementOperator:
         """Return the operator of a measurement; reject wavelengths outside the table."""
         if measurement.bands:
-            matrix = BandMatrix.from_bands(measurement.bands, wavelengths)
-            return cls(matrix.weights, matrix.error_weights[np.newaxis])
+            return cls(*BandMatrix.from_bands(measurement.bands, wavelengths))
         matrix, interpolation_error = np.zeros((2, measurement.values.size, wavelengths.size))
         for row, error_row, wavelength in zip(
             matrix, interpolation_error, measurement.wavelength_nm, strict=True

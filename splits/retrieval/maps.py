@@ -111,9 +111,9 @@ def retrieve_map(
     ----------
     image : xarray.DataArray
         Reflectances over ``wavelength`` (nm) and other dimensions, or over one with a coordinate
-        ``wavelength``, such as ``band``, in any order; with `bands` over ``band``, in their order
-        or with their names as coordinate.  Dask arrays are processed block by block.  Other
-        coordinates, such as ``incidence_deg``, must agree with the table.
+        ``wavelength``, in any order; with `bands` over ``band``, in their order or with their
+        names as coordinate.  Dask arrays are processed block by block.  Other coordinates, such as
+        ``incidence_deg``, must agree with the table.
     table : Table
     free : sequence of str or mapping
         As for `splits.retrieve`, without ``scale``.
@@ -228,9 +228,9 @@ def _check_band_image(image: Any, bands: Mapping[str, SpectralBand]) -> xr.DataA
         raise invalid("image", "no pixel", "at least one")
     labels = find_labels(image, image.get_axis_num(BAND_DIM))
     image = image.isel({BAND_DIM: match_labels(f"image.{BAND_DIM}", labels, [list(bands)])})
-    if "wavelength" in image.coords:
-        wavelengths = np.broadcast_to(image.wavelength, len(bands))
-        for (name, band), wavelength in zip(bands.items(), wavelengths.tolist(), strict=True):
+    if "wavelength" in image.coords and image.wavelength.dims == (BAND_DIM,):
+        wavelengths = image.wavelength.values.tolist()
+        for (name, band), wavelength in zip(bands.items(), wavelengths, strict=True):
             if not band.limits_nm[0] <= wavelength <= band.limits_nm[1]:
                 limits = f"within {band} of {name}"
                 hint = "is the order of the bands that of the image?"

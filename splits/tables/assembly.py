@@ -149,19 +149,22 @@ def assemble_dataset(
 def average_nodes(
     table: xr.Dataset, bands: Mapping[str, SpectralBand], matrix: BandMatrix
 ) -> xr.Dataset:
-    """Return the means of a table over bands at all nodes, with their errors."""
+    """Return a table with its means over bands at all nodes, and their errors."""
     axes = {"band": list(bands), "wavelength": table.wavelength}
-    weights, error_weights = (xr.DataArray(one, axes, list(axes)) for one in matrix)
+    weights = xr.DataArray(matrix.weights, axes, list(axes))
+    error_weights = xr.DataArray(matrix.error_weights, axes, ("estimate", *axes))
     variables: dict[str, Any] = {}
     for quantity in list_quantities(table):
         error = compute_weighted_error(table, quantity, weights)
-        error = np.hypot(error, (error_weights * table[quantity]).sum("wavelength"))
+        between = (error_weights * table[quantity]).sum("wavelength")
+        error = (error**2 + (between**2).sum("estimate")) ** 0.5
         mean = (weights * table[quantity]).sum("wavelength")
         dims = tuple("band" if dim == "wavelength" else str(dim) for dim in table[quantity].dims)
         values, stderr = (one.transpose(*dims).values.astype(np.float32) for one in (mean, error))
         label = f"{table[quantity].attrs['long_name']} over a band"
         variables |= make_variable(f"band_{quantity}", dims, values, stderr, label)
-    return xr.Dataset(variables, {"band": list(bands)})
+    digests = {f"band_{name}_sha256": one.sha256 for name, one in bands.items() if one.sha256}
+    return table.assign(variables).assign_coords(band=list(bands)).assign_attrs(digests)
 
 
 def _find_common_attributes(plan: TablePlan) -> dict[str, Any]:

@@ -165,7 +165,7 @@ def build_table(
         block_attrs.append(block.attrs)
     wall_time_s = time.perf_counter() - start_time
     table = assemble_dataset(arrays, plan, request, block_attrs, wall_time_s)
-    return table if matrix is None else table.assign(average_nodes(table, named, matrix))
+    return table if matrix is None else average_nodes(table, named, matrix)
 
 
 def compute_block_digest(path_group: PathGroup, request: TableRequest) -> str:

@@ -72,7 +72,7 @@ def average_bands(dataset: xr.Dataset, at: Mapping[str, Any], bands: Any) -> xr.
     fully correlated between all wavelengths, with its relative signs.
     """
     named = check_bands(bands)
-    matrix, wavelength_matrix = BandMatrix.from_bands(named, dataset.wavelength.values)
+    matrix, error_weights = BandMatrix.from_bands(named, dataset.wavelength.values)
     point = {name: value for name, value in at.items() if name != "wavelength"}
     spectra = interpolate_table(dataset, point)
     variables: dict[str, Any] = {}
@@ -83,7 +83,7 @@ def average_bands(dataset: xr.Dataset, at: Mapping[str, Any], bands: Any) -> xr.
         )
         node_error = np.sqrt(np.maximum(stderr**2 - error**2, 0.0))
         axis_errors = estimate_interpolation_errors(dataset, quantity, point) @ matrix.T
-        errors = np.vstack([axis_errors, wavelength_matrix @ value])
+        errors = np.vstack([axis_errors, error_weights @ value])
         means = InterpolatedSpectra(
             matrix @ value, matrix @ node_error, np.sqrt((errors**2).sum(axis=0))
         )

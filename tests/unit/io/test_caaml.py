@@ -184,6 +184,31 @@ def test_units_of_points_are_those_of_their_components(read):
         )
 
 
+def test_one_unit_may_state_all_depths_of_a_profile(read):
+    expected = read(STRATA, LAYERS, AREAS)
+    rows = [(10 * top, 10 * thickness, value) for top, thickness, value in PIT[DENSITY]]
+    layers = write_profile(DENSITY, rows, "uomDepth='mm'", units={})
+    np.testing.assert_allclose(read(STRATA, layers, AREAS).density_kg_m3, expected.density_kg_m3)
+
+
+def test_temperatures_have_the_units_of_their_profile(read):
+    def write_temperatures(attributes, *pairs):
+        points = "".join(
+            f"<c:Obs><c:depth>{depth}</c:depth><c:snowTemp>{value}</c:snowTemp></c:Obs>"
+            for depth, value in pairs
+        )
+        return f"<c:tempProfile {attributes}>{points}</c:tempProfile>"
+
+    expected = read(STRATA, LAYERS, AREAS, write_temperatures("", (0, -10), (50, -5)))
+    np.testing.assert_allclose(expected.temperature_c, [-9.5, -7.0])
+    for attributes, pairs in (
+        ("uomDepth='m' uomTemp='K'", ((0, 263.15), (0.5, 268.15))),
+        ("uomDepth='mm' uomSnowTemp='degC'", ((0, -10), (500, -5))),
+    ):
+        found = read(STRATA, LAYERS, AREAS, write_temperatures(attributes, *pairs))
+        np.testing.assert_allclose(found.temperature_c, expected.temperature_c)
+
+
 @pytest.mark.parametrize(
     ("profile", "message"),
     [

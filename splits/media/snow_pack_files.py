@@ -25,13 +25,13 @@ PACK_SUFFIXES = (".csv", *NETCDF_SUFFIXES, *CAAML_SUFFIXES)
 
 
 def read_snow_packs(
-    file: str | Sequence[str], ground: Any = None, point: int | None = None
+    file: str | Path | Sequence[str | Path], ground: Any = None, point: int | None = None
 ) -> SnowPacks:
     """Read snowpacks from a file.
 
     Parameters
     ----------
-    file : str or sequence of str
+    file : path or sequence of paths
         A CSV file with the columns of `splits.SnowPacks`, of which ``time`` holds times of ISO
         8601, those without a zone in UTC; a netCDF file of such a dataset, or of the model Crocus
         (`splits.read_crocus`); or one or several CAAML files (`splits.read_caaml`).
@@ -45,7 +45,8 @@ def read_snow_packs(
     ValueError
         For a missing file, an unknown suffix, and invalid content.
     """
-    files = [expand_path(one, "file") for one in ([file] if isinstance(file, str) else file)]
+    given = [file] if isinstance(file, str | Path) else file
+    files = [expand_path(one, "file") for one in given]
     suffixes = {one.suffix.lower() for one in files}
     are_caaml = suffixes <= {*CAAML_SUFFIXES}
     if not suffixes <= {*PACK_SUFFIXES} or (len(files) != 1 and not are_caaml) or not files:

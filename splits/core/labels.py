@@ -92,7 +92,7 @@ def normalize_labels(key: str, labels: pd.Index) -> pd.Index:
     for value in values:
         is_text = isinstance(value, str | bytes) and isinstance(value, type(values[0]))
         text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
-        if not is_text or "\0" in text or not text.isascii() and _has_surrogates(text):
+        if not is_text or "\0" in text or (not text.isascii() and _has_surrogates(text)):
             hint = "give times as datetimes, and other labels as texts"
             found = f"{text} of type {type(value).__name__}"
             raise invalid(key, found, "texts, numbers or times, all of one type", hint)

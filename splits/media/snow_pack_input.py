@@ -132,8 +132,8 @@ def _normalize_coordinates(data: xr.Dataset, label: str) -> xr.Dataset:
         if name == label:
             data = data.assign_coords({name: (label, labels, attrs)})
         elif coordinate.dims in ((), (label,)):
-            own = normalize_labels(name, pd.Index(np.atleast_1d(coordinate.values)))
-            values = own.to_numpy().reshape(coordinate.shape)
+            row = coordinate if coordinate.ndim else coordinate.expand_dims(label)
+            values = normalize_labels(name, row.to_index()).to_numpy().reshape(coordinate.shape)
             data = data.assign_coords({name: (coordinate.dims, values, attrs)})
     return data
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +13,6 @@ from array_inputs import (
     BAND_VALUES,
     BANDS,
     FIXED,
-    GREY_LAYER,
     MEASURED,
     SEA,
     SIZE,
@@ -44,9 +43,9 @@ class Variants(NamedTuple):
     """
 
     value: Any
-    permuted: list[Any] = []
-    foreign: list[Any] = []
-    descending: list[Any] = []
+    permuted: Sequence[Any] = ()
+    foreign: Sequence[Any] = ()
+    descending: Sequence[Any] = ()
 
     def map(self, change: Callable[[Any], Any]) -> Variants:
         """Return the variants within another value."""
@@ -77,7 +76,7 @@ def columns(*, frame: bool = True, **values: list[float]) -> Variants:
     first, *others = values
     permuted: list[Any] = [dict(reversed(values.items()))]
     permuted += [pd.DataFrame(values)] * frame
-    foreign: list[Any] = []
+    foreign: Sequence[Any] = ()
     for name in others:
         column = named(values[name], values[first])
         permuted += [{**values, name: one} for one in column.permuted]
@@ -108,7 +107,7 @@ def csv_file(folder: Path, **values: list[Any]) -> Variants:
     """Return the variants of a CSV file, all of the same name."""
     frame = pd.DataFrame(values)
     frames = (
-        frame, frame[[*frame.columns][::-1]], frame.rename(columns={[*values][0]: "foreign"}),
+        frame, frame[[*frame.columns][::-1]], frame.rename(columns={next(iter(values)): "foreign"}),
         frame[::-1],
     )  # fmt: skip
     paths = []
@@ -270,7 +269,8 @@ def make_cases(folder: Path) -> dict[str, Any]:
     }  # fmt: skip
     matrix = xr.Dataset.from_dataframe(pd.DataFrame(RAYLEIGH).set_index("angle_deg"))
     matrices = [
-        columns(**RAYLEIGH), labelled(matrix, required="angle_deg"), csv_file(new("matrix"), **RAYLEIGH),
+        columns(**RAYLEIGH), labelled(matrix, required="angle_deg"),
+        csv_file(new("matrix"), **RAYLEIGH),
         netcdf_file(new("cdf"), labelled(matrix, required="angle_deg")), make_libradtran(),
         netcdf_file(new("libradtran"), make_libradtran()),
     ]  # fmt: skip
@@ -316,7 +316,8 @@ def make_cases(folder: Path) -> dict[str, Any]:
         }),
         "sky": ({"zenith_deg": 50.0}, {"spectrum": skies}),
         "SnowPacks": ({"data": data}, {
-            "data": [labelled(data, required="layer"), columns_of_layers(data)], "ground": pack_ground,
+            "data": [labelled(data, required="layer"), columns_of_layers(data)],
+            "ground": pack_ground,
         }),
         "SnowPacks.with_sun_zenith": ({}, {"sun_zenith_deg": per_pack}),
         "SnowPacks.with_ground": ({}, {"ground": pack_ground}),
@@ -440,7 +441,8 @@ def make_cases(folder: Path) -> dict[str, Any]:
             }),
         "select_bands": ({"table": TABLE, "bands": [512.0, 1024.0], "free": [SIZE],
                           "noise": 0.0625, "n_bands": 1, "fixed": FIXED}, {
-            "noise": [named([0.05, 0.1], [512.0, 1024.0])], "bands": [], "free": [], "fixed": [names(**FIXED)], "prior": []}),
+            "noise": [named([0.05, 0.1], [512.0, 1024.0])], "bands": [], "free": [],
+            "fixed": [names(**FIXED)], "prior": []}),
         "sobol_indices": ({"table": TABLE, "free": {SIZE: (64.0, 512.0), SOOT: (0.0, 512.0)},
                            "points": 64, "fixed": {"incidence_deg": 30.0}}, {
             "free": [named([64.0, 512.0], ["low", "high"]).map(

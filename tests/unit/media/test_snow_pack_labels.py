@@ -50,7 +50,8 @@ def test_times_of_other_forms_are_refused_with_their_line(tmp_path, text):
     [
         ("2024-01-31", "2024-01-31T00:00"), ("2024-01-31T10:00", "2024-01-31T10:00"),
         ("2024-01-31 10:00:30.5", "2024-01-31T10:00:30.5"), ("2024-01-31T10:00Z", "2024-01-31T10"),
-        ("2024-01-31T10:00+01:00", "2024-01-31T09:00"), ("2024-01-31T22:00-0330", "2024-02-01T01:30"),
+        ("2024-01-31T10:00+01:00", "2024-01-31T09:00"),
+        ("2024-01-31T22:00-0330", "2024-02-01T01:30"),
     ],
 )  # fmt: skip
 def test_times_are_in_utc(tmp_path, text, expected):
@@ -100,7 +101,7 @@ def test_points_are_those_of_crocus_only(tmp_path):
 # --- labels ---------------------------------------------------------------------------------------
 
 KEPT_LABELS = {
-    "mixed offsets": [pd.Timestamp("2024-01-01T10:00+01:00"), pd.Timestamp("2024-01-02T10:00-03:00")],
+    "mixed offsets": [pd.Timestamp("2024-01-01T10+01:00"), pd.Timestamp("2024-01-02T10-03:00")],
     "zone": pd.date_range("2024", periods=2, tz=PARIS),
     "zone and none": [pd.Timestamp("2024", tz=PARIS), pd.Timestamp("2025")],
     "dates": [datetime.date(2024, 1, 1), datetime.date(2024, 1, 2)],
@@ -158,7 +159,8 @@ def test_the_same_instants_in_two_zones_are_one_label():
 
 
 @pytest.mark.parametrize(
-    "name", ["quality_flag", "layer_flag", "ground", "wavelength", "temperature_c", "sun_zenith_deg",
+    "name", ["quality_flag", "layer_flag", "ground", "wavelength", "temperature_c",
+             "sun_zenith_deg",
              "impurities_ng_g.black_carbon"],
 )  # fmt: skip
 def test_labels_have_names_of_their_own(name):
@@ -230,7 +232,8 @@ def concatenate(*grounds):
     ("grounds", "expected"),
     [
         ((0.2, 0.8), [0.2, 0.8]), ((0.8, "black"), [0.8, 0.0]), ((0.2, [0.3]), [0.2, 0.3]),
-        (([0.3], 0.2), [0.3, 0.2]), ((TABLES[0], TABLES[0]), [0.12, 0.12]), ((0.2, 0.2), [0.2, 0.2]),
+        (([0.3], 0.2), [0.3, 0.2]), ((TABLES[0], TABLES[0]), [0.12, 0.12]),
+        ((0.2, 0.2), [0.2, 0.2]),
     ],
 )  # fmt: skip
 def test_concatenated_snowpacks_keep_their_grounds(tmp_path, grounds, expected):

@@ -117,7 +117,9 @@ def check_conditions(key: str, measured: Any, conditions: Mapping[str, Any]) -> 
     conditions : mapping
         Value by name, or a list of one value; ``polar_deg`` is also named ``polar``, as in results.
     """
-    coordinates = measured.coords if isinstance(measured, xr.DataArray | xr.Dataset) else {}
+    coordinates: Mapping[Any, Any] = (
+        measured.coords if isinstance(measured, xr.DataArray | xr.Dataset) else {}
+    )
     for condition, expected in conditions.items():
         for name in {condition, condition.removesuffix("_deg")} & {*coordinates}:
             if name not in measured.dims and not is_same_label(coordinates[name].values, expected):

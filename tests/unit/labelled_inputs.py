@@ -76,7 +76,7 @@ def columns(*, frame: bool = True, **values: list[float]) -> Variants:
     first, *others = values
     permuted: list[Any] = [dict(reversed(values.items()))]
     permuted += [pd.DataFrame(values)] * frame
-    foreign: Sequence[Any] = ()
+    foreign: list[Any] = []
     for name in others:
         column = named(values[name], values[first])
         permuted += [{**values, name: one} for one in column.permuted]

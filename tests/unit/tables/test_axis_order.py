@@ -127,7 +127,7 @@ def test_moments_may_have_any_order(function):
 
 @pytest.mark.parametrize("name", ["reflectance", "reflectance_stderr", "wavelength", "batch", ""])
 def test_axes_have_names_of_their_own(name):
-    with pytest.raises(InvalidValue, match="grid = .*must be names that no quantity"):
+    with pytest.raises(InvalidValue, match=r"grid = .*must be names that no quantity"):
         ParameterGrid.from_mapping({name: [0.0, 1.0]})
 
 

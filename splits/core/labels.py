@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.core.validation import invalid
+from splits.core.validation import has_surrogates, invalid
 
 TIME_EXAMPLE = "2024-01-31T10:00, or with a zone 2024-01-31T10:00+01:00"
 _TIME_PATTERN = re.compile(r"\d{4}-\d{2}-\d{2}([T ]\d{2}:\d{2}.*)?")
@@ -92,15 +92,11 @@ def normalize_labels(key: str, labels: pd.Index) -> pd.Index:
     for value in values:
         is_text = isinstance(value, str | bytes) and isinstance(value, type(values[0]))
         text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
-        if not is_text or "\0" in text or not text.isascii() and _has_surrogates(text):
+        if not is_text or "\0" in text or has_surrogates(text):
             hint = "give times as datetimes, and other labels as texts"
             found = f"{text} of type {type(value).__name__}"
             raise invalid(key, found, "texts, numbers or times, all of one type", hint)
     return pd.Index(values, dtype=object, name=labels.name)
-
-
-def _has_surrogates(text: str) -> bool:
-    return any("\ud800" <= character <= "\udfff" for character in text)
 
 
 def normalize_attributes(attributes: dict[Any, Any]) -> dict[str, Any]:

@@ -32,8 +32,9 @@ def expand_path(value: Any, key: str = "path", hint: str = "") -> Path:
     if not isinstance(text, str):
         raise invalid(key, type(value).__name__, "the path of a file or a folder", hint)
     # The second characters are those of os.fsdecode for bytes that are no text.
-    if "\0" in text or any("\ud800" <= one <= "\udfff" and not "\udc80" <= one <= "\udcff"
-                           for one in text):
+    if "\0" in text or any(
+        "\ud800" <= one <= "\udfff" and not "\udc80" <= one <= "\udcff" for one in text
+    ):
         raise invalid(key, ascii(text), "a path of characters that file names may have")
     path = Path(os.path.expanduser(text))
     if not str(path).startswith("~"):

@@ -50,7 +50,8 @@ CONVERSIONS: dict[str, dict[str, Conversion]] = {
         ("degC | °C | degrees Celsius | degree Celsius | Celsius | celsius", 1.0)
     ) | {name: Conversion(1.0, -ZERO_CELSIUS_K) for name in ("K", "kelvin", "Kelvin")},
     "1": _list_spellings(
-        ("1 | dimensionless | unitless | m3 m-3 | m3/m3", 1.0), ("% | percent | % by Vol | vol% | %vol", 1e-2)
+        ("1 | dimensionless | unitless | m3 m-3 | m3/m3", 1.0),
+        ("% | percent | % by Vol | vol% | %vol", 1e-2)
     ),
     "1e-9": _list_spellings(
         ("1e-9 | ng g-1 | ng/g | ug kg-1 | ug/kg", 1.0), ("ug g-1 | ug/g | mg kg-1 | mg/kg", 1e3),

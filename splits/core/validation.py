@@ -128,10 +128,17 @@ def unknown_key(key: str, known_names: Iterable[str]) -> UnknownKey:
     return UnknownKey(key, None, f"one of {join_names(names)}", hint)
 
 
+def has_surrogates(text: str) -> bool:
+    """Return whether a text has halves of characters, which no file in UTF-8 holds."""
+    return any("\ud800" <= character <= "\udfff" for character in text)
+
+
 def to_text_keys(key: str, mapping: Mapping[Any, Any]) -> dict[str, Any]:
     """Return a mapping with keys converted to text; raise ValueError for duplicates."""
     renamed: dict[str, Any] = {}
     for name, value in mapping.items():
+        if has_surrogates(str(name)):
+            raise invalid(key, ascii(name), "texts that files in UTF-8 hold")
         if str(name) in renamed:
             raise invalid(key, name, "names that differ as texts", f"{name} is given twice")
         renamed[str(name)] = value

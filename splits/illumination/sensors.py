@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,6 +12,7 @@ import pandas as pd
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.optional import import_optional
 from splits.core.validation import check_choice
+from splits.materials.csv_table import read_csv
 
 PYRSR_SENSORS = {
     "landsat_5": ("Landsat-5", "TM"),
@@ -125,5 +127,7 @@ def _make_gaussian_bands(name: str) -> dict[str, dict[str, np.ndarray]]:
 @cache
 def load_band_centres() -> pd.DataFrame:
     """Return the table of Gaussian bands: sensor, band, centre_nm and width_nm (nm)."""
-    types = {"sensor": str, "band": str, "centre_nm": float, "width_nm": float}
-    return pd.read_csv(_SENSORS_CSV, comment="#", dtype=types)
+    table = read_csv("sensors", _SENSORS_CSV)
+    columns: dict[str, Any] = {name: table.get_texts(name) for name in ("sensor", "band")}
+    columns |= {name: table.get_numbers(name) for name in ("centre_nm", "width_nm")}
+    return pd.DataFrame(columns)

@@ -16,7 +16,7 @@ from splits.core.keywords import reject_unknown_arguments
 from splits.core.optional import import_optional
 from splits.core.validation import check_range, invalid, suggest_name
 from splits.illumination.sky import MAX_ZENITH_DEG, SKY_COLUMNS, Sky
-from splits.materials.csv_table import is_csv_path, read_user_table, to_columns
+from splits.materials.csv_table import is_csv_path, read_numeric_csv, read_user_table, to_columns
 
 _SNICAR_CSV = Path(__file__).with_name("skies.csv")
 CLOUDY_SUFFIX = "_cloudy"
@@ -40,7 +40,7 @@ ATMOSPHERE_PARAMETERS: dict[str, tuple[float, tuple[float, float]]] = {
 
 @cache
 def _load_snicar_skies() -> pd.DataFrame:
-    return pd.read_csv(_SNICAR_CSV, comment="#", dtype=float)
+    return read_numeric_csv("skies", _SNICAR_CSV)
 
 
 def list_sky_names() -> tuple[str, ...]:

@@ -89,7 +89,12 @@ def _select(
         raise invalid("patch", None, f"a whole number from 0 to {number - 1}", "one of the patches")
     remaining = [dim for dim in points if dim in selected.dims]
     if SNOWPACK in remaining:
-        raise invalid(f"{THICKNESS} dimensions", tuple(dims), f"without {SNOWPACK}", "source.rename changes it")
+        raise invalid(
+            f"{THICKNESS} dimensions",
+            tuple(dims),
+            f"without {SNOWPACK}",
+            "source.rename changes it",
+        )
     for dim in remaining:
         if dim not in selected.coords:
             selected = selected.assign_coords({dim: np.arange(selected.sizes[dim])})

@@ -19,7 +19,7 @@ import pandas as pd
 from splits.core.arrays import check_array_range, check_increasing, read_columns
 from splits.core.equality import ContentEquality
 from splits.core.validation import check_range, invalid, suggest_name
-from splits.materials.csv_table import read_user_table
+from splits.materials.csv_table import read_numeric_csv, read_user_table
 from splits.materials.refractive_index import check_wavelength_range
 
 ALGAE_NAMES = ("ice_algae", "snow_algae")
@@ -70,7 +70,7 @@ class Impurity(ContentEquality):
 
 @cache
 def _load_known_impurities() -> pd.DataFrame:
-    return pd.read_csv(_TABLE_FILE, comment="#", index_col="wavelength_nm", dtype=float)
+    return read_numeric_csv("impurities", _TABLE_FILE).set_index("wavelength_nm")
 
 
 def list_impurities() -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from splits.core.arrays import check_array_range, check_increasing, read_columns
 from splits.core.equality import ContentEquality
 from splits.core.units import check_nanometres
 from splits.core.validation import check_number, check_range, invalid, suggest_name
-from splits.materials.csv_table import is_csv_path, read_user_table, to_columns
+from splits.materials.csv_table import is_csv_path, read_numeric_csv, read_user_table, to_columns
 from splits.materials.refractive_index import check_wavelength_range
 from splits.media.formatting import format_input
 
@@ -161,7 +161,7 @@ _ALLOWED_INPUT = (
 @cache
 def load_soils() -> dict[str, Ground]:
     """Return the soils by name, with their measured directional reflectance at 10 degrees."""
-    table = pd.read_csv(_SOILS_FILE, comment="#")
+    table = read_numeric_csv("soils", _SOILS_FILE)
     lines = _SOILS_FILE.read_text(encoding="utf-8").splitlines()
     source = " ".join(line.lstrip("# ") for line in lines if line.startswith("#"))
     w = table["wavelength_nm"].to_numpy(dtype=float)

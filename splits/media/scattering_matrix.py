@@ -182,7 +182,9 @@ def _select_variables(dataset: xr.Dataset) -> Mapping[str, Any]:
         # Rows shorter than the longest one end with fill values.
         as_float_array(
             f"{KEY}.{name}",
-            dataset[name].transpose(..., *(dim for dim in NETCDF_DIMS if dim in dataset[name].dims)),
+            dataset[name].transpose(
+                ..., *(dim for dim in NETCDF_DIMS if dim in dataset[name].dims)
+            ),
             allow_gaps=True,
         )
         for name in NETCDF_NAMES
@@ -196,8 +198,12 @@ def _select_variables(dataset: xr.Dataset) -> Mapping[str, Any]:
         raise invalid(KEY, found, "theta and phase over nphamat and nthetamax, ntheta over nphamat")
     theta, phase = theta.reshape(shape), phase.reshape(shape)
     # A file with a fill value for whole numbers is read as floats.
-    n_angles = np.array([check_integer(f"{KEY}.ntheta", int(n) if n == n // 1 else n, 2, shape[1])
-                         for n in n_angles.ravel().tolist()])
+    n_angles = np.array(
+        [
+            check_integer(f"{KEY}.ntheta", int(n) if n == n // 1 else n, 2, shape[1])
+            for n in n_angles.ravel().tolist()
+        ]
+    )
     # Angles decrease or increase, and each element has its own.
     grid = theta[0, : n_angles[0]]
     elements = {ANGLE: grid}

@@ -27,7 +27,7 @@ PACK_SUFFIXES = (".csv", *NETCDF_SUFFIXES, *CAAML_SUFFIXES)
 
 
 def read_snow_packs(
-    file: str | Sequence[str],
+    file: str | Path | Sequence[str | Path],
     ground: Any = None,
     point: int | None = None,
     latitude_deg: float | None = None,
@@ -37,7 +37,7 @@ def read_snow_packs(
 
     Parameters
     ----------
-    file : str or sequence of str
+    file : path or sequence of paths
         A CSV file with the columns of `splits.SnowPacks`, of which ``time`` holds times of ISO
         8601, those without a zone in UTC; a netCDF file of such a dataset, or of the model Crocus
         (`splits.read_crocus`); or one or several CAAML files (`splits.read_caaml`).
@@ -56,7 +56,8 @@ def read_snow_packs(
     ModuleNotFoundError
         Without pvlib for a place.
     """
-    files = [expand_path(one, "file") for one in ([file] if isinstance(file, str) else file)]
+    given = [file] if isinstance(file, str | Path) else file
+    files = [expand_path(one, "file") for one in given]
     suffixes = {one.suffix.lower() for one in files}
     are_caaml = suffixes <= {*CAAML_SUFFIXES}
     if not suffixes <= {*PACK_SUFFIXES} or (len(files) != 1 and not are_caaml) or not files:

@@ -95,7 +95,9 @@ def read_input(data: Any, label: str | None, ground: Any) -> SnowPackInput:
     data = _normalize_coordinates(data, label)
     pack_ground, data = _read_ground(data, label, ground)
     if LAYER_DIM in data.coords:
-        number = as_float_array(LAYER_DIM, data[LAYER_DIM], "numbers, 0 at the top")
+        as_float_array(LAYER_DIM, data[LAYER_DIM], "numbers, 0 at the top")
+        data = data.sortby(LAYER_DIM)
+        number = data[LAYER_DIM].values.astype(float)
         check_increasing(LAYER_DIM, number)
         check_direction(data[LAYER_DIM], "down")
     names = [str(name) for name in data.data_vars]
@@ -107,8 +109,6 @@ def read_input(data: Any, label: str | None, ground: Any) -> SnowPackInput:
     others = [name for name, v in data.coords.items() if not set(v.dims) <= {label}]
     coordinates = data.drop_vars([*data.data_vars, *others])
     return SnowPackInput(label, coordinates, values, layered - {DEPTH_KEY}, zenith, pack_ground)
-
-
 
 
 def _check_label_name(label: Any) -> None:
@@ -132,8 +132,8 @@ def _normalize_coordinates(data: xr.Dataset, label: str) -> xr.Dataset:
         if name == label:
             data = data.assign_coords({name: (label, labels, attrs)})
         elif coordinate.dims in ((), (label,)):
-            own = normalize_labels(name, pd.Index(np.atleast_1d(coordinate.values)))
-            values = own.to_numpy().reshape(coordinate.shape)
+            row = coordinate if coordinate.ndim else coordinate.expand_dims(label)
+            values = normalize_labels(name, row.to_index()).to_numpy().reshape(coordinate.shape)
             data = data.assign_coords({name: (coordinate.dims, values, attrs)})
     return data
 

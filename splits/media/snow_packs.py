@@ -11,8 +11,8 @@ import pandas as pd
 import xarray as xr
 
 from splits.core.arrays import align_to_labels
-from splits.core.labels import convert_times
 from splits.core.keywords import reject_unknown_arguments
+from splits.core.labels import convert_times
 from splits.core.validation import invalid, join_names
 from splits.media.ground import OPEN
 from splits.media.measured_inputs import SURFACE_AREA_KEY

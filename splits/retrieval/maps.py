@@ -202,7 +202,7 @@ def _check_image(image: Any) -> xr.DataArray:
     if not image.size:
         raise invalid("image", "no pixel", "at least one")
     check_nanometres("image", image.wavelength)
-    image = convert_units("image", image, image.attrs.get("units"), "1")
+    image = image.copy(data=convert_units("image", image.data, image.attrs.get("units"), "1"))
     return (
         image
         if wavelength_dims == ("wavelength",)

@@ -14,6 +14,7 @@ from splits.core.units import check_nanometres, convert_units
 from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid, short_repr
 from splits.illumination.bands import SpectralBand, as_bands
 from splits.simulation.arguments import check_wavelengths
+from splits.tables.views import AZIMUTH, fold_azimuths
 
 MAX_REFLECTANCE = 2.0
 """Reflectance factor above which values are assumed to be in per cent."""
@@ -117,10 +118,15 @@ def check_conditions(key: str, measured: Any, conditions: Mapping[str, Any]) -> 
     conditions : mapping
         Value by name, or a list of one value; ``polar_deg`` is also named ``polar``, as in results.
     """
-    coordinates = measured.coords if isinstance(measured, xr.DataArray | xr.Dataset) else {}
+    coordinates: Mapping[Any, Any] = (
+        measured.coords if isinstance(measured, xr.DataArray | xr.Dataset) else {}
+    )
     for condition, expected in conditions.items():
         for name in {condition, condition.removesuffix("_deg")} & {*coordinates}:
-            if name not in measured.dims and not is_same_label(coordinates[name].values, expected):
+            values = coordinates[name].values
+            if condition == AZIMUTH and values.dtype.kind in "biuf":
+                values, expected = fold_azimuths(values), fold_azimuths(expected)
+            if name not in measured.dims and not is_same_label(values, expected):
                 found = np.unique(coordinates[name].values).tolist()
                 hint = f"the model has {condition} = {short_repr(expected)}"
                 raise invalid(f"{key}.{name}", found, short_repr(expected), hint)

@@ -77,6 +77,9 @@ def sort_returns(dataset: Any) -> Any:
     for dimension in ("wavelength", "delay"):
         if isinstance(dataset, xr.Dataset) and dimension in dataset.indexes:
             dataset = dataset.sortby(dimension)
+    if isinstance(dataset, xr.Dataset) and "delay_bounds" in dataset:
+        bounds = dataset.delay_bounds.transpose("delay", ..., missing_dims="ignore")
+        dataset = dataset.assign_coords(delay_bounds=bounds)
     return dataset
 
 

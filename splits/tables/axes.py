@@ -13,9 +13,14 @@ import numpy as np
 
 from splits.core.arrays import as_1d_array
 from splits.core.parameter_names import describe_parameter
-from splits.core.validation import as_scalar, format_key, invalid, unknown_key
+from splits.core.validation import as_scalar, format_key, has_surrogates, invalid, unknown_key
 
 INCIDENCE = "incidence_deg"
+RESULT_NAMES = (
+    "wavelength", "batch", "delay", "bounds", "reflectance", "transmittance", "absorptance",
+    "reflectance_factor", "anisotropy_factor", "return_rate", "fraction", "mean_delay",
+)  # fmt: skip
+"""Dimensions and quantities of tables, which no parameter may be named after."""
 AXIS_ALIASES = {"sza": INCIDENCE}
 """Short names of axes."""
 MAX_SPECTRA = 100_000_000
@@ -53,6 +58,10 @@ class ParameterGrid(NamedTuple):
         axes = cls(
             tuple(map(str, grid)), tuple(_check_grid_axis(str(k), v) for k, v in grid.items())
         )
+        for name in axes.names:
+            if not name or has_surrogates(name) or name.removesuffix("_stderr") in RESULT_NAMES:
+                allowed = "names that no quantity and no dimension of the result has"
+                raise invalid("grid", name, allowed)
         if axes.size > MAX_SPECTRA:
             raise invalid("grid", f"{axes.size} spectra", f"at most {MAX_SPECTRA}")
         return axes

@@ -11,7 +11,7 @@ import xarray as xr
 from splits.core.arrays import as_1d_array, check_array_range, check_no_gaps
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.uncertainty import compute_jackknife_stderr, make_variable
-from splits.core.validation import check_range, invalid
+from splits.core.validation import check_range, invalid, join_names
 from splits.io.netcdf import to_netcdf_attributes
 
 ALBEDO, ASYMMETRY, MOMENT = "single_scattering_albedo", "asymmetry_parameter", "legendre_moment"
@@ -247,6 +247,13 @@ def check_moments(optics: xr.Dataset) -> xr.Dataset:
     if "diffraction" not in attrs or f"{MOMENT}_jackknife" not in optics:
         title = attrs.get("title", "a dataset")
         raise invalid("optics", title, "the output of splits.single_scattering")
+    if not {"wavelength", "order"} <= {*optics.dims}:
+        raise invalid(
+            "optics",
+            f"over {join_names(map(str, optics.dims))}",
+            "over wavelength and order",
+            "select lists, which keep the dimensions",
+        )
     check_no_gaps("optics", optics)
     optics = optics.sortby("order").transpose(..., "wavelength", "order")
     if not np.array_equal(optics.order, np.arange(optics.sizes["order"])):

@@ -98,8 +98,8 @@ def _check_return(
     """Reject a return that a table with the record of the experiment cannot predict."""
     assert isinstance(experiment.instrument, ReturnTable)
     wavelengths, record = experiment.instrument.get_wavelengths(), experiment.instrument.get_edges()
-    edges, rates = read_return((measured.edges, measured.rates), wavelengths.size)
-    check_return_noise(measured.noise, edges, rates.shape)
+    edges, _ = read_return((measured.edges, measured.rates), wavelengths)
+    check_return_noise(measured.noise, edges, wavelengths)
     bounds = ("delay", "bounds"), np.column_stack([record[:-1], record[1:]])
     table = xr.Dataset(coords={"wavelength": wavelengths, "delay_bounds": bounds})
     make_return_operator(table, edges, Pulse.from_argument(dump_pulse(section.pulse)))

@@ -76,3 +76,24 @@ def test_paths_end_after_the_record(ground):
     collisions = 1e-9 * 299_792_458.0 * snow.extinction_per_m / snow.pore_fraction
     assert collisions < orders[1] < (1.6 if ground is None else 3.2) * collisions
     assert orders[0] < orders[1] < orders[2] == NO_MAX_ORDER
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: check_record(np.linspace(0.0, 10.0, 11), None, Pulse.from_argument(None)),
+        lambda: check_record([0.0, 1e300], None, Pulse.from_argument(None)),
+        lambda: Pulse.from_argument(1e300),
+        lambda: Pulse.from_argument(2.0),
+        lambda: Pulse.from_argument({"delay_s": [0.0, 1e300], "power": [1.0, 1.0]}),
+        lambda: Pulse.from_argument({"delay_s": [-5.0, 5.0], "power": [1.0, 1.0]}),
+    ],
+)
+def test_delays_in_nanoseconds_are_refused(call):
+    with pytest.raises(ValueError, match=r"must be in .*0\.001\] s \(in nanoseconds\?"):
+        call()
+
+
+def test_bins_have_a_width():
+    with pytest.raises(ValueError, match=r"delay_s = \[0\.0, 5e-324\]: must be at least 1e-18 s"):
+        check_record([0.0, 5e-324], None, Pulse.from_argument(None))

@@ -157,3 +157,22 @@ def test_natural_snow_in_experiment_files(tmp_path):
     stack_text = "medium: {kind: stack, layers: [{kind: natural_snow, optical_radius_um: 90}]}\n"
     (stack,) = load_text(tmp_path, stack_text + "instrument: {wavelength_nm: [500]}\n")
     assert stack.layers[0].optical_radius_um == pytest.approx(90.0)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda **ground: splits.Snow.natural(specific_surface_area_m2_kg=20, **ground),
+        lambda **ground: splits.Snow(depth_m=math.inf, **ground),
+        lambda **ground: splits.Sand(depth_m=math.inf, **ground),
+        lambda **ground: splits.Stack([splits.Snow(depth_m=math.inf)], **ground),
+        lambda **ground: splits.Stack(
+            [splits.ParticleLayer(optical_thickness=math.inf, bottom_albedo=None)], **ground
+        ),
+    ],
+)
+@pytest.mark.parametrize("ground", [1.0, 0.0, "black", "camborthid"])
+def test_no_ground_is_below_an_infinite_depth(make, ground):
+    with pytest.raises(ValueError, match=r"^ground = .*must be left out \(no light reaches it"):
+        make(ground=ground)
+    assert make(ground="open").ground is None

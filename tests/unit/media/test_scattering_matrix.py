@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 
 from splits import ParticleLayer
+from splits.core.validation import InvalidValue
 from splits.kernels.optics.phase_function import evaluate_scattering_ratios, make_rayleigh
 from splits.media.matrix_expansion import COEFFICIENTS
 from splits.media.scattering_matrix import ELEMENTS, ScatteringMatrix
@@ -127,3 +128,20 @@ def test_a_phase_function_alone_does_not_polarize():
     assert not ParticleLayer(phase_function=table).polarized
     with pytest.raises(ValueError, match="polarized = True: must be with scattering_matrix"):
         ParticleLayer(phase_function=table, polarized=True)
+
+
+def test_repacked_files_of_libradtran_are_the_same_matrix(tmp_path):
+    """A fill value makes whole numbers floats, and rows that are shorter end with fill values."""
+    dataset = write_libradtran(tmp_path / "matrix.nc")
+    expected = ScatteringMatrix.from_input(dataset).elements
+    longer = dataset.pad(nthetamax=(0, 5))
+    for one in (dataset, longer, dataset.transpose(*[*dataset.theta.dims][::-1])):
+        path = tmp_path / "repacked.nc"
+        one.assign(ntheta=one.ntheta.astype(int)).to_netcdf(
+            path, encoding={"ntheta": {"_FillValue": -1}}
+        )
+        np.testing.assert_array_equal(ScatteringMatrix.from_input(path).elements, expected)
+    for number in (1, ANGLE.size + 1, -1, 2.5):
+        changed = dataset.assign(ntheta=dataset.ntheta * 0 + number)
+        with pytest.raises(InvalidValue, match=r"scattering_matrix.ntheta = .*whole number from 2"):
+            ScatteringMatrix.from_input(changed)

@@ -314,3 +314,51 @@ def test_files_of_all_formats_are_read(tmp_path):
 def test_invalid_files_are_named(file):
     with pytest.raises(InvalidValue, match=r"^file = "):
         read_snow_packs(file)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda ds: ds.assign_coords(snow_layer=[3, 2, 1]).isel(snow_layer=[2, 1, 0]), None),
+        (lambda ds: ds.rename(snow_layer="layer").assign_coords(layer=[5, 6, 7]), None),
+        (lambda ds: ds.assign_coords(snow_layer=("snow_layer", [1, 2, 3], {"positive": "up"})),
+         "layer.positive = 'up': must be down"),
+        (lambda ds: ds.assign_coords(snow_layer=["a", "b", "c"]), "must be numbers, the smallest"),
+        (lambda ds: ds.rename(Number_of_points="Time"), "SNOWDZ dimensions = .*one of time, Time"),
+        (lambda ds: ds.rename(Number_of_points="layer"), "SNOWDZ dimensions = .*snow_layer, layer"),
+        (lambda ds: ds.rename(Number_of_points="snowpack"), "SNOWDZ dim.*without snowpack"),
+        (lambda ds: ds.rename(Number_of_points="quality_flag"), "label = 'quality_flag'"),
+    ],
+)  # fmt: skip
+def test_coordinates_of_crocus_are_obeyed_or_refused(change, expected):
+    output = make_output()
+    if expected is None:
+        found, packs = splits.read_crocus(change(output)), splits.read_crocus(output)
+        assert found.dataset.equals(packs.dataset)
+        return
+    with pytest.raises(InvalidValue, match=expected) as error:
+        splits.read_crocus(change(output))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("unit", ["fortnights since 2000-01-01", "days since the flood"])
+def test_files_that_cannot_be_decoded_raise_one_line(tmp_path, unit):
+    times = ("time", [0.0, 1.0, 2.0], {"units": unit})
+    make_output().assign_coords(time=times).to_netcdf(tmp_path / "bad.nc")
+    (tmp_path / "pit.caaml").write_text("<a/>", encoding="utf-8")
+    for read, name in (
+        (splits.read_crocus, "bad.nc"), (read_snow_packs, "bad.nc"), (splits.load, "bad.nc"),
+        (splits.open_table, "bad.nc"), (splits.read_crocus, "pit.caaml"),
+    ):  # fmt: skip
+        with pytest.raises(InvalidValue, match=r"must be a netCDF file that can be read") as error:
+            read(tmp_path / name)
+        assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("encoding", ["foo-8", "utf-7", "shift_jis", "idna", "rot13", "utf-32"])
+def test_other_encodings_of_xml_raise_one_line(tmp_path, encoding):
+    path = tmp_path / "pit.caaml"
+    path.write_text(f'<?xml version="1.0" encoding="{encoding}"?><a>é</a>', encoding="utf-8")
+    with pytest.raises(InvalidValue, match=r"path = 'pit.caaml': must be an XML file") as error:
+        splits.read_caaml(path)
+    assert "\n" not in str(error.value)

@@ -171,7 +171,7 @@ STRUCTURAL_ERRORS = {
         r"depth_top_m = \[0.2, 0.0\]: must be strictly increasing.*snowpack at 2024-02-02",
     ),
     "layers": (
-        lambda ds: ds.assign_coords(layer=[1, 0]), r"layer = \[1.0, 0.0\]: must be strictly incr"
+        lambda ds: ds.assign_coords(layer=[1, 1]), r"layer = \[1.0, 1.0\]: must be strictly incr"
     ),
     "dimensions": (
         lambda ds: ds.expand_dims(point=[0, 1]), r"thickness_m dimensions = .*must be over"

@@ -74,3 +74,27 @@ def test_figure_files_are_reproducible(kind, tmp_path):
     assert "<dc:date>" not in svg
     pdf = files[0][2]
     assert pdf.startswith(b"%PDF") and b"CreationDate" not in pdf
+
+
+def test_settings_that_are_left_out_have_defaults():
+    spectrum = make_spectrum()
+    expected = draw(spectrum, SECTION).axes[0]
+    for section in ({}, {"kind": None}, {"quantity": "reflectance", "measured": None}):
+        axes = draw(spectrum, section).axes[0]
+        assert axes.get_ylabel() == expected.get_ylabel()
+        assert len(axes.lines) == len(expected.lines)
+
+
+@pytest.mark.parametrize(
+    ("section", "message"),
+    [
+        ({"kind": "spectrum"}, "figure.kind = 'spectrum': must be one of .*did you mean spectra"),
+        ({"knd": "spectra"}, "figure.knd: unknown key, must be one of kind, "),
+        ({"quantity": ["albedo"]}, "figure.quantity = 'albedo': must be one of reflectance"),
+        (None, "figure = None: must be a mapping of settings"),
+    ],
+)
+def test_unknown_settings_raise_one_line(section, message):
+    with pytest.raises(ValueError, match=message) as error:
+        draw(make_spectrum(), section)
+    assert "\n" not in str(error.value)

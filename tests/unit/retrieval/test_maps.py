@@ -200,3 +200,44 @@ def test_invalid_input_is_rejected(table, image, name):
     }
     with pytest.raises(InvalidValue, match=message):
         splits.retrieve_map(**(valid | changes))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda one: 100.0 * one, r"image = 'of the median .*neither per cent nor digital numbers"),
+        (lambda one: (1e4 * one).astype("int16"), r"image = 'of the median .*divide the image"),
+        (lambda one: (100.0 * one).where(one.x > 0), "image = 'of the median"),
+        (lambda one: one.where(one.wavelength != W[3]), "without a number at 800 nm.*leave it"),
+        (lambda one: one.assign_attrs(units="DN"), "image.units = 'DN': must be one of 1, "),
+        (lambda one: one.assign_coords(incidence_deg=60.0), "image.incidence_deg = .*must be 30.0"),
+        (lambda one: one.assign_coords(incidence_deg=("x", [30.0, 30.0, 31.0])), "incidence_deg"),
+        (lambda one: one.assign_coords(wavelength=("wavelength", one.wavelength.values,
+                                                   {"units": "um"})), "wavelength.units = 'um'"),
+    ],
+)  # fmt: skip
+def test_images_without_a_valid_pixel_are_refused(table, image, change, message):
+    image = image.assign_coords(x=[0, 1, 2])
+    with pytest.raises(InvalidValue, match=message) as error:
+        splits.retrieve_map(change(image), table, [SIZE], 0.01, fixed={**FIXED, SOOT: 9.0})
+    assert "\n" not in str(error.value)
+
+
+def test_blocks_without_a_valid_pixel_give_a_warning(table, image):
+    pytest.importorskip("dask")
+    lazy = xr.concat([image, 100.0 * image], "x").chunk(x=3)
+    result = splits.retrieve_map(lazy, table, [SIZE], 0.01, fixed={**FIXED, SOOT: 9.0})
+    with pytest.warns(UserWarning, match="a block of the image has no result: image = 'of the med"):
+        assert (result.flags.values[..., 3:] == FLAGS["out_of_range"]).all()
+
+
+def test_images_may_be_in_per_cent_and_in_any_order(table, image):
+    noise = np.linspace(0.01, 0.02, W.size)
+    keywords = {"table": table, "free": [SIZE], "fixed": {**FIXED, SOOT: 9.0}}
+    expected = splits.retrieve_map(image, noise=noise, **keywords)
+    per_cent = (100.0 * image).assign_attrs(units="%")
+    for one in (per_cent, per_cent.assign_coords(incidence_deg=np.float32(30.0))):
+        found = splits.retrieve_map(one, noise=noise, **keywords)
+        xr.testing.assert_allclose(found.drop_vars("incidence_deg", errors="ignore"), expected)
+    backwards = image.isel(wavelength=slice(None, None, -1))
+    xr.testing.assert_equal(splits.retrieve_map(backwards, noise=noise[::-1], **keywords), expected)

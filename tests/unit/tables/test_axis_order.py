@@ -11,6 +11,7 @@ from formula_tables import make_snowlike_table
 import splits
 from splits.analysis.theory.phase_function_export import to_eradiate
 from splits.core.validation import InvalidValue
+from splits.tables.axes import ParameterGrid
 from splits.tables.return_table import TITLE as RETURN_TITLE
 
 SIZE, SOOT, ANGLE = "optical_radius_um", "impurities_ng_g.black_carbon", "incidence_deg"
@@ -122,3 +123,15 @@ def test_moments_may_have_any_order(function):
         xr.testing.assert_equal(function(change(optics)), function(optics))
     with pytest.raises(InvalidValue, match=r"optics.order = \[0, 2, 4, .*: must be 0, 1, 2"):
         function(optics.isel(order=slice(0, None, 2)))
+
+
+@pytest.mark.parametrize("name", ["reflectance", "reflectance_stderr", "wavelength", "batch", ""])
+def test_axes_have_names_of_their_own(name):
+    with pytest.raises(InvalidValue, match=r"grid = .*must be names that no quantity"):
+        ParameterGrid.from_mapping({name: [0.0, 1.0]})
+
+
+def test_names_of_media_and_bands_are_texts_of_files():
+    snow = splits.Snow.natural(specific_surface_area_m2_kg=20)
+    with pytest.raises(InvalidValue, match="must be texts that files in UTF-8 hold"):
+        splits.spectrophotometer({"\ud800": snow}, [500.0])

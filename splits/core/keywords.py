@@ -47,8 +47,10 @@ def reject_unknown_keywords(kind: Class) -> Class:
 
 
 def _are_wavelengths(value: object) -> bool:
-    with suppress(TypeError, ValueError):
-        return not isinstance(value, str) and bool(np.min(np.asarray(value, dtype=float)) >= 200.0)
+    # Rows of different lengths form no array.
+    with suppress(ValueError):
+        numbers = np.asarray(value)
+        return numbers.dtype.kind in "iuf" and bool((numbers >= 200).all())
     return False
 
 

@@ -32,9 +32,9 @@ def test_all_integer_types_are_accepted(value):
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        ("500", "wavelength_nm = '500': must be numbers in nanometres (this is text, "),
-        (["500"], "wavelength_nm = '500': must be numbers in nanometres (this is text"),
-        (np.array(["500"]), "wavelength_nm = '500': must be numbers in nanometres (this is text"),
+        ("500", "wavelength_nm = '500': must be numbers in nanometres (write 500, "),
+        (["500"], "wavelength_nm = '500': must be numbers in nanometres (write 500"),
+        (np.array(["500"]), "wavelength_nm = '500': must be numbers in nanometres (write 500"),
         ([None], "wavelength_nm = None: must be numbers in nanometres"),
         (None, "wavelength_nm = None: must be numbers in nanometres"),
         (0.5, "wavelength_nm = 0.5: must be in [200, 100000] nm (in micrometres? write 500)"),

@@ -55,8 +55,7 @@ WRONG_TYPES = {
     "grid: {density_kg_m3: {strat: 300, stop: 400, step: 50}}":
         "grid.density_kg_m3.strat = 300: must be left out (did you mean start?)",
     "grid: {density_kg_m3: {start: 300, end: 400}}":
-        "grid.density_kg_m3.end = 400: must be left out (start, stop and step give evenly spaced "
-        "values; label others otherwise)",
+        "grid.density_kg_m3.end = 400: must be left out (did you mean stop?)",
     "grid: {density_kg_m3: {stop: 400, step: 50}}":
         "grid.density_kg_m3.start = None: must be given (start, stop and step give evenly spaced "
         "values; label others otherwise)",

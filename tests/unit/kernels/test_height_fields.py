@@ -17,7 +17,7 @@ from splits.media.rough_surface import RoughSurface
 
 INVALID_SURFACES = [
     ("rms_height_m", -0.1, "in [0, 1e+06] m"),
-    ("rms_height_m", "1e-1", "this is text, not a number"),
+    ("rms_height_m", "1e-1", "write 0.1, without quotes"),
     ("wave_number_per_m", 0.0, "in [1e-09, 1e+09] 1/m"),
     ("wave_number_per_m", None, "given (1/m)"),
     ("correlation", "gausian", "did you mean gaussian?"),

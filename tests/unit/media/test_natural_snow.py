@@ -84,7 +84,7 @@ def test_natural_snow_is_semi_infinite_and_dry():
         (lambda: splits.Snow(optical_radius_um="a"), ValueError, "optical_radius_um = 'a'"),
         (
             lambda: splits.Snow.natural(specific_surface_area_m2_kg=20, density_kg_m3=0.25),
-            ValueError, r"\[10, 916.9\d*\) kg/m3 \(kg/m3, not g/cm3",
+            ValueError, r"\[10, 916.9\d*\) kg/m3 \(in g/cm3\? write 250; ice at",
         ),
         (
             lambda: splits.Snow.natural(specific_surface_area_m2_kg=20, density_kg_m3=950),
@@ -96,7 +96,7 @@ def test_natural_snow_is_semi_infinite_and_dry():
             ),
             ValueError, "temperature_c = 5",
         ),
-        (lambda: splits.Snow(density_kg_m3=2750), ValueError, "not g/cm3"),
+        (lambda: splits.Snow(density_kg_m3=2750), ValueError, r"kg/m3 \(ice at -1 °C has 916\.9\)"),
         (
             lambda: splits.Snow.natural(
                 optical_radius_um=90, interpretation={"overlap_with_boundary": "skip"}

@@ -25,7 +25,7 @@ def table():
     return splits.Table(make_direction_dataset())
 
 
-@pytest.mark.parametrize(("polar", "azimuth"), [(33.0, 100.0), (33.0, 260.0), (7.0, -100.0)])
+@pytest.mark.parametrize(("polar", "azimuth"), [(33.0, 100.0), (33.0, 260.0), (7.0, 260.0)])
 def test_directions_between_nodes_have_the_analytic_values(table, polar, azimuth):
     found = table.at_view(polar, azimuth).interp(**AT)
     factor = evaluate_factor(100.0, 40.0, polar, azimuth, WAVELENGTH)

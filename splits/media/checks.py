@@ -18,8 +18,8 @@ MEDIUM_NAMES: dict[type, tuple[str, ...]] = {
 }
 """Names of the media of each class, for messages."""
 INFINITE_DEPTH_HINT = (
-    "give depth_m; infinite depth is for estimator spectral, albedos, profiles and delays, and with "
-    "solver discrete_ordinates (natural snow, point grains) for BRDFs and HDRFs"
+    "give depth_m; infinite depth is for estimator spectral, albedos, profiles and delays, and "
+    "with solver discrete_ordinates (natural snow, point grains) for BRDFs and HDRFs"
 )
 """Where a semi-infinite medium is allowed."""
 

@@ -88,7 +88,8 @@ class Snow(ContentEquality, GranularMedium):
         Temperature, −40 to 0 °C; determines the density of ice.
     depth_m : float
         Thickness of the layer (m), above 0 and up to 1e4, or infinite for spectra, albedos,
-        profiles and delays, and for BRDFs and HDRFs by discrete ordinates.  The sample, of one layer or several, must be thicker than its largest grain.
+        profiles and delays, and for BRDFs and HDRFs by discrete ordinates.  The sample, of one
+        layer or several, must be thicker than its largest grain.
     refractive_index : mapping, optional
         Refractive index by material ("ice", "water", "air"): the name of a dataset, a complex
         constant n + kj or a table; see `splits.materials.refractive_index`.  Air, with an index of

@@ -37,7 +37,7 @@ from splits.plotting.style import (
     use_style,
 )
 from splits.tables.axes import INCIDENCE
-from splits.tables.views import VIEW_AXES, VIEW_QUANTITIES
+from splits.tables.views import AZIMUTH, VIEW_AXES, VIEW_QUANTITIES
 
 _SERIES_SPREAD = 0.6
 """Fraction of a row over which the series are spread."""
@@ -191,7 +191,8 @@ def draw_summary(
     part = part.sel(dict(select))
     free = sorted((n for n in axes if n not in select), key=lambda n: -dataset.sizes[n])
     views = [name for name in free if name in VIEW_AXES and dataset.sizes[name] > 1]
-    if len(views) == len(VIEW_AXES) and all(name in VIEW_QUANTITIES for name in quantity):
+    is_directional = all(name in VIEW_QUANTITIES for name in quantity)
+    if is_directional and len(views) == len(VIEW_AXES) and _has_principal_planes(dataset):
         return _draw_views(dataset.sel(dict(select)), quantity, legend)
     free = [name for name in free if name not in VIEW_AXES and dataset.sizes[name] > 1]
     lines, panel_dims, rest = free[:1], free[1:3], free[3:] + views
@@ -226,17 +227,24 @@ BRIGHTNESS_LEVELS = (0.9, 0.5, 0.1)
 """Mean reflectances of the wavelengths that are shown, relative to the largest."""
 
 
+def _has_principal_planes(dataset: xr.Dataset) -> bool:
+    """Return whether a table is under beams and has both sides of the principal plane."""
+    azimuth = dataset[AZIMUTH].values
+    is_beam = INCIDENCE not in dataset.dims or dataset[INCIDENCE].dtype.kind in "fi"
+    return is_beam and bool(np.isin([0.0, 180.0], azimuth).all())
+
+
 def _draw_views(dataset: xr.Dataset, quantity: Sequence[str], legend: str | None) -> Figure:
     """Draw the principal plane of a table over directions, by angle of incidence."""
     axes = dataset[quantity[0]].dims
-    brightness = dataset.get("reflectance", dataset[quantity[0]])
-    brightness = brightness.mean([d for d in brightness.dims if d != "wavelength"])
-    rows = [
-        int(np.abs(brightness - level * brightness.max()).values.argmin())
-        for level in BRIGHTNESS_LEVELS
-    ]
+    measure = dataset.get("reflectance", dataset[quantity[0]])
+    brightness = measure.mean([d for d in measure.dims if d != "wavelength"]).values
+    rows = {
+        int(np.abs(brightness - level * brightness.max()).argmin()) for level in BRIGHTNESS_LEVELS
+    }
     fixed = [d for d in axes if d not in (INCIDENCE, *VIEW_AXES, "wavelength")]
-    shown = {str(n): (dataset.sizes[n] - 1) // 2 for n in fixed} | {"wavelength": sorted({*rows})}
+    shown: dict[str, Any] = {str(n): (dataset.sizes[n] - 1) // 2 for n in fixed}
+    shown["wavelength"] = sorted(rows)
     if INCIDENCE in axes:
         shown[INCIDENCE] = _select_evenly(dataset.sizes[INCIDENCE], MAX_SUMMARY_LINES)
     names = [f"{name}{suffix}" for name in quantity for suffix in ("", "_stderr")]

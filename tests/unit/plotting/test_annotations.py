@@ -294,6 +294,13 @@ def test_conditions_state_what_was_written(keywords, text):
     assert text in found and found.count("µm") + found.count("m²/kg") == 1
 
 
+def test_tables_without_a_principal_plane_are_drawn_as_spectra():
+    table = make_views().isel(azimuth_deg=[0, 1])
+    section = SECTION | {"kind": "summary", "quantity": ["anisotropy_factor"]}
+    assert "wavelength (nm)" in [axes.get_xlabel() for axes in draw(table, section).axes]
+    assert "viewing" in draw(make_views(), section).axes[1].get_xlabel()
+
+
 def test_panel_letters_continue_after_z():
     assert [format_panel_letter(i) for i in (0, 25, 26, 27, 52)] == ["a", "z", "aa", "ab", "ba"]
 

@@ -172,7 +172,10 @@ def trace_grains(settings: Settings) -> Iterator[dict[str, Any]]:
                 "bias_mm": convert_to_range(light.mean_delay.item()),
                 "bias_stderr": convert_to_range(light.mean_delay_stderr.item()),
                 "bias_straight_mm": convert_to_range(compute_straight_delay(straight, snow, index)),
-                **trace_isotropic(compute_coefficients(snow, wavelength, index), settings),
+                **trace_isotropic(
+                    compute_coefficients(snow, wavelength, index, stokes=grains == "spheres"),
+                    settings,
+                ),
             }  # fmt: skip
         yield {
             "wavelength_nm": wavelength, "grains": "spheres (Mie)",
@@ -194,9 +197,9 @@ def compute_straight_delay(light: xr.Dataset, snow: Any, index: float) -> float:
     return float(path * index / SPEED_OF_LIGHT)
 
 
-def compute_coefficients(snow: Any, wavelength: float, index: float) -> Coefficients:
-    """Return the coefficients of snow along straight paths."""
-    grains = splits.single_scattering(snow, wavelength, rays=1_000_000)
+def compute_coefficients(snow: Any, wavelength: float, index: float, stokes: bool) -> Coefficients:
+    """Return the coefficients of snow along straight paths; `stokes` traces polarized light."""
+    grains = splits.single_scattering(snow, wavelength, rays=1_000_000, stokes=stokes)
     albedo, extinction = grains.single_scattering_albedo.item(), snow.extinction_per_m
     transport = extinction * albedo * (1.0 - grains.asymmetry_parameter.item())
     return Coefficients(transport, extinction * (1.0 - albedo), index)

@@ -24,12 +24,9 @@ WAVELENGTH_NM = 1310.0
 SPHERE = (1.0, 1.0, 1.0, 0.0)
 GRAINS: dict[str, dict[str, Any]] = {
     f"spheres, facetness {value:g}": {"sphericity": SPHERE, "facetness": (value, value, value, 0.0)}
-    for value in (0.0, 0.02, 0.05, 0.1, 0.2, 0.4)
+    for value in (0.0, 0.05, 0.1, 0.2)
 }
-GRAINS |= {
-    "natural snow, facetness 0": {"facetness": (0.0,) * 4},
-    "natural snow": {},
-}
+GRAINS["natural snow"] = {}
 
 
 def compare_polarization(rays: int, max_stderr: float, threads: int) -> Iterator[dict[str, Any]]:
@@ -77,11 +74,11 @@ def main() -> None:
     parser.add_argument("--max-stderr", type=float, default=0.0005)
     parser.add_argument("--threads", type=int, default=2)
     arguments = parser.parse_args()
-    table = pd.DataFrame(
-        compare_polarization(arguments.rays, arguments.max_stderr, arguments.threads)
-    )
-    table.to_csv(arguments.file, index=False, float_format="%.4g")
-    print(table.to_string())
+    rows = []
+    for row in compare_polarization(arguments.rays, arguments.max_stderr, arguments.threads):
+        rows.append(row)
+        print(row, flush=True)
+        pd.DataFrame(rows).to_csv(arguments.file, index=False, float_format="%.4g")
 
 
 if __name__ == "__main__":

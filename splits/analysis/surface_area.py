@@ -7,7 +7,7 @@ scale factor, which accounts for slopes, roughness and the calibration of the se
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -207,36 +207,36 @@ def make_overlay_table(
     return pd.concat(tables, ignore_index=True)
 
 
-def make_field_table(dataset: xr.Dataset) -> pd.DataFrame:
+def make_field_table(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
     """Return reflectance at 1310 nm against surface area, simulated and by published laws.
 
     Parameters
     ----------
-    dataset : xarray.Dataset
-        ``reflectance`` over ``medium`` and surface area at `FIELD_WAVELENGTH_NM`, for normal
-        incidence.
+    datasets : mapping of str to xarray.Dataset
+        ``reflectance`` over surface area at `FIELD_WAVELENGTH_NM`, for normal incidence, by the
+        name of the snow.  The laws are at the surface areas of the first.
 
     Returns
     -------
     pandas.DataFrame
         ``snow`` (or the law's name), ``area``, ``reflectance``, ``stderr`` (none for laws).
     """
-    areas = dataset[AREA].values.astype(float)
-    part = dataset.sel(wavelength=FIELD_WAVELENGTH_NM, method="nearest")
     tables = []
-    for medium in dataset.medium.values:
-        snow = part.sel(medium=medium)
-        tables.append((str(medium), snow.reflectance.values, snow.reflectance_stderr.values))
+    for name, dataset in datasets.items():
+        snow = dataset.sel(wavelength=FIELD_WAVELENGTH_NM, method="nearest")
+        tables.append((name, snow[AREA].values, snow.reflectance.values,
+                       snow.reflectance_stderr.values))  # fmt: skip
+    areas = tables[0][1].astype(float)
     for name, law in PUBLISHED_ALBEDO_LAWS.items():
         values = [
             float(law(np.array([1e-9 * FIELD_WAVELENGTH_NM]), 0.0, area)[0]) for area in areas
         ]
-        tables.append((name, np.array(values), np.full(len(areas), np.nan)))
+        tables.append((name, areas, np.array(values), np.full(len(areas), np.nan)))
+    columns = ("snow", "area", "reflectance", "stderr")
     return pd.concat(
-        [pd.DataFrame({"snow": name, "area": areas, "reflectance": value, "stderr": error})
-         for name, value, error in tables],
+        [pd.DataFrame(dict(zip(columns, table, strict=True))) for table in tables],
         ignore_index=True,
-    )  # fmt: skip
+    )
 
 
 def is_in_windows(wavelength_nm: np.ndarray, windows: Sequence[tuple[float, float]]) -> np.ndarray:

@@ -126,12 +126,14 @@ def irradiance_profile(
     it.  At a boundary between layers of different saturation, a plane records transmitted light;
     the light that the boundary reflects is included on neither side.
 
-    For the actinic flux and the absorptance of each material, the absorption is assumed to be
-    evenly distributed along the path between planes.  Where single grains or pores absorb much of
-    the light that crosses them, both are approximate; their errors include this
-    (`splits.instruments.absorption_steps`).  The absorptance of an interval is not affected.  With
-    discrete ordinates both follow exactly from the balance of light in each interval
-    (`splits.discrete_ordinates.stack_profile`).
+    The actinic flux is the absorptance times the path per absorbed light, which in particles and in
+    dry layers of point grains is a property of the layer: actinic flux × thickness × absorption
+    coefficient = absorptance, with both solvers.  Paths measure it in other media, where, as for
+    the absorptance of each material, absorption is assumed to be evenly distributed along the path
+    between planes.  Where single grains or pores absorb much of the light that crosses them, both
+    are approximate; their errors include this (`splits.instruments.absorption_steps`).  The
+    absorptance of an interval is not affected.  With discrete ordinates both follow exactly from
+    the balance of light in each interval (`splits.discrete_ordinates.stack_profile`).
 
     References
     ----------

@@ -145,9 +145,11 @@ class ScatteringMatrix(ContentEquality):
 
 def check_density(key: str, values: np.ndarray) -> np.ndarray:
     """Return a phase function in any unit, checked for sums that overflow or lose all digits."""
-    if not ((values >= 0.0) & (values <= MAX_DENSITY)).all() or values.max() < MIN_DENSITY:
-        allowed = f"numbers from 0 to {MAX_DENSITY:g}, one of them at least {MIN_DENSITY:g}"
-        raise invalid(key, values.tolist(), allowed, "the unit is arbitrary")
+    lowest, highest = float(values.min()), float(values.max())
+    if not (lowest >= 0.0 and MIN_DENSITY <= highest <= MAX_DENSITY):
+        allowed = "numbers from 0 to 1e100, one of them at least 1e-100"
+        found = highest if lowest >= 0.0 else lowest
+        raise invalid(key, found, allowed, "their unit is arbitrary")
     return values
 
 

@@ -22,7 +22,7 @@ COLLISION_COEFFICIENT_RANGE = (1e-12, 1e300)
 """Scatterings per metre of a layer without particles, so that its mean free path is finite, and of
 an opaque layer."""
 
-INDEX_RANGE, MAX_EXTINCTION_INDEX = (0.1, 15.0), 1e4
+INDEX_RANGE, MAX_EXTINCTION_INDEX = (0.1, 15.0), 1e10
 """Refractive indices of grains and of pores."""
 
 N_PORE_MATERIALS = 2

@@ -355,6 +355,33 @@ def test_perfect_conductor_absorbs_nothing():
 # --- indices ----------------------------------------------------------------------------------
 
 
+TRAPPING = {
+    "a high index": {"ice": 1e5},
+    "a low index": {"ice": 1e-5},
+    "a table": {"ice": {"wavelength_nm": [400.0, 600.0], "n": [1.3, 2000.0], "k": [0.0, 0.0]}},
+    "pores": {"water": 1e4, "ice": 1.31},
+    "no number": {"ice": {"n": 1.31, "k": 1e200}},
+}
+
+
+@pytest.mark.parametrize("name", TRAPPING)
+@pytest.mark.parametrize(
+    "run",
+    [
+        lambda snow: splits.spectrophotometer(snow, [550.0]),
+        lambda snow: splits.single_scattering(snow, [550.0]),
+        lambda snow: splits.goniophotometer(snow, [550.0]),
+        lambda snow: splits.irradiance_profile(snow, [550.0], [0.01]),
+    ],
+    ids=["spectrum", "single scattering", "directions", "profile"],
+)
+def test_indices_that_trap_light_for_ever_are_rejected(run, name):
+    snow = splits.Snow(saturation=0.2, depth_m=0.1, refractive_index=TRAPPING[name])
+    message = r"refractive_index\[(ice|water)\] = .*n \+ kj with n from 0.1 to 15"
+    with pytest.raises(ValueError, match=message):
+        run(snow)
+
+
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("water", [1.5, 2.5])
 def test_pores_of_higher_index_conserve_energy(water, kernel):

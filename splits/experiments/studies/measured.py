@@ -42,7 +42,8 @@ class SurfaceAreaStudy(Study):
             "{study}_law",
             "Reflectance at 1310 nm and surface area",
             "Reflectance at 1310 nm of deep snow at normal incidence against specific surface "
-            "area. Modelled natural snow and smooth spheres are simulated. The other lines are the "
+            "area. Modelled natural snow and smooth spheres (with polarization) are simulated. The "
+            "other lines are the "
             "laws of Kokhanovsky & Zege (2004), valid for weak absorption, and of Malinka et al. "
             "(2016), computed with snowoptics. The grey area is the range of reflectance that "
             "Gallet et al. (2009) state for specific surface areas below 60 m2/kg.",
@@ -52,7 +53,10 @@ class SurfaceAreaStudy(Study):
         "spectra": StudyInput(
             ("specific_surface_area_m2_kg", "incidence_deg"), band_nm=(700.0, 2400.0)
         ),
-        "field": StudyInput(("specific_surface_area_m2_kg", "medium"), at_nm=(1310.0,)),
+        **{
+            grains: StudyInput(("specific_surface_area_m2_kg",), at_nm=(1310.0,))
+            for grains in ("natural", "spheres")
+        },
     }
     FILES: ClassVar = {"spectra": MEASURED_SPECTRA}
     MESSAGE: ClassVar = "Retrieving the surface area of measured snow"
@@ -70,15 +74,17 @@ class SurfaceAreaStudy(Study):
         )
         from splits.plotting import describe_conditions, draw_area_law, draw_fitted_spectra
 
-        modelled, field = (run.load(self.inputs[key]) for key in ("spectra", "field"))
+        modelled, natural, spheres = (
+            run.load(self.inputs[key]) for key in ("spectra", "natural", "spheres")
+        )
         spectra = run.read("spectra")
         areas = retrieve_surface_areas(modelled, spectra)
         run.write_table("table", areas)
         overlay = make_overlay_table(modelled, spectra, areas)
         run.save_figure("figure", draw_fitted_spectra(overlay, describe_conditions(modelled)))
-        law = make_field_table(field)
+        law = make_field_table({"natural snow": natural, "smooth spheres": spheres})
         run.write_table("law", law)
-        run.save_figure("law_figure", draw_area_law(law, describe_conditions(field, band="bars")))
+        run.save_figure("law_figure", draw_area_law(law, describe_conditions(natural, band="bars")))
 
 
 class AnisotropyStudy(Study):

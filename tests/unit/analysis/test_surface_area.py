@@ -126,17 +126,12 @@ def test_a_spectrum_at_a_missing_angle_is_rejected():
 
 
 def test_published_laws_are_listed_with_the_model():
-    dataset = xr.Dataset(
-        {
-            "reflectance": (("medium", AREA, "wavelength"), np.full((1, AREAS.size, 1), 0.3)),
-            "reflectance_stderr": (
-                ("medium", AREA, "wavelength"),
-                np.full((1, AREAS.size, 1), 0.01),
-            ),
-        },
-        {"medium": ["spheres"], AREA: AREAS, "wavelength": [FIELD_WAVELENGTH_NM]},
-    )
-    table = make_field_table(dataset)
+    values = {
+        name: ((AREA, "wavelength"), np.full((AREAS.size, 1), value))
+        for name, value in {"reflectance": 0.3, "reflectance_stderr": 0.01}.items()
+    }
+    dataset = xr.Dataset(values, {AREA: AREAS, "wavelength": [FIELD_WAVELENGTH_NM]})
+    table = make_field_table({"spheres": dataset})
     assert list(dict.fromkeys(table.snow)) == ["spheres", *PUBLISHED_ALBEDO_LAWS]
     law = table[table.snow == next(iter(PUBLISHED_ALBEDO_LAWS))]
     assert law.reflectance.is_monotonic_increasing and law.stderr.isna().all()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,7 +12,7 @@ import xarray as xr
 from splits import ParticleLayer
 from splits.core.validation import InvalidValue
 from splits.kernels.optics.phase_function import evaluate_scattering_ratios, make_rayleigh
-from splits.media.matrix_expansion import COEFFICIENTS
+from splits.media.matrix_expansion import COEFFICIENTS, sum_expansion
 from splits.media.scattering_matrix import ELEMENTS, ScatteringMatrix
 
 ANGLE = np.linspace(0.0, 180.0, 91)
@@ -91,6 +93,50 @@ def test_layers_keep_their_matrix():
     assert described["matrix_P12"].tolist() == RAYLEIGH["P12"].tolist()
 
 
+def test_units_of_matrices_are_arbitrary():
+    """Powers of two keep every digit."""
+    for scale in (2.0**-300, 2.0**300):
+        scaled = {
+            key: value if key == "angle_deg" else scale * value for key, value in RAYLEIGH.items()
+        }
+        one, other = (
+            ParticleLayer(scattering_matrix=matrix).kernel_phase_function
+            for matrix in (RAYLEIGH, scaled)
+        )
+        for values, expected in zip(other, one, strict=True):
+            assert np.array_equal(values, expected)
+
+
+def test_many_coefficients_are_summed_by_recurrence():
+    """The functions of each order, against Jacobi polynomials, and 1000 orders."""
+    special = pytest.importorskip("scipy.special")
+    n = 40
+    random = np.random.default_rng(1).normal(size=(6, n))
+    angle, elements = sum_expansion(random)
+    mu, order = np.cos(np.radians(angle)), np.arange(2, n)
+    norm = 0.25 * np.sqrt((order + 1.0) * (order + 2.0) / (order * (order - 1.0)))
+    d02 = norm * (1.0 - mu[:, None] ** 2) * special.eval_jacobi(order - 2, 2, 2, mu[:, None])
+    d22 = (0.5 + 0.5 * mu[:, None]) ** 2 * special.eval_jacobi(order - 2, 0, 4, mu[:, None])
+    d2m2 = (0.5 - 0.5 * mu[:, None]) ** 2 * special.eval_jacobi(order - 2, 4, 0, mu[:, None])
+    alpha2, alpha3 = random[1:3, 2:]
+    p11, p12, p33, p34, p22, p44 = elements.T
+    for found, expected in (
+        (p11, np.polynomial.legendre.legval(mu, random[0])),
+        (p44, np.polynomial.legendre.legval(mu, random[3])),
+        (p12, -d02 @ random[4, 2:]), (p34, -d02 @ random[5, 2:]),
+        (p22 + p33, d22 @ (alpha2 + alpha3)), (p22 - p33, d2m2 @ (alpha2 - alpha3)),
+    ):  # fmt: skip
+        np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-11)
+    many = np.zeros((6, 1000))
+    many[0] = (2.0 * np.arange(1000) + 1.0) * 0.9 ** np.arange(1000)
+    begin = time.process_time()
+    angle, elements = sum_expansion(many)
+    assert time.process_time() - begin < 10.0
+    g, mu = 0.9, np.cos(np.radians(angle))
+    exact = (1.0 - g**2) / (1.0 + g**2 - 2.0 * g * mu) ** 1.5
+    np.testing.assert_allclose(elements[:, 0], exact, rtol=1e-9, atol=1e-9)
+
+
 TOO_LARGE = {**RAYLEIGH, "P12": 1.5 * RAYLEIGH["P11"]}
 MESSAGES = [
     ({key: RAYLEIGH[key] for key in ("angle_deg", "P11")}, "missing P12, P33, P34"),
@@ -103,6 +149,13 @@ MESSAGES = [
     ({**RAYLEIGH, "P44": -RAYLEIGH["P33"]}, "a sum of matrices of single particles"),
     ({**EXPANSION, "alpha5": [0.0] * 3}, "alpha1"),
     ({**EXPANSION, "alpha2": [0.0] * 2}, "lists of the same length"),
+    ({key: value if key == "angle_deg" else 1e308 * value for key, value in RAYLEIGH.items()},
+     "P11 = 1.5e+308: must be numbers from 0 to 1e100"),
+    ({key: value if key == "angle_deg" else 1e-320 * value for key, value in RAYLEIGH.items()},
+     "one of them at least 1e-100"),
+    ({**EXPANSION, "alpha1": [1e308, 0.0, 1e308]}, "alpha1 = 1e+308: must be in [-1e+100, 1e+100]"),
+    ({**EXPANSION, "beta1": [0.0, 0.0, -1e301]}, "beta1 = -1e+301"),
+    ({**EXPANSION, "alpha1": [5e-324, 0.0, 0.0]}, "P11 = 5e-324: must be numbers"),
     ("no_such_file.csv", "an existing CSV file"),
     ("no_such_file.nc", "a netCDF file"),
     (3.0, "columns angle_deg"),

@@ -13,13 +13,14 @@ Modules, each importing only those above it:
 - `direct_light`: light that is not scattered, or only once
 - `layer_radiance`: reflection and transmission of a layer between directions
 - `radiance`: reflected and transmitted radiance of layers
-- `grain_table`, `grain_tabulation`: single scattering by the grains of natural snow
+- `grain_table`: single scattering by the grains of natural snow
 - `traced_grains`: single scattering by other grains
 - `grain_cache`: kept results of paths through them
 - `phase_series`: phase functions from a limited number of moments
 - `granular_layers`: layers of grains and their optics
 - `replicates`: the same without some of these paths, for errors
 - `granular_stack`: spectra of layers, with errors
+- `grain_tabulation`: makes the tables of the grains of natural snow
 - `stack_profile`: fluxes, absorption and path lengths within layers
 - `interval_profile`: the same between depths, by material, with errors
 - `transmittance_error`: relative errors of small transmittances

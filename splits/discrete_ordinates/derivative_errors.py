@@ -192,9 +192,13 @@ def solve_derivatives(
     for scale in SCALES:
         scaled, _ = few.scale_optics(scale).solve(solution.n_streams)
         errors.append((scaled - coarse) * change / SCALE_STEP)
-    error = spread_truncation(
-        np.sqrt(np.square(errors).sum(axis=0)), trial, solution.optics_error.size
-    )
+    # Squares of small errors would be 0.
+    combined = np.hypot.reduce(errors)
+    error = spread_truncation(combined, trial, solution.optics_error.size)
+    # The derivative of a small transmittance has its relative error.
+    totals = np.stack([solution.budget.reflectance[..., 0], solution.budget.transmittance[..., 0]])
+    relative = solution.bound_errors(totals)[1] / np.maximum(totals[1], TINY)
+    error[1] = np.hypot(error[1], values[1] * relative)
     return values, np.hypot(step_error, error)
 
 

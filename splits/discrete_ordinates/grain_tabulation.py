@@ -12,6 +12,8 @@ import numpy as np
 from splits.core.uncertainty import compute_jackknife_stderr, compute_leave_one_out_means
 from splits.discrete_ordinates.adding import Boundary, Element, compute_budget, make_isotropic
 from splits.discrete_ordinates.grain_table import MAX_ABSORPTION, Axis, GrainTable
+from splits.discrete_ordinates.granular_layers import GranularLayer
+from splits.discrete_ordinates.granular_stack import GranularStack
 from splits.discrete_ordinates.layer_optics import LayerOptics
 from splits.discrete_ordinates.slab import solve_slab
 from splits.discrete_ordinates.streams import Streams
@@ -37,7 +39,7 @@ CONTRAST_LIMITS = (0.16, 0.4)
 """Contrasts of ice with air, which are those of 200 to 2700 nm."""
 WATER_WAVELENGTHS_NM = (200.0, 2701.0, 5.0)
 """First wavelength, end and step (nm) for the index of water that belongs to a contrast of ice."""
-SATURATION_LIMITS, N_SATURATIONS = (0.02, 0.5), 4
+SATURATION_LIMITS, N_SATURATIONS = (0.02, 0.5), 7
 N_ABSORPTIONS, N_ORDERS = 16, 33
 N_RAYS = 16_000 * GRAIN_RAYS_PER_CHUNK
 """Rays per refractive index of dry grains, for an error of a reflectance below 0.0001."""
@@ -113,7 +115,10 @@ def tabulate_grains(
     without, weak = moments[..., 0, :], moments[..., 1:, :]
     x = absorption[1:, np.newaxis]
     slopes = (without[..., np.newaxis, :] - weak) * (1.0 + x) / x
-    return GrainTable(*axes[:3], without, slopes, stderr, axes.water)
+    table = GrainTable(*axes[:3], without, slopes, stderr, axes.water)
+    if axes.saturation.nodes.size == 1:
+        return table
+    return table._replace(stderr=np.hypot(stderr, _compute_saturation_error(table)))
 
 
 def _trace_grains(
@@ -173,6 +178,44 @@ def _compute_reflectance_error(
     error = compute_jackknife_stderr(budget.reflectance).max(axis=-1)
     shaped: np.ndarray = error.reshape(axes.contrast.nodes.size, -1)
     return shaped
+
+
+def _compute_saturation_error(table: GrainTable) -> np.ndarray:
+    """Return the error of a reflectance between the saturations of a table of wet grains.
+
+    It is the change of the reflectance of a half-space, as in `_compute_reflectance_error`, without
+    the polynomial of the highest degree in the saturation, shape (contrasts, absorptions).
+    """
+    n, q = table.saturation.nodes.size, table.absorption.nodes
+    signs = (-1.0) ** np.arange(n)
+    ends_halved = np.where(np.arange(n) % (n - 1) == 0, 0.5, 1.0)
+
+    def lower_degree(values: np.ndarray) -> np.ndarray:
+        # At the nodes, this polynomial of Chebyshev is 1 and −1 in turn.
+        by_node = np.moveaxis(values, 1, -1)
+        highest = (by_node @ (ends_halved * signs))[..., np.newaxis] / (n - 1)
+        return np.moveaxis(by_node - highest * signs, -1, 1)
+
+    lower = table._replace(
+        moments=lower_degree(table.moments), slopes=lower_degree(table.slopes)
+    )
+    contrast, water = (np.repeat(one, q.size) for one in (table.contrast.nodes, table.water))
+    absorption = np.tile(q / (1.0 - q), table.contrast.nodes.size)
+    half_space = GranularLayer(
+        np.asarray(np.inf), np.asarray(1.0), np.asarray(0.0), contrast, water, absorption,
+        np.zeros((absorption.size, 2)), table,
+    )  # fmt: skip
+    error = np.zeros(absorption.size)
+    for saturation in table.saturation.nodes:
+        wet = half_space._replace(wet_fraction=np.asarray(saturation))
+        complete, without = (
+            GranularStack([wet._replace(grains=grains)], np.zeros(absorption.size))
+            .solve(np.array(ERROR_COSINES), ERROR_STREAMS)
+            .reflectance
+            for grains in (table, lower)
+        )
+        error = np.maximum(error, np.abs(complete - without).max(axis=-1))
+    return error.reshape(table.contrast.nodes.size, -1)
 
 
 def save_natural_grains(folder: Path, rays: int, run: RunOptions) -> None:

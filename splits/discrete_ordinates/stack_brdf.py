@@ -108,13 +108,16 @@ def solve_bidirectional(
     totals = _stack_sides(spectrum.budget)
     unscattered = np.stack([direct.reflected, direct.transmitted])
     scattered = np.maximum(totals - unscattered, 0.0)
-    n_streams, relative = _choose_streams(snowpack, geometry, max_error, target, scattered)
+    n_streams, relative, of_factor = _choose_streams(
+        snowpack, geometry, max_error, target, scattered
+    )
     values = _solve(snowpack, geometry, n_streams)
-    truncation = relative * _compute_relative_reference(values, scattered)
+    reference = _compute_relative_reference(values, scattered)
+    truncation = relative * reference
     by_total = _compute_relative_errors(snowpack, geometry, spectrum, totals)
     once = _compute_single_scattering_error(snowpack, geometry, n_streams)
     scale, sensitivity = _compute_anisotropy_scale(snowpack, geometry, n_streams, values[0])
-    own = np.hypot(truncation[0], once[0])
+    own = np.hypot(of_factor * reference[0], once[0])
     return BidirectionalSolution(
         values, truncation, np.hypot(values * by_total, once), scale * values[0],
         scale * np.hypot(own, sensitivity * values[0] * by_total[0]), n_streams, spectrum, direct,
@@ -127,8 +130,11 @@ def _choose_streams(
     max_error: float,
     target: ErrorTarget,
     scattered: np.ndarray,
-) -> tuple[int, np.ndarray]:
-    """Return the number of streams, and the relative error of truncation of all directions.
+) -> tuple[int, np.ndarray, np.ndarray]:
+    """Return the number of streams, and the relative errors of truncation of all directions.
+
+    They are those of the BRDF and the BTDF, and that of the anisotropy factor, which is the ratio
+    of the BRDF to a reflectance with an error of its own.
 
     Parameters
     ----------
@@ -153,10 +159,17 @@ def _choose_streams(
         allowed = 0.5 * max_error * target.compute_reference(values, scattered[side])
         if (limited <= allowed).all():
             break
-    reference = _compute_relative_reference(fine, scattered)
-    relative = change / np.where(reference > 0.0, reference, 1.0)
+    in_air = few._replace(equilibrium=AIR)
+    less, more = (
+        in_air.solve(geometry.beams, number).reflectance[:, :-1, np.newaxis, np.newaxis]
+        for number in (n_streams, 2 * n_streams)
+    )
+    of_ratio = np.abs(coarse[0] - fine[0] * less / np.maximum(more, TINY))
+    reference = _compute_relative_reference(coarse, scattered)[[0, 1, 0]]
+    relative = np.stack([*change, of_ratio]) / np.where(reference > 0.0, reference, 1.0)
     by_wavelength = spread_truncation(np.moveaxis(relative, 1, -1), trial, n_wavelengths)
-    return n_streams, np.moveaxis(by_wavelength, -1, 1)
+    errors = np.moveaxis(by_wavelength, -1, 1)
+    return n_streams, errors[:2], errors[2]
 
 
 def _compute_relative_reference(values: np.ndarray, scattered: np.ndarray) -> np.ndarray:
@@ -181,7 +194,7 @@ def _compute_relative_errors(
         # Distributions assume the equilibrium of air in all layers.
         in_air = snowpack._replace(equilibrium=AIR).solve(geometry.beams, spectrum.n_streams)
         errors = np.hypot(errors, _stack_sides(in_air) - totals)
-    relative = np.minimum(errors / np.maximum(totals, TINY), 1.0)
+    relative: np.ndarray = errors / np.maximum(totals, TINY)
     return relative[..., np.newaxis, np.newaxis]
 
 

@@ -77,7 +77,9 @@ class Derivatives(NamedTuple):
     @property
     def stderr(self) -> np.ndarray:
         """Standard errors, shaped like the means."""
-        return np.sqrt((self.batch_deviations**2).sum(axis=0) + self.bias_bound**2)
+        noise = np.sqrt((self.batch_deviations**2).sum(axis=0))
+        # The square of a small bound would be 0.
+        return np.hypot(noise, self.bias_bound)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, judge_z
@@ -14,6 +16,7 @@ from splits.simulation.run_options import RunOptions
 from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK
 
 WAVELENGTHS = [400.0, 700.0, 1030.0, 1300.0, 1500.0, 1900.0, 2250.0]
+WET_WAVELENGTHS = [900.0, 1150.0, 1700.0]
 
 
 def make_random_snowpack(generator: np.random.Generator, is_wet: bool) -> splits.Stack:
@@ -42,15 +45,37 @@ def make_random_snowpack(generator: np.random.Generator, is_wet: bool) -> splits
     return splits.Stack(layers, ground=float(generator.uniform(0.0, 0.8)))
 
 
-def compare_snowpacks(seeds: range, error: float) -> np.ndarray:
+def make_wet_snowpack(generator: np.random.Generator) -> splits.Stack | splits.Snow:
+    """Return one or two layers, of which up to half of the pores are wet."""
+    layers = []
+    for _ in range(int(generator.integers(1, 3))):
+        density = float(generator.uniform(100.0, 500.0))
+        layers.append({
+            "specific_surface_area_m2_kg": float(np.exp(generator.uniform(1.6, 4.1))),
+            "density_kg_m3": density,
+            "depth_m": float(np.exp(generator.uniform(-4.6, -2.3))),
+            "liquid_water_content": float(generator.uniform(0.0, 0.49)) * (1.0 - density / 917.0),
+        })  # fmt: skip
+    if generator.uniform() < 0.5:
+        layers[-1].pop("depth_m")
+        return splits.Stack([splits.Snow.natural(**layer) for layer in layers])
+    ground = float(generator.uniform(0.0, 0.8))
+    return splits.Stack([splits.Snow.natural(**layer) for layer in layers], ground=ground)
+
+
+def compare_snowpacks(seeds: range, error: float, only_wet: bool = False) -> np.ndarray:
     """Return differences from paths over their errors, shape (snowpacks, 2, wavelengths)."""
     z = []
     for seed in seeds:
         generator = np.random.default_rng(seed)
-        snowpack = make_random_snowpack(generator, is_wet=seed % 2 == 0)
+        if only_wet:
+            snowpack: Any = make_wet_snowpack(generator)
+        else:
+            snowpack = make_random_snowpack(generator, is_wet=seed % 2 == 0)
+        wavelengths = WET_WAVELENGTHS if only_wet else WAVELENGTHS
         incidence = "diffuse" if seed % 5 == 0 else float(generator.uniform(0.0, 80.0))
         paths, ordinates = (
-            splits.spectrophotometer(snowpack, WAVELENGTHS, incidence, error, seed, solver=solver)
+            splits.spectrophotometer(snowpack, wavelengths, incidence, error, seed, solver=solver)
             for solver in ("monte_carlo", "discrete_ordinates")
         )
         for name in ("reflectance", "transmittance"):

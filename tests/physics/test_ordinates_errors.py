@@ -1,0 +1,271 @@
+"""Stated errors of discrete ordinates where they could be too small by chance or by a rule."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from chi2 import NEEDS_JIT, judge_z
+
+import splits
+from splits.discrete_ordinates.applicability import make_granular_stack
+from splits.discrete_ordinates.derivative_errors import WetDerivatives, solve_derivatives
+from splits.discrete_ordinates.grain_table import Axis
+from splits.discrete_ordinates.grain_tabulation import N_RAYS, TableAxes, tabulate_grains
+from splits.discrete_ordinates.granular_stack import (
+    GranularStack,
+    compute_optics_error,
+    load_natural_grains,
+    solve_spectrum,
+)
+from splits.discrete_ordinates.many_snowpacks import solve_spectra
+from splits.discrete_ordinates.parameter_derivatives import DryDerivatives
+from splits.simulation.run_options import RunOptions
+from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK
+
+GRAZING = [88.3, 88.7, 89.2, 89.5, 89.74, 89.9, 89.96]
+VERY_WET = {
+    "specific_surface_area_m2_kg": 20.0, "density_kg_m3": 300.0, "liquid_water_content": 0.32,
+}  # fmt: skip
+
+
+def make_snow(**changes):
+    return splits.Snow.natural(**{"specific_surface_area_m2_kg": 20.0, **changes})
+
+
+def solve(medium, wavelengths, incidence, error, **keywords):
+    return splits.spectrophotometer(
+        medium, wavelengths, incidence, error, solver="discrete_ordinates", threads=1, **keywords
+    )
+
+
+def make_transparent(k, **changes):
+    return make_snow(refractive_index={"ice": complex(1.31, k)}, **changes)
+
+
+@pytest.mark.parametrize("instrument", ["spectrophotometer", "goniophotometer"])
+def test_transparent_layers_have_the_error_of_weakly_absorbing_ones(instrument):
+    def compute_error(k):
+        medium = make_transparent(k, depth_m=0.006)
+        if instrument == "spectrophotometer":
+            found = solve(medium, [500.0], 0.0, 1e-6)
+            assert found.attrs["stop_reason"] == "solver_error"
+            return found.reflectance_stderr
+        return splits.goniophotometer(
+            medium, [500.0], 0.0, relative_stderr=1e-4, polar_deg=[30.0], azimuth_deg=[0.0],
+            solver="discrete_ordinates",
+        ).reflectance_stderr  # fmt: skip
+
+    none, weak = (float(compute_error(k).max()) for k in (0.0, 1e-30))
+    assert none == pytest.approx(weak, rel=1e-6)
+    assert none > 2e-5
+
+
+def test_transparent_half_spaces_reflect_all_light():
+    found = solve(make_transparent(0.0), [500.0], 30.0, 1e-6)
+    assert found.reflectance.item() == pytest.approx(1.0, abs=1e-6)
+    assert found.reflectance_stderr.item() < 1e-6
+
+
+@NEEDS_JIT
+@pytest.mark.slow
+@pytest.mark.parametrize("depth_m", [0.003, 0.03])
+def test_errors_of_transparent_layers_agree_with_the_scatter_between_tables(depth_m):
+    rays, beam = 20 * GRAIN_RAYS_PER_CHUNK, np.array([1.0])
+    natural = splits.Snow.natural(optical_radius_um=100.0)
+    snowpack = make_granular_stack(make_transparent(0.0, depth_m=depth_m), np.array([500.0]))
+    (layer,) = snowpack.layers
+    axes = TableAxes(
+        Axis(layer.contrast), Axis(np.zeros(1)), Axis(np.array([0.0, 0.01])), layer.water_index
+    )
+    expected = snowpack.solve(beam, 8).reflectance[0, 0]
+    error = compute_optics_error(snowpack)[0] * np.sqrt(N_RAYS / rays)
+    z = []
+    for seed in range(12):
+        table = tabulate_grains(natural, axes, 17, rays, RunOptions.from_arguments(300 + seed))
+        other = snowpack._replace(layers=[layer._replace(grains=table)])
+        z.append((other.solve(beam, 8).reflectance[0, 0] - expected) / error)
+    # The error is that of the beam for which it is largest.
+    judge_z(z, "reflectances of transparent layers", bound_added=True)
+
+
+@pytest.mark.parametrize("depth_m", [0.01, np.inf])
+@pytest.mark.parametrize("wavelength", [600.0, 1300.0, 1616.0, 2310.0])
+def test_one_wavelength_at_grazing_incidence(wavelength, depth_m):
+    """The change with twice as many streams is small by chance at some angles."""
+    snowpack = make_granular_stack(make_snow(depth_m=depth_m), np.array([wavelength]))
+    ratios = []
+    for angle in GRAZING:
+        cosine = np.cos(np.radians([angle]))
+        fine = snowpack.solve(cosine, 128)
+        for max_error in (0.02, 0.002, 0.001, 0.0005):
+            solution = solve_spectrum(snowpack, cosine, max_error)
+            for name in ("reflectance", "transmittance"):
+                one, other = (getattr(each, name)[0, 0] for each in (solution.budget, fine))
+                ratios.append((one - other) / (solution.truncation[0] + 1e-6))
+    assert np.abs(ratios).max() < 2.5
+    assert np.sqrt(np.mean(np.square(ratios))) < 1.2
+
+
+def test_many_snowpacks_have_the_errors_of_each():
+    """Grazing beams beside steep ones."""
+    angles, wavelengths = np.array([10.0, 88.7, 89.74]), np.array([600.0, 2310.0])
+    cosines = np.cos(np.radians(angles))[:, np.newaxis]
+    one = make_granular_stack(make_snow(), wavelengths)
+    (layer,) = one.layers
+    repeated = {
+        name: np.repeat(getattr(layer, name)[np.newaxis], angles.size, axis=0)
+        for name in ("depth_m", "collisions_per_m", "wet_fraction", "grain_absorption",
+                     "pore_absorption")
+    }  # fmt: skip
+    many = GranularStack([layer._replace(**repeated)], np.zeros((angles.size, 2)))
+    together = solve_spectra(many, cosines, 1e-3)
+    for number, cosine in enumerate(cosines):
+        alone = solve_spectrum(one, cosine, 1e-3)
+        assert together.n_streams[number] == alone.n_streams
+        np.testing.assert_allclose(together.truncation[number], alone.truncation, rtol=1e-6)
+
+
+@pytest.mark.parametrize("incidence", [20.0, 89.5, "diffuse"])
+@pytest.mark.parametrize("water", [0.0, 0.05])
+def test_transmittances_below_1e_30(incidence, water):
+    """Errors of the logarithm above 1 are not proportional to the transmittance."""
+    found = []
+    for wavelength in (1500.0, 1960.0, 2077.78, 2390.0):
+        for depth in (0.1, 0.3, 1.0):
+            snow = make_snow(depth_m=depth, liquid_water_content=water)
+            few, many = (solve(snow, [wavelength], incidence, error) for error in (0.05, 1e-6))
+            if not 0.0 < float(few.transmittance.item()) < 1e-30:
+                continue
+            difference = float((few.transmittance - many.transmittance).item())
+            error = np.hypot(few.transmittance_stderr, many.transmittance_stderr).item()
+            found.append(abs(difference) / error)
+    assert len(found) >= 4
+    assert max(found) < 3.0
+
+
+def test_transmitted_radiance_and_derivatives_below_1e_30():
+    depth, wavelength = 0.3, [2077.78]
+    snow = make_snow(depth_m=depth)
+    few, many = (
+        splits.goniophotometer(
+            snow, wavelength, 20.0, relative_stderr=error, polar_deg=[0.0, 40.0], azimuth_deg=[0.0, 90.0],
+            solver="discrete_ordinates",
+        )
+        for error in (0.05, 1e-4)
+    )  # fmt: skip
+    error = np.hypot(few.btdf_stderr, many.btdf_stderr)
+    assert (few.btdf < 1e-30).all() and (few.btdf > 0.0).any()
+    assert (np.abs(few.btdf - many.btdf) <= 3.0 * error).all()
+    names = ["specific_surface_area_m2_kg", "depth_m"]
+    few, many = (solve(snow, wavelength, 20.0, error, jacobian=names) for error in (0.05, 1e-6))
+    error = np.hypot(few.transmittance_jacobian_stderr, many.transmittance_jacobian_stderr)
+    difference = few.transmittance_jacobian - many.transmittance_jacobian
+    assert (np.abs(difference) <= 3.0 * error).all()
+
+
+@pytest.mark.parametrize("angle", [0.0, 5.0, 20.0, 60.0])
+def test_very_wet_snow_hardly_depends_on_the_number_of_streams(angle):
+    """In wet pores, the forward peak has moments beyond those of the table."""
+    snowpack = make_granular_stack(splits.Snow.natural(**VERY_WET), np.array([500.0, 1150.0]))
+    cosine = np.cos(np.radians([angle]))
+    reference = snowpack.solve(cosine, 32).reflectance
+    for n_streams in (16, 24, 48, 64, 128):
+        np.testing.assert_allclose(
+            snowpack.solve(cosine, n_streams).reflectance, reference, atol=1.5e-4
+        )
+
+
+@pytest.mark.parametrize("depth_m", [0.03, np.inf])
+def test_derivatives_of_very_wet_snow(depth_m):
+    snow, wavelengths = splits.Snow.natural(**VERY_WET, depth_m=depth_m), np.array([500.0, 1150.0])
+    snowpack = make_granular_stack(snow, wavelengths)
+    for angle in (20.0, 53.0, 75.0):
+        cosine = np.cos(np.radians([angle]))
+        names = ["incidence_deg", "liquid_water_content"]
+        derivatives = WetDerivatives.from_medium(snow, names, wavelengths, angle)
+        fine, _ = derivatives.solve(96)
+        for max_error in (0.002, 0.0002):
+            values, errors = solve_derivatives(
+                derivatives, solve_spectrum(snowpack, cosine, max_error)
+            )
+            assert (np.abs(values - fine) <= 1.5 * errors + 1e-12).all()
+
+
+@pytest.mark.parametrize("water", [0.0, 0.1])
+def test_derivatives_at_grazing_incidence(water):
+    snow, names = make_snow(liquid_water_content=water), ["specific_surface_area_m2_kg"]
+    kind = WetDerivatives if water else DryDerivatives
+    for wavelength in (900.0, 1271.0):
+        snowpack = make_granular_stack(snow, np.array([wavelength]))
+        for angle in GRAZING[2::2]:
+            derivatives = kind.from_medium(snow, names, np.array([wavelength]), angle)
+            fine, _ = derivatives.solve(96)
+            for max_error in (0.01, 0.001):
+                solution = solve_spectrum(snowpack, np.cos(np.radians([angle])), max_error)
+                values, errors = solve_derivatives(derivatives, solution)
+                assert (np.abs(values - fine) <= 2.5 * errors + 1e-12).all()
+
+
+def test_anisotropy_factors_have_the_error_of_their_reflectance():
+    """The BRDF changes little by chance in some directions, where the reflectance does not."""
+    for wavelength, incidence in ((1600.0, 86.7), (1300.0, 80.0), (700.0, 85.0)):
+        few, many = (
+            splits.goniophotometer(
+                make_snow(), [wavelength], incidence, relative_stderr=error,
+                polar_deg=[0.0, 30.0, 60.0, 80.0, 89.0], azimuth_deg=[0.0, 45.0, 90.0, 180.0],
+                solver="discrete_ordinates",
+            )
+            for error in (0.01, 1e-3)
+        )  # fmt: skip
+        error = np.hypot(few.anisotropy_factor_stderr, many.anisotropy_factor_stderr)
+        assert (np.abs(few.anisotropy_factor - many.anisotropy_factor) <= 3.0 * error).all()
+
+
+@NEEDS_JIT
+@pytest.mark.slow
+@pytest.mark.parametrize("contrast", [0.29, 0.34])
+def test_wet_snow_between_the_saturations_of_the_table(contrast):
+    """The reflectance depends on saturation as that of paths at the same saturations.
+
+    Paths with the same random numbers at all saturations show the dependence with little noise:
+    deviations from the cubic polynomial through four saturations.
+    """
+    anchors, probes = np.array([0.02, 0.14, 0.38, 0.5]), np.array([0.005, 0.07, 0.2, 0.3, 0.45])
+    q = np.array([0.0, 0.03, 0.1, 0.5])
+    kept, rays = load_natural_grains(wet=True), 60 * GRAIN_RAYS_PER_CHUNK
+    saturations = np.union1d(anchors, probes)
+    water = kept.contrast.compute_weights(np.array([contrast])) @ kept.water
+    axes = TableAxes(Axis(np.array([contrast])), Axis(saturations), Axis(q), water)
+    natural = splits.Snow.natural(optical_radius_um=100.0)
+    traced = tabulate_grains(natural, axes, 17, rays, RunOptions.from_arguments(7))
+
+    def reflect(table, saturation):
+        snow = make_granular_stack(make_snow(liquid_water_content=0.1), np.full(3, 1150.0))
+        (layer,) = snow.layers
+        layer = layer._replace(
+            contrast=np.full(3, contrast), water_index=np.repeat(water, 3),
+            grain_absorption=q[1:] / (1.0 - q[1:]), pore_absorption=np.zeros((3, 2)),
+            wet_fraction=np.asarray(saturation), grains=table,
+        )  # fmt: skip
+        stack = snow._replace(layers=[layer])
+        return stack.solve(np.array([0.5]), 16).reflectance, compute_optics_error(stack)
+
+    def select(number):
+        part = slice(number, number + 1)
+        return traced._replace(
+            saturation=Axis(saturations[part]), moments=traced.moments[:, part],
+            slopes=traced.slopes[:, part],
+        )  # fmt: skip
+
+    direct = dict(
+        zip(saturations, (reflect(select(i), s)[0] for i, s in enumerate(saturations)), strict=True)
+    )
+    tabulated = {s: reflect(kept, s)[0] for s in saturations}
+    _, error = reflect(kept, 0.3)
+    for probe in probes:
+        weights = Axis(anchors).compute_weights(np.array([probe]))[0]
+        found, expected = (
+            values[probe] - sum(w * values[s] for w, s in zip(weights, anchors, strict=True))
+            for values in (tabulated, direct)
+        )
+        assert (np.abs(found - expected) <= error[:, np.newaxis]).all(), probe

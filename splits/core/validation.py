@@ -188,8 +188,8 @@ def _compare(one: float, other: float) -> int:
 def suggest_unit(value: float, low: float, high: float, unit: str) -> str:
     """Return a hint for a number outside a range that would be in it in another unit, or ""."""
     slips = UNIT_SLIPS.get(unit, ())
-    # Slightly more than 1 is rather a fraction that is too large.
-    if not unit and low >= 0.0 and high <= 1.0 and value >= 2.0:
+    # A number up to 2 is rather a fraction that is too large.
+    if not unit and low >= 0.0 and high <= 1.0 and value > 2.0:
         slips = (("per cent", 1e-2, 0.0),)
     for name, factor, offset in slips:
         converted = factor * value + offset

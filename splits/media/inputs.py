@@ -38,10 +38,12 @@ def check_sample_depth(depth_m: Any) -> float:
     return check_range("depth_m", depth_m, 0.0, 1e4, "m", open_low=True, hint=hint)
 
 
-def check_ground_reached(ground: Ground | None, is_semi_infinite: bool) -> None:
+def check_ground_reached(
+    ground: Ground | None, is_semi_infinite: bool, above: str = "an infinite depth"
+) -> None:
     """Check that a medium over a ground has a finite depth."""
     if ground is not None and is_semi_infinite:
-        hint = "no light reaches it below an infinite depth: give depth_m"
+        hint = f"no light reaches it below {above}: give depth_m"
         raise invalid("ground", ground.name, "left out", hint)
 
 

@@ -129,7 +129,8 @@ class Stack(Medium):
                 )  # fmt: skip
         object.__setattr__(self, "layers", layers)
         object.__setattr__(self, "ground", Ground.from_input(self.ground))
-        check_ground_reached(self.ground, self.is_semi_infinite)
+        lowest = f"the infinite layers[{len(layers) - 1}]"
+        check_ground_reached(self.ground, self.is_semi_infinite, lowest)
 
     def __repr__(self) -> str:
         """Return the call that constructs the stack, with one layer per line."""

@@ -26,7 +26,9 @@ def make_deep_snow(**keywords):
 
 
 def make_shallow_snow(**keywords):
-    return splits.Snow.natural(**{AREA: 20.0, DENSITY: 350.0, "ground": 0.1, **keywords})
+    return splits.Snow.natural(
+        **{AREA: 20.0, DENSITY: 350.0, "depth_m": 0.02, "ground": 0.1, **keywords}
+    )
 
 
 def draw_area(generator):

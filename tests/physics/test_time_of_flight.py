@@ -349,7 +349,7 @@ def test_all_light_towards_a_receiver_is_in_a_bin():
         ({"pulse": 1e-9, "delay_s": [0.0, 1e-9]}, "pulse = '3.397e-09 s long'"),
         ({"pulse": -1e-9}, "pulse = -1e-09: must be"),
         ({"pulse": {"delay_s": [0, 1]}}, "the columns delay_s and power"),
-        ({"pulse": {"delay_s": [0, 1], "power": [-1, 1]}}, "numbers from 0"),
+        ({"pulse": {"delay_s": [0, 1e-9], "power": [-1, 1]}}, "numbers from 0"),
         ({"acceptance_deg": 100.0}, "acceptance_deg = 100"),
         ({"acceptance_deg": 0, "incidence_deg": "diffuse"}, "acceptance_deg = 0: must be left out"),
         ({"footprint_radius_m": 0.0}, "footprint_radius_m = 0"),

@@ -60,7 +60,8 @@ def draw_principal_planes(
 ) -> Figure:
     """Draw the principal plane as a polar plot and over the viewing angle, with error bands.
 
-    Many lines over several parameters have a row of panels for every value of the last parameter.
+    Many lines over several parameters have a row of panels for every value of one of them, the
+    last one with few values.
     Hemisphere maps are added for few points with directions over all azimuths.  Transmitted light
     points down in the polar plot.  If a value of the only parameter is labelled ``default``, panels
     show the shifts of the others from it.
@@ -134,7 +135,7 @@ def _choose_panel_dim(plane: xr.Dataset, lines: PlotLines) -> str:
     varying = [dim for dim in lines.dims if plane.sizes[dim] > 1]
     if len(varying) < 2 or len(lines.lines) <= MAX_INSET_ENTRIES:
         return ""
-    return varying[-1] if plane.sizes[varying[-1]] <= MAX_PLANE_ROWS else ""
+    return next((dim for dim in reversed(varying) if plane.sizes[dim] <= MAX_PLANE_ROWS), "")
 
 
 def _draw_plane(

@@ -210,10 +210,27 @@ def test_legend_of_many_lines_lies_outside_the_panels():
     figure = draw_principal_planes(make_dataset(grid))
     figure.draw_without_rendering()
     (legend,) = figure.legends
-    assert len(legend.get_texts()) == 1 + 9 + 1 + 2
+    # A row of panels for each density.
+    assert len(figure.axes) == 4 and len(legend.get_texts()) == 9
     box = legend.get_window_extent()
     assert not any(box.overlaps(axes.get_window_extent()) for axes in figure.axes)
     assert box.x1 <= figure.bbox.x1 + 1.0 and box.y0 >= 0.0
+
+
+@pytest.mark.parametrize(
+    ("sizes", "rows"), [((3, 5), 3), ((5, 3), 3), ((2, 3), 1), ((15, 1), 1), ((9, 8), 1)]
+)
+def test_many_lines_have_rows_of_panels(sizes, rows):
+    grid = {
+        "saturation": np.linspace(0.0, 1.0, sizes[0]),
+        "density_kg_m3": np.linspace(100.0, 500.0, sizes[1]),
+    }
+    figure = draw_principal_planes(make_dataset(grid))
+    polar = [axes for axes in figure.axes if axes.name == "polar"]
+    assert len(polar) == rows
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    named = [title for title in titles if "saturation" in title or "density" in title]
+    assert len(named) == (rows if rows > 1 else 0)
 
 
 def test_maps_are_shown_for_few_grid_points_only():

@@ -196,9 +196,7 @@ def _compute_saturation_error(table: GrainTable) -> np.ndarray:
         highest = (by_node @ (ends_halved * signs))[..., np.newaxis] / (n - 1)
         return np.moveaxis(by_node - highest * signs, -1, 1)
 
-    lower = table._replace(
-        moments=lower_degree(table.moments), slopes=lower_degree(table.slopes)
-    )
+    lower = table._replace(moments=lower_degree(table.moments), slopes=lower_degree(table.slopes))
     contrast, water = (np.repeat(one, q.size) for one in (table.contrast.nodes, table.water))
     absorption = np.tile(q / (1.0 - q), table.contrast.nodes.size)
     half_space = GranularLayer(

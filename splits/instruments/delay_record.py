@@ -10,6 +10,7 @@ import numpy as np
 
 from splits.core.arrays import (
     as_1d_array,
+    check_array_range,
     check_axis,
     check_increasing,
     read_columns,

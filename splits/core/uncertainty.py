@@ -165,7 +165,9 @@ def compute_difference(
 
     The statistical errors of both are strongly correlated and largely cancel in each batch.  The
     interpolation between refractive indices is also the same, so the bound of the difference is the
-    difference of their bounds.
+    difference of their bounds.  Discrete ordinates have no batches that scatter, and the
+    correlation of their errors is not known: both are added in quadrature, which is a bound for any
+    positive correlation.
 
     Parameters
     ----------
@@ -201,7 +203,9 @@ def compute_difference(
         for selection, deviation in zip(selections, deviations, strict=True)
     ]
     variance = ((deviations[0] - deviations[1]) ** 2).sum("batch")
-    stderr = (variance + (bounds[0] - bounds[1]) ** 2) ** 0.5
+    has_scatter = sum((deviation != 0.0).any() for deviation in deviations) > 0
+    squared_bound = (bounds[0] - bounds[1]) ** 2 if has_scatter else bounds[0] ** 2 + bounds[1] ** 2
+    stderr = (variance + squared_bound) ** 0.5
     return (selections[0][quantity] - selections[1][quantity]).drop_attrs(), stderr.drop_attrs()
 
 

@@ -7,6 +7,7 @@ import pytest
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
+from splits.core.uncertainty import compute_difference
 from splits.discrete_ordinates.applicability import make_granular_stack
 from splits.discrete_ordinates.derivative_errors import WetDerivatives, solve_derivatives
 from splits.discrete_ordinates.grain_table import Axis
@@ -269,3 +270,26 @@ def test_wet_snow_between_the_saturations_of_the_table(contrast):
             for values in (tabulated, direct)
         )
         assert (np.abs(found - expected) <= error[:, np.newaxis]).all(), probe
+
+
+def test_errors_of_differences_cover_more_streams():
+    # Errors of both media are nearly equal, but not fully correlated: their difference is no error.
+    soot = {"black_carbon": 100.0}
+    media = {
+        name: splits.Snow.natural(specific_surface_area_m2_kg=20.0, impurities_ng_g=impurities)
+        for name, impurities in (("clean", {}), ("sooty", soot))
+    }
+    wavelengths = np.arange(400.0, 1300.0, 100.0)
+    few, many = (
+        splits.spectrophotometer(
+            media, wavelengths, 60.0, max_stderr=error, solver="discrete_ordinates"
+        )
+        for error in (0.002, 2e-6)
+    )
+    change, stderr = compute_difference(few, "reflectance", "clean", "sooty")
+    deviation = np.abs(change - compute_difference(many, "reflectance", "clean", "sooty")[0])
+    assert (deviation < 3.0 * stderr).all()
+    errors = few.reflectance_stderr
+    np.testing.assert_allclose(
+        stderr, np.hypot(errors.sel(medium="clean"), errors.sel(medium="sooty"))
+    )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -79,13 +80,14 @@ class CsvTable(NamedTuple):
 
     def get_times(self, name: str) -> pd.DatetimeIndex:
         """Return a column of times of ISO 8601 in UTC; raise ValueError for any other field."""
-        times = []
-        for field, line in zip(self.get_texts(name), self.line_numbers, strict=True):
-            times.append(parse_time(field))
-            if times[-1] is None:
+        texts = self.get_texts(name)
+        # Most rows repeat the time of the row before.
+        times = {text: parse_time(text) for text in dict.fromkeys(texts)}
+        for field, line in zip(texts, self.line_numbers, strict=True):
+            if times[field] is None:
                 hint = f"write ISO 8601, such as {TIME_EXAMPLE}"
                 raise self.invalid(f"line {line}: {name} is {format_key(field) or 'a gap'}; {hint}")
-        return pd.DatetimeIndex(times)
+        return pd.DatetimeIndex([times[text] for text in texts])
 
     def get_numbers(self, name: str, allow_gaps: bool = False) -> np.ndarray:
         """Return a column of finite numbers; raise ValueError for any other field.
@@ -100,7 +102,7 @@ class CsvTable(NamedTuple):
         for field, line in zip(self.get_texts(name), self.line_numbers, strict=True):
             is_gap = field.lower() in GAP_MARKERS
             value = float(field) if _NUMBER_PATTERN.fullmatch(field) else np.nan
-            if not np.isfinite(value) and not (is_gap and allow_gaps):
+            if not math.isfinite(value) and not (is_gap and allow_gaps):
                 content = "a gap" if is_gap else format_key(field)
                 raise self.invalid(
                     f"line {line}: {format_key(name)} is {content}{_suggest_fix(field)}"

@@ -146,8 +146,7 @@ class WetDerivatives(NamedTuple):
         """Return the derivatives for another angle of incidence (degrees)."""
         shift = incidence - float(self.incidence)
         differences = [
-            one._replace(angles=[angle + shift for angle in one.angles])
-            for one in self.differences
+            one._replace(angles=[angle + shift for angle in one.angles]) for one in self.differences
         ]
         return self._replace(differences=differences, incidence=incidence)
 
@@ -157,9 +156,7 @@ class WetDerivatives(NamedTuple):
             one._replace(snowpacks=[scale.apply_to_layers(version) for version in one.snowpacks])
             for one in self.differences
         ]
-        return self._replace(
-            snowpack=scale.apply_to_layers(self.snowpack), differences=differences
-        )
+        return self._replace(snowpack=scale.apply_to_layers(self.snowpack), differences=differences)
 
     def solve(self, n_streams: int) -> tuple[np.ndarray, np.ndarray]:
         """Return derivatives and their errors due to steps, as those of dry snow."""

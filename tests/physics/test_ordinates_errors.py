@@ -148,8 +148,8 @@ def test_transmitted_radiance_and_derivatives_below_1e_30():
     snow = make_snow(depth_m=depth)
     few, many = (
         splits.goniophotometer(
-            snow, wavelength, 20.0, relative_stderr=error, polar_deg=[0.0, 40.0], azimuth_deg=[0.0, 90.0],
-            solver="discrete_ordinates",
+            snow, wavelength, 20.0, relative_stderr=error, polar_deg=[0.0, 40.0],
+            azimuth_deg=[0.0, 90.0], solver="discrete_ordinates",
         )
         for error in (0.05, 1e-4)
     )  # fmt: skip

@@ -115,10 +115,7 @@ def tabulate_grains(
     without, weak = moments[..., 0, :], moments[..., 1:, :]
     x = absorption[1:, np.newaxis]
     slopes = (without[..., np.newaxis, :] - weak) * (1.0 + x) / x
-    table = GrainTable(*axes[:3], without, slopes, stderr, axes.water)
-    if axes.saturation.nodes.size == 1:
-        return table
-    return table._replace(stderr=np.hypot(stderr, _compute_saturation_error(table)))
+    return GrainTable(*axes[:3], without, slopes, stderr, axes.water)
 
 
 def _trace_grains(
@@ -180,7 +177,7 @@ def _compute_reflectance_error(
     return shaped
 
 
-def _compute_saturation_error(table: GrainTable) -> np.ndarray:
+def compute_saturation_error(table: GrainTable) -> np.ndarray:
     """Return the error of a reflectance between the saturations of a table of wet grains.
 
     It is the change of the reflectance of a half-space, as in `_compute_reflectance_error`, without
@@ -229,10 +226,14 @@ def save_natural_grains(folder: Path, rays: int, run: RunOptions) -> None:
     snow = Snow.natural(specific_surface_area_m2_kg=20.0)
     for name, n_contrasts, n_rays in (("dry", 8, rays), ("wet", 7, rays // WET_RAYS_DIVISOR)):
         axes = TableAxes.from_water(name == "wet", n_contrasts, N_ABSORPTIONS)
-        table = tabulate_grains(snow, axes, N_ORDERS, n_rays, run).to_dataset()
+        table = tabulate_grains(snow, axes, N_ORDERS, n_rays, run)
+        if table.n_states > 1:
+            between = compute_saturation_error(table)
+            table = table._replace(stderr=np.hypot(table.stderr, between))
+        dataset = table.to_dataset()
         compact = {"dtype": "f4", "zlib": True, "complevel": 9}
-        encoding = {variable: compact for variable in table.data_vars}
-        table.to_netcdf(folder / f"natural_grains_{name}.nc", encoding=encoding)
+        encoding = {variable: compact for variable in dataset.data_vars}
+        dataset.to_netcdf(folder / f"natural_grains_{name}.nc", encoding=encoding)
 
 
 if __name__ == "__main__":

@@ -35,6 +35,20 @@ def test_random_snowpacks_agree_with_paths():
 @NEEDS_JIT
 @pytest.mark.slow
 @pytest.mark.long
+def test_random_wet_snowpacks_agree_with_paths():
+    """Up to half of the pores are wet; with SNOWPACKS=100, the rms z is 0.8 to 1.2."""
+    number = int(SNOWPACKS or FEW)
+    error = 0.001 if SNOWPACKS else 0.004
+    z = compare_snowpacks(range(5000, 5000 + number), error, only_wet=True)
+    judge_z(z, "reflectance and transmittance", independent=number, bound_added=True)
+    rms = np.sqrt((z[:, 0] ** 2).mean())
+    print(f"rms z of reflectance {rms:.2f}")
+    assert rms < 1.2
+
+
+@NEEDS_JIT
+@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("interpretation", ["radiative_transfer", FINITE], ids=["points", "finite"])
 def test_random_media_agree_with_paths(interpretation):
     number = int(SNOWPACKS or FEW)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ from splits.core.keywords import reject_unknown_arguments
 from splits.core.paths import expand_path
 from splits.core.progress import ProgressCallback, report_whole_table
 from splits.core.provenance import hash_physics_sources
+from splits.instruments.goniophotometer import MAX_CONVERGED_POLAR_DEG
 from splits.instruments.solver import MONTE_CARLO
 from splits.instruments.spectral_run import SpectralRequest
 from splits.media.medium import Medium
@@ -29,8 +32,10 @@ from splits.tables.block import (
     load_block,
     save_block,
 )
+from splits.tables.comparison import add_comparisons
 from splits.tables.media_cache import MediaCache
 from splits.tables.plan import PathGroup, TablePlan, choose_table_solver
+from splits.tables.table_interpolation import TableInterpolation
 from splits.tables.views import ViewGrid, check_quantities, drop_view_axes, has_diffuse
 
 
@@ -140,12 +145,47 @@ def build_table(
     )
     request = TableRequest(spectral_request, selected, bool(covariance), chosen, views)
     block_folder = None if folder is None else expand_path(folder, "folder")
-    arrays = allocate_arrays(plan, request)
-    block_attrs = []
-    for block in iterate_blocks(request, plan.path_groups, block_folder, progress):
+    table = compute_table(plan, request, block_folder, progress)
+    compared = add_comparisons(
+        table, make, axes, plan, request, partial(compute_table, folder=block_folder)
+    )
+    warn_of_wide_intervals(compared)
+    return compared.assign_attrs(wall_time_s=round(time.perf_counter() - start_time, 3))
+
+
+def compute_table(
+    plan: TablePlan,
+    request: TableRequest,
+    folder: Path | None = None,
+    progress: ProgressCallback = None,
+) -> xr.Dataset:
+    """Return the table of a plan, without comparisons."""
+    start_time = time.perf_counter()
+    arrays, block_attrs = allocate_arrays(plan, request), []
+    for block in iterate_blocks(request, plan.path_groups, folder, progress):
         insert_block(arrays, block)
         block_attrs.append(block.attrs)
     return assemble_dataset(arrays, plan, request, block_attrs, time.perf_counter() - start_time)
+
+
+def warn_of_wide_intervals(table: xr.Dataset) -> None:
+    """Warn of the interval whose error of interpolation exceeds the requested error most."""
+    interpolation, max_stderr = TableInterpolation(table), float(table.attrs["max_stderr"])
+    found = [
+        (*interval, name, quantity)
+        for quantity in interpolation.quantities
+        if not quantity.endswith("anisotropy_factor")
+        for name, axis in interpolation.prepare(quantity).items()
+        if (interval := axis.find_largest_difference(MAX_CONVERGED_POLAR_DEG)) is not None
+    ]
+    largest, low, high, column, name, quantity = max(found, default=(0.0, 0.0, 0.0, 0, "", ""))
+    if largest > max_stderr:
+        warnings.warn(
+            f"interpolation of {quantity} along {name} between {low:g} and {high:g} has an error "
+            f"of {largest:.2g} at {table.wavelength.values[column]:g} nm, above max_stderr = "
+            f"{max_stderr:g}: add nodes there, or accept the error that Table.interp states",
+            stacklevel=3,
+        )
 
 
 def compute_block_digest(path_group: PathGroup, request: TableRequest) -> str:

@@ -22,9 +22,9 @@ from splits.tables.isofit import convert_to_isofit
 from splits.tables.spires import convert_to_spires
 from splits.tables.storage import MAX_BYTES_IN_MEMORY
 from splits.tables.table_interpolation import (
+    TableInterpolation,
     differentiate_table,
     estimate_interpolation_errors,
-    has_directional_quantity,
     interpolate_deviations,
     interpolate_table,
 )
@@ -44,6 +44,8 @@ class Table:
     ----------
     dataset : xarray.Dataset
         Table with ascending numeric axes and the wavelength as the last axis.
+    interpolation : TableInterpolation
+        Interpolation of its quantities.
 
     Raises
     ------
@@ -56,6 +58,7 @@ class Table:
         self.dataset = sort_axes(dataset)
         if self.dataset.nbytes <= MAX_BYTES_IN_MEMORY:
             check_complete(self.dataset)
+        self.interpolation = TableInterpolation(self.dataset)
 
     def __repr__(self) -> str:
         """Return a summary of the table: one line per axis, and the direction of observation."""
@@ -79,7 +82,7 @@ class Table:
     @property
     def has_direction(self) -> bool:
         """Whether the table holds distributions over directions, or their values in one."""
-        return has_directional_quantity(self.dataset)
+        return self.interpolation.has_direction
 
     @reject_unknown_arguments
     def at_view(
@@ -125,7 +128,7 @@ class Table:
         request = ViewRequest.from_arguments(
             self.dataset, polar_deg, azimuth_deg, field_of_view_deg, diffuse_fraction
         )
-        return Table(select_view(self.dataset, request))
+        return Table(select_view(self.interpolation, request))
 
     def fix_view(self, at: Mapping[str, Any], prefix: str = "") -> tuple[Table, dict[str, Any]]:
         """Return the table for the direction among positions on axes, and the other positions.
@@ -169,7 +172,7 @@ class Table:
         if self.has_views:
             table, at = self.fix_view(at)
             return table.interp(**at)
-        return interpolate_table(self.dataset, at)
+        return interpolate_table(self.interpolation, at)
 
     @reject_unknown_arguments
     def interpolation_errors(self, quantity: str, **at: Any) -> np.ndarray:
@@ -191,7 +194,7 @@ class Table:
         if self.has_views:
             table, at = self.fix_view(at)
             return table.interpolation_errors(quantity, **at)
-        return estimate_interpolation_errors(self.dataset, quantity, at)
+        return estimate_interpolation_errors(self.interpolation, quantity, at)
 
     @reject_unknown_arguments
     def deviations(self, quantity: str, **at: Any) -> np.ndarray:
@@ -213,7 +216,7 @@ class Table:
         ValueError
             For a table made without ``covariance=True``.
         """
-        return interpolate_deviations(self.dataset, quantity, at)
+        return interpolate_deviations(self.interpolation, quantity, at)
 
     @reject_unknown_arguments
     def derivatives(self, names: Sequence[str], **at: Any) -> xr.Dataset:
@@ -242,7 +245,7 @@ class Table:
         if self.has_views:
             table, at = self.fix_view(at)
             return table.derivatives(names, **at)
-        return differentiate_table(self.dataset, names, at)
+        return differentiate_table(self.interpolation, names, at)
 
     @reject_unknown_arguments
     def to_csv(self, path: str | Path) -> None:

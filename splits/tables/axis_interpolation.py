@@ -1,6 +1,6 @@
 """Interpolation of a quantity along one axis, with the coordinate and the error that were measured.
 
-A table has spectra at two positions between all neighbouring nodes of an axis, for a few nodes of
+A table has spectra at three positions between all neighbouring nodes of an axis, for a few nodes of
 the other axes (`splits.tables.comparison`).  At every wavelength, the coordinate is the one that
 predicts these spectra best.  The differences that remain, divided by the product of the distances
 of the stencil from the position, give the factor f⁗/24 of the error along the axis.
@@ -26,7 +26,7 @@ from splits.tables.interpolation import (
 )
 from splits.tables.views import POLAR
 
-N_COMPARED = 2
+N_COMPARED = 3
 """Number of compared positions in every interval."""
 ROUNDING = 2e-7
 """Differences that are not significant in single precision."""
@@ -217,15 +217,21 @@ class AxisInterpolation:
         """Return the signed and the squared factor at a position, and their derivatives."""
         interval = min(max(int(np.searchsorted(self.nodes, value)) - 1, 0), len(self.nodes) - 2)
         first = N_COMPARED * interval
-        pair = slice(first, first + N_COMPARED)
-        low, high = apply_axis_transform(self.default, self.between[pair])
+        positions = apply_axis_transform(self.default, self.between[first : first + N_COMPARED])
         x = float(apply_axis_transform(self.default, np.array(value)))
-        fraction = min(max((x - low) / (high - low), 0.0), 1.0)
-        factors = self.factors[:, pair]
-        difference = (factors[:, 1] - factors[:, 0]) / (self.between[first + 1] - self.between[first])
-        factors = (1.0 - fraction) * factors[:, 0] + fraction * factors[:, 1]
-        low_mean, high_mean = self.mean_square[pair]
-        both = np.stack([factors, difference])
+        left = min(max(int(np.searchsorted(positions, x)) - 1, 0), N_COMPARED - 2)
+        low, high = positions[left : left + 2]
+        left += first
+        fraction = (x - low) / (high - low)
+        inside = min(max(fraction, 0.0), 1.0)
+        pair = self.factors[:, left : left + 2]
+        steps = pair[:, 1] - pair[:, 0]
+        both = np.stack([(1.0 - inside) * pair[:, 0] + inside * pair[:, 1],
+                         steps / (self.between[left + 1] - self.between[left])])  # fmt: skip
+        # Beyond the first and the last position, a trend may go on or not.
+        both[0, 1] += (fraction - inside) ** 2 * steps[0] ** 2
+        low_mean, high_mean = self.mean_square[left : left + 2]
+        mean_square = (1.0 - inside) * low_mean + inside * high_mean
         kept = 0
         for name, nodes in self.other_axes.items():
             # Axes with several targets stay in their order.
@@ -237,7 +243,7 @@ class AxisInterpolation:
                 matrix = np.array([_interpolate_linearly(name, nodes, one) for one in target])
                 both = np.moveaxis(np.tensordot(matrix, rows, 1), 0, 2 + kept)
                 kept += 1
-        both[0, 1] += MEAN_SHARE**2 * ((1.0 - fraction) * low_mean + fraction * high_mean)
+        both[0, 1] += MEAN_SHARE**2 * mean_square
         return both[0], both[1]
 
 

@@ -1,6 +1,6 @@
 """Spectra between the nodes of a table, which measure the error of its interpolation.
 
-For each numeric axis, the solver of the table also solves two positions between all neighbouring
+For each numeric axis, the solver of the table also solves three positions between all neighbouring
 nodes, with the other axes at a few of their nodes.  With paths, nodes and these positions use the
 same rays, so that their differences need fewer rays than their values; axes that do not share paths
 are not compared, since their differences would have the full noise of the rays.
@@ -27,7 +27,7 @@ from splits.tables.interpolation import COORDINATES, transform_axis
 from splits.tables.plan import TablePlan
 from splits.tables.views import ANGLES, POLAR, ViewGrid, drop_view_axes, has_diffuse
 
-POSITIONS = (0.25, 0.75)
+POSITIONS = (0.15, 0.5, 0.85)
 """Compared positions in an interval, as fractions of it in the default coordinate."""
 N_OTHER_NODES = 3
 """Number of nodes of every other axis."""
@@ -42,7 +42,7 @@ ComputeTable = Callable[[TablePlan, TableRequest], xr.Dataset]
 
 
 def find_positions_between(name: str, nodes: np.ndarray, *, has_direction: bool) -> np.ndarray:
-    """Return the compared positions of an axis, two between all neighbouring nodes."""
+    """Return the compared positions of an axis, three between all neighbouring nodes."""
     kind, t = transform_axis(name, nodes, has_direction=has_direction)
     rows = [t[:-1] + fraction * np.diff(t) for fraction in POSITIONS]
     return COORDINATES[kind].invert(np.stack(rows, axis=1).ravel())

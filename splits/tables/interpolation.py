@@ -296,8 +296,9 @@ def _list_compared_coordinates(name: str, nodes: np.ndarray, kind: str) -> list[
         return []
     if kind == "cosine" or name in ("polar_deg", "incidence_deg"):
         return [COORDINATES["identity" if kind == "cosine" else "cosine"]]
-    origin = float(nodes[0] - 0.25 * (nodes[1] - nodes[0]))
-    others = [COORDINATES["identity"], Coordinate(False, 0.0, origin)]
+    low = float(nodes[0] - 0.25 * (nodes[1] - nodes[0]))
+    high = float(nodes[-1] + 0.25 * (nodes[-1] - nodes[-2]))
+    others = [COORDINATES["identity"], *(Coordinate(False, 0.0, one) for one in (low, high))]
     return [one for one in others if one != COORDINATES[kind]]
 
 

@@ -1,6 +1,6 @@
 """Interpolation of a quantity along one axis, with the coordinate and the error that were measured.
 
-A table has spectra at three positions between all neighbouring nodes of an axis, for a few nodes of
+A table has spectra at two or more positions between all neighbouring nodes of an axis, for a few nodes of
 the other axes (`splits.tables.comparison`).  At every wavelength, the coordinate is the one that
 predicts these spectra best.  The differences that remain, divided by the product of the distances
 of the stencil from the position, give the factor f⁗/24 of the error along the axis.
@@ -26,11 +26,11 @@ from splits.tables.interpolation import (
 )
 from splits.tables.views import POLAR
 
-N_COMPARED = 3
-"""Number of compared positions in every interval."""
+MIN_COMPARED = 2
+"""Smallest number of compared positions in every interval."""
 ROUNDING = 2e-7
 """Differences that are not significant in single precision."""
-MEAN_SHARE = 0.3
+MEAN_SHARE = 0.1
 """Share of the root mean square over the other axes in the error at a position: a difference may
 vanish by chance where it changes its sign."""
 
@@ -102,6 +102,7 @@ class AxisInterpolation:
             positions = comparison[name].values
             is_node = np.isin(positions, nodes)
             self.between = positions[~is_node]
+            self.n_compared = len(self.between) // (len(nodes) - 1)
             values = comparison.values.astype(float)
             choice, differences = _choose_coordinates(
                 candidates, nodes, values[is_node], self.between, values[~is_node]
@@ -169,7 +170,7 @@ class AxisInterpolation:
         if not differences.size:
             return None
         place = np.unravel_index(differences.argmax(), differences.shape)
-        interval = int(place[0]) // N_COMPARED
+        interval = int(place[0]) // self.n_compared
         low, high = self.nodes[interval : interval + 2].tolist()
         return float(differences[place]), low, high, int(place[-1])
 
@@ -216,10 +217,10 @@ class AxisInterpolation:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the signed and the squared factor at a position, and their derivatives."""
         interval = min(max(int(np.searchsorted(self.nodes, value)) - 1, 0), len(self.nodes) - 2)
-        first = N_COMPARED * interval
-        positions = apply_axis_transform(self.default, self.between[first : first + N_COMPARED])
+        first = self.n_compared * interval
+        positions = apply_axis_transform(self.default, self.between[first : first + self.n_compared])
         x = float(apply_axis_transform(self.default, np.array(value)))
-        left = min(max(int(np.searchsorted(positions, x)) - 1, 0), N_COMPARED - 2)
+        left = min(max(int(np.searchsorted(positions, x)) - 1, 0), self.n_compared - 2)
         low, high = positions[left : left + 2]
         left += first
         fraction = (x - low) / (high - low)

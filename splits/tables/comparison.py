@@ -1,8 +1,8 @@
 """Spectra between the nodes of a table, which measure the error of its interpolation.
 
-For each numeric axis, the solver of the table also solves three positions between all neighbouring
-nodes, with the other axes at a few of their nodes.  With paths, nodes and these positions use the
-same rays, so that their differences need fewer rays than their values; axes that do not share paths
+For each numeric axis, the solver of the table also solves positions between all neighbouring nodes,
+with the other axes at a few of their nodes.  Both are solved together, with the same numbers of streams or
+the same rays, so that their differences are more precise than their values; axes that do not share paths
 are not compared, since their differences would have the full noise of the rays.
 
 In the dataset of a table, the values at the nodes and between those of the axis AXIS are the
@@ -20,18 +20,20 @@ import xarray as xr
 from splits.instruments.solver import DISCRETE_ORDINATES
 from splits.media.medium import Medium
 from splits.tables.axes import INCIDENCE, ParameterGrid
-from splits.tables.axis_interpolation import N_COMPARED
+from splits.tables.axis_interpolation import MIN_COMPARED
 from splits.tables.axis_order import ALONG, list_axes, list_quantities
 from splits.tables.block import TableRequest
 from splits.tables.interpolation import COORDINATES, transform_axis
 from splits.tables.plan import TablePlan
 from splits.tables.views import ANGLES, POLAR, ViewGrid, drop_view_axes, has_diffuse
 
-POSITIONS = (0.15, 0.5, 0.85)
-"""Compared positions in an interval, as fractions of it in the default coordinate."""
+POSITIONS = {"few nodes": (0.15, 0.5, 0.85), "more nodes": (0.25, 0.75)}
+"""Compared positions in an interval, as fractions of it in the default coordinate.  With few nodes,
+one difference more makes up for the choice of the coordinate."""
+MAX_FEW_NODES = 4
 N_OTHER_NODES = 3
 """Number of nodes of every other axis."""
-MAX_OTHER_MEDIA = 9
+MAX_OTHER_MEDIA = 6
 """Largest number of combinations of nodes of the other axes, without angles."""
 N_OTHER_ANGLES = 7
 """Number of nodes of every other angle in a table with directions."""
@@ -42,14 +44,15 @@ ComputeTable = Callable[[TablePlan, TableRequest], xr.Dataset]
 
 
 def find_positions_between(name: str, nodes: np.ndarray, *, has_direction: bool) -> np.ndarray:
-    """Return the compared positions of an axis, three between all neighbouring nodes."""
+    """Return the compared positions of an axis, as many between all neighbouring nodes."""
     kind, t = transform_axis(name, nodes, has_direction=has_direction)
-    rows = [t[:-1] + fraction * np.diff(t) for fraction in POSITIONS]
+    fractions = POSITIONS["few nodes" if nodes.size <= MAX_FEW_NODES else "more nodes"]
+    rows = [t[:-1] + fraction * np.diff(t) for fraction in fractions]
     return COORDINATES[kind].invert(np.stack(rows, axis=1).ravel())
 
 
 def list_comparison_grids(
-    grid: ParameterGrid, axes: Sequence[str], *, with_nodes: bool
+    grid: ParameterGrid, axes: Sequence[str]
 ) -> dict[str, ParameterGrid]:
     """Return the grid of the comparison along each axis.
 
@@ -59,8 +62,6 @@ def list_comparison_grids(
         Grid of the table, with directions of observation.
     axes : sequence of str
         Axes to compare; those of text or of a single node are left out.
-    with_nodes : bool
-        Whether the nodes of the axis are included.
     """
     has_direction = POLAR in grid.names
     grids = {}
@@ -69,9 +70,8 @@ def list_comparison_grids(
         if len(values) < 2 or isinstance(values[0], str):
             continue
         nodes = np.array(values, dtype=float)
-        positions = find_positions_between(name, nodes, has_direction=has_direction)
-        if with_nodes:
-            positions = np.sort(np.concatenate([nodes, positions]))
+        between = find_positions_between(name, nodes, has_direction=has_direction)
+        positions = np.sort(np.concatenate([nodes, between]))
         kept = _thin_axes(grid.drop(name), has_direction)
         names = grid.names
         rows = [
@@ -114,8 +114,6 @@ def add_comparisons(
     plan: TablePlan,
     request: TableRequest,
     compute: ComputeTable,
-    *,
-    has_values: bool = True,
 ) -> xr.Dataset:
     """Return a table with spectra between its nodes.
 
@@ -128,18 +126,15 @@ def add_comparisons(
         Of the table.
     compute : callable
         Function of a plan and a request that returns a table.
-    has_values : bool
-        Whether the table has its values in memory.
     """
     by_ordinates = request.solver == DISCRETE_ORDINATES
-    with_nodes = not (by_ordinates and has_values)
     axes = grid.names if by_ordinates else plan.path_sharing_axes
     spectral = request.spectral_request
     if not by_ordinates:
         spectral = spectral._replace(max_stderr=PATH_ERROR_RATIO * spectral.max_stderr)
     added = {}
     incidence = 0.0 if INCIDENCE in grid.names else plan.path_groups[0].incidence
-    for name, one in list_comparison_grids(grid, axes, with_nodes=with_nodes).items():
+    for name, one in list_comparison_grids(grid, axes).items():
         views = ViewGrid.from_grid(one)
         kept = [q for q in request.quantities if name in table[q].dims]
         if not kept:
@@ -152,9 +147,6 @@ def add_comparisons(
             spectral_request=spectral, quantities=tuple(kept), covariance=False, views=views
         )
         part = compute(part_plan, part_request)[kept]
-        if not with_nodes:
-            others = {n: part[n].values for n in part.dims if n not in (name, "wavelength")}
-            part = xr.concat([table[kept].sel(others), part], name).sortby(name)
         added[name] = part
     table = table.assign({
         key: variable for name, part in added.items()
@@ -202,9 +194,8 @@ def _fits(part: xr.Dataset, name: str, dataset: xr.Dataset) -> bool:
     for other in map(str, part.dims):
         nodes, positions = dataset[other].values, part[other].values
         if other == name:
-            rows = positions[: -1].reshape(-1, N_COMPARED + 1) if len(positions) == 1 + (
-                N_COMPARED + 1) * (len(nodes) - 1) else np.zeros((0, 1))  # fmt: skip
-            fits = np.array_equal([*rows[:, 0], positions[-1]], nodes)
+            step, rest = divmod(len(positions) - 1, max(len(nodes) - 1, 1))
+            fits = step > MIN_COMPARED and not rest and np.array_equal(positions[::step], nodes)
         elif other == "wavelength":
             fits = True
         elif nodes.dtype.kind != "f":

@@ -34,6 +34,11 @@ MEAN_SHARE = 0.1
 """Share of the root mean square over the other axes in the error at a position: a difference may
 vanish by chance where it changes its sign."""
 
+REFINEMENT_SHARE, REFINEMENT_TOLERANCE = 0.2, 1e-5
+"""Allowed deviation of cubics between added nodes: share of the measured error, and absolute."""
+MAX_REFINEMENT = 16
+"""Largest number of intervals into which an interval of a table is divided."""
+
 
 class AxisWeights(NamedTuple):
     """Weights of the nodes of an axis at a position, by wavelength.
@@ -154,6 +159,54 @@ class AxisInterpolation:
             rows[self.choice].T, slopes[self.choice].T,
             products[self.choice], product_slopes[self.choice],
         )  # fmt: skip
+
+    def interpolate(self, values: np.ndarray, positions: np.ndarray) -> np.ndarray:
+        """Return values at positions; both have the axis before the wavelength."""
+        if np.array_equal(positions, self.nodes):
+            return values
+        weights = np.array([self.compute_weights(x).values for x in positions.tolist()])
+        interpolated: np.ndarray = np.einsum("pnw,...nw->...pw", weights, values, optimize=True)
+        return interpolated
+
+    def refine_nodes(self, coordinate: Coordinate) -> tuple[int, np.ndarray]:
+        """Return nodes of which cubics in one coordinate agree with the interpolation.
+
+        Parameters
+        ----------
+        coordinate : Coordinate
+
+        Returns
+        -------
+        int
+            Number of intervals between neighbouring nodes of the table.
+        float, shape (nodes,)
+        """
+        steps, refined = 1, self.nodes
+        if self.comparison is None or self.coordinates == [coordinate]:
+            return steps, refined
+        is_node = np.isin(self.comparison[self.name].values, self.nodes)
+        rows = np.moveaxis(self.comparison.values[is_node].astype(float), 0, -2)
+        ends = coordinate.apply(self.nodes)
+        allowed = np.sqrt((self._differences**2).mean(axis=tuple(range(rows.ndim - 1))))
+        allowed = np.maximum(REFINEMENT_SHARE * allowed, REFINEMENT_TOLERANCE)
+        while True:
+            t = coordinate.apply(refined)
+            middle = coordinate.invert(0.5 * (t[:-1] + t[1:]))
+            matrix = np.zeros((len(middle), len(t)))
+            for row, x in zip(matrix, coordinate.apply(middle), strict=True):
+                stencil = compute_stencil(t, float(x))
+                row[stencil.nodes] = stencil.weights
+            by_cubics = np.einsum("pn,...nw->...pw", matrix, self.interpolate(rows, refined))
+            deviation = np.abs(by_cubics - self.interpolate(rows, middle))
+            if (deviation.max(axis=tuple(range(rows.ndim - 1))) <= allowed).all():
+                return steps, refined
+            if steps >= MAX_REFINEMENT:
+                return steps, refined
+            steps *= 2
+            fractions = np.arange(steps) / steps
+            inner = (ends[:-1, np.newaxis] + fractions * np.diff(ends)[:, np.newaxis]).ravel()
+            refined = np.append(coordinate.invert(inner), self.nodes[-1])
+            refined[::steps] = self.nodes
 
     def find_largest_difference(self, max_polar_deg: float) -> tuple[float, float, float, int] | None:
         """Return the largest measured error, the ends of its interval, and its wavelength's index.

@@ -184,7 +184,7 @@ def warn_of_wide_intervals(table: xr.Dataset) -> None:
             f"interpolation of {quantity} along {name} between {low:g} and {high:g} has an error "
             f"of {largest:.2g} at {table.wavelength.values[column]:g} nm, above max_stderr = "
             f"{max_stderr:g}: add nodes there, or accept the error that Table.interp states",
-            stacklevel=3,
+            stacklevel=4,
         )
 
 

@@ -24,7 +24,13 @@ from splits.io.netcdf import save
 from splits.simulation.run_options import RunOptions
 from splits.tables.assembly import allocate_arrays, assemble_dataset, insert_block
 from splits.tables.block import TableRequest, make_block_path
-from splits.tables.build import compute_block_digest, iterate_blocks
+from splits.tables.build import (
+    compute_block_digest,
+    compute_table,
+    iterate_blocks,
+    warn_of_wide_intervals,
+)
+from splits.tables.comparison import add_comparisons
 from splits.tables.plan import PathGroup, TablePlan
 from splits.tables.storage import MAX_BYTES_IN_MEMORY, compute_table_bytes, write_table_blockwise
 from splits.tables.views import ViewGrid, check_quantities, drop_view_axes, has_diffuse
@@ -125,7 +131,21 @@ def _make_table(
         block_attributes.append(block.attrs)
     seconds = time.perf_counter() - start_time
     table = assemble_dataset(arrays, plan, request, block_attributes, seconds)
-    return _add_experiment_attributes(experiment, table)
+    return _add_experiment_attributes(experiment, _compare(experiment, plan, request, folder, table))
+
+
+def _compare(
+    experiment: SimulationConfig,
+    plan: TablePlan,
+    request: TableRequest,
+    folder: Path | None,
+    table: xr.Dataset,
+) -> xr.Dataset:
+    """Return a table with spectra between its nodes."""
+    compute, grid = partial(compute_table, folder=folder), experiment.make_axes()
+    compared = add_comparisons(table, experiment.make_medium, grid, plan, request, compute)
+    warn_of_wide_intervals(compared)
+    return compared
 
 
 def write_table(
@@ -147,7 +167,11 @@ def write_table(
         return
     log(f"{experiment.name}: {plan}")
     simulate = partial(_simulate_blocks, experiment, request, plan.path_groups, folder, log)
-    add_attributes = partial(_add_experiment_attributes, experiment)
+
+    def add_attributes(table: xr.Dataset) -> xr.Dataset:
+        compared = _compare(experiment, plan, request, folder, table)
+        return _add_experiment_attributes(experiment, compared)
+
     write_table_blockwise(path, plan, request, simulate, add_attributes)
 
 

@@ -1,8 +1,8 @@
-"""Interpolation of a quantity along one axis, with the coordinate and the error that were measured.
+"""Interpolation of a quantity along one axis, in the best coordinate and with a measured error.
 
-A table has spectra at two or more positions between all neighbouring nodes of an axis, for a few nodes of
-the other axes (`splits.tables.comparison`).  At every wavelength, the coordinate is the one that
-predicts these spectra best.  The differences that remain, divided by the product of the distances
+A table has spectra at two or more positions between all neighbouring nodes of an axis, for a few
+nodes of the other axes (`splits.tables.comparison`).  At every wavelength, the coordinate is the
+one that predicts these spectra best.  The differences that remain, divided by the product of the distances
 of the stencil from the position, give the factor f⁗/24 of the error along the axis.
 """
 
@@ -208,7 +208,9 @@ class AxisInterpolation:
             refined = np.append(coordinate.invert(inner), self.nodes[-1])
             refined[::steps] = self.nodes
 
-    def find_largest_difference(self, max_polar_deg: float) -> tuple[float, float, float, int] | None:
+    def find_largest_difference(
+        self, max_polar_deg: float
+    ) -> tuple[float, float, float, int] | None:
         """Return the largest measured error, the ends of its interval, and its wavelength's index.
 
         Polar angles above a limit are left out.
@@ -271,7 +273,8 @@ class AxisInterpolation:
         """Return the signed and the squared factor at a position, and their derivatives."""
         interval = min(max(int(np.searchsorted(self.nodes, value)) - 1, 0), len(self.nodes) - 2)
         first = self.n_compared * interval
-        positions = apply_axis_transform(self.default, self.between[first : first + self.n_compared])
+        positions = self.between[first : first + self.n_compared]
+        positions = apply_axis_transform(self.default, positions)
         x = float(apply_axis_transform(self.default, np.array(value)))
         left = min(max(int(np.searchsorted(positions, x)) - 1, 0), self.n_compared - 2)
         low, high = positions[left : left + 2]

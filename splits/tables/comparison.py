@@ -1,9 +1,9 @@
 """Spectra between the nodes of a table, which measure the error of its interpolation.
 
 For each numeric axis, the solver of the table also solves positions between all neighbouring nodes,
-with the other axes at a few of their nodes.  Both are solved together, with the same numbers of streams or
-the same rays, so that their differences are more precise than their values; axes that do not share paths
-are not compared, since their differences would have the full noise of the rays.
+with the other axes at a few of their nodes.  Both are solved together, with the same numbers of
+streams or the same rays, so that their differences are more precise than their values.  Axes that
+do not share paths are not compared: their differences would have the full noise of the rays.
 
 In the dataset of a table, the values at the nodes and between those of the axis AXIS are the
 variables QUANTITY_along_AXIS, over the dimensions NAME_along_AXIS for each axis NAME.
@@ -148,10 +148,8 @@ def add_comparisons(
         )
         part = compute(part_plan, part_request)[kept]
         added[name] = part
-    table = table.assign({
-        key: variable for name, part in added.items()
-        for key, variable in rename_comparison(part, name).variables.items() if key != "wavelength"
-    })  # fmt: skip
+    for name, part in added.items():
+        table = table.assign(rename_comparison(part, name).data_vars)
     return table
 
 
@@ -179,8 +177,10 @@ def extract_comparisons(dataset: xr.Dataset) -> dict[str, xr.Dataset]:
         if not kept:
             continue
         part = dataset[[q + suffix for q in kept]]
-        expected = [{f"{n}{suffix}" if n != "wavelength" else n for n in dataset[q].dims} for q in kept]
-        if any(set(part[q + suffix].dims) != dims for q, dims in zip(kept, expected, strict=True)):
+        expected = [
+            {n if n == "wavelength" else f"{n}{suffix}" for n in dataset[q].dims} for q in kept
+        ]
+        if [set(part[q + suffix].dims) for q in kept] != expected:
             continue
         names = [*part.data_vars, *(d for d in part.dims if d != "wavelength")]
         part = part.rename({n: str(n).removesuffix(suffix) for n in names}).sortby(name)
@@ -201,7 +201,8 @@ def _fits(part: xr.Dataset, name: str, dataset: xr.Dataset) -> bool:
         elif nodes.dtype.kind != "f":
             fits = set(nodes.tolist()) <= set(positions.tolist())
         else:
-            fits = positions.min() <= nodes[0] and nodes[-1] <= positions.max() or len(positions) == 1
+            is_within = positions.min() <= nodes[0] and nodes[-1] <= positions.max()
+            fits = is_within or len(positions) == 1
         if not fits:
             return False
     return not any(np.isnan(variable).any() for variable in part.data_vars.values())

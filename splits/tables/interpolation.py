@@ -280,6 +280,15 @@ def estimate_error_weights(
             row[node] += scale
             row[remaining[omitted.nodes]] -= scale * omitted.weights
             rows.append(row)
+    if has_direction and len(nodes) > 2:
+        # A detail such as a halo may be narrower than an interval.
+        right = int(np.searchsorted(coordinates, x))
+        row = np.zeros(len(nodes))
+        row[stencil] += weights
+        row[right - 1 : right + 1] -= compute_lagrange_weights(
+            coordinates[right - 1 : right + 1], x
+        )[0]
+        rows.append(row)
     for other in _list_compared_coordinates(name, nodes, kind):
         row = np.zeros(len(nodes))
         row[stencil] += weights

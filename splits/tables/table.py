@@ -29,7 +29,7 @@ from splits.tables.table_interpolation import (
     interpolate_table,
 )
 from splits.tables.view_selection import ViewRequest, describe_table, select_view
-from splits.tables.views import POLAR, VIEW_AXES
+from splits.tables.views import AZIMUTH, POLAR, VIEW_AXES
 
 
 class Table:
@@ -130,19 +130,36 @@ class Table:
         )
         return Table(select_view(self.interpolation, request))
 
+    def _complete_view(self, at: Mapping[str, Any]) -> dict[str, Any]:
+        """Return positions with the direction of observation of a table that has directions."""
+        if not self.has_views:
+            return dict(at)
+        at = check_axis_values(at, self.axes)
+        polar, azimuth = self._get_direction(at)
+        request = ViewRequest.from_arguments(self.dataset, polar, azimuth, 0.0, 0.0)
+        for name in VIEW_AXES:
+            if name in self.axes:
+                request.check_within_table(name, self.dataset[name].values)
+        return at | dict(zip(VIEW_AXES, (request.polar, request.azimuth), strict=True))
+
+    def _get_direction(self, at: Mapping[str, Any], prefix: str = "") -> tuple[Any, Any]:
+        """Return the direction among positions; an axis of a single polar angle may be omitted."""
+        polar, nodes = at.get(POLAR), self.dataset[POLAR].values
+        if polar is None and nodes.size > 1:
+            hint = "an axis of the table" + (" that is not retrieved" if prefix else "")
+            raise invalid(f"{prefix}{POLAR}", None, "given", hint)
+        return nodes[0] if polar is None else polar, at.get(AZIMUTH)
+
     def fix_view(self, at: Mapping[str, Any], prefix: str = "") -> tuple[Table, dict[str, Any]]:
         """Return the table for the direction among positions on axes, and the other positions.
 
         Names in messages begin with the prefix.  Axes of a single angle may be omitted.
         """
         at = check_axis_values(at, self.axes, prefix)
-        polar, azimuth = (at.pop(name, None) for name in VIEW_AXES)
-        nodes = self.dataset[POLAR].values
-        if polar is None and nodes.size > 1:
-            hint = "an axis of the table" + (" that is not retrieved" if prefix else "")
-            raise invalid(f"{prefix}{POLAR}", None, "given", hint)
+        direction = self._get_direction(at, prefix)
+        others = {name: value for name, value in at.items() if name not in VIEW_AXES}
         with key_prefix(prefix.rstrip(".")):
-            return self.at_view(nodes[0] if polar is None else polar, azimuth), at
+            return self.at_view(*direction), others
 
     @reject_unknown_arguments
     def interp(self, **at: Any) -> xr.Dataset:
@@ -169,10 +186,7 @@ class Table:
         ValueError
             For an unknown or missing axis, or a value outside the table.
         """
-        if self.has_views:
-            table, at = self.fix_view(at)
-            return table.interp(**at)
-        return interpolate_table(self.interpolation, at)
+        return interpolate_table(self.interpolation, self._complete_view(at))
 
     @reject_unknown_arguments
     def interpolation_errors(self, quantity: str, **at: Any) -> np.ndarray:
@@ -191,10 +205,9 @@ class Table:
         float, shape (axes, wavelengths)
             Error estimates, with relative signs along the spectrum.
         """
-        if self.has_views:
-            table, at = self.fix_view(at)
-            return table.interpolation_errors(quantity, **at)
-        return estimate_interpolation_errors(self.interpolation, quantity, at)
+        return estimate_interpolation_errors(
+            self.interpolation, quantity, self._complete_view(at)
+        )
 
     @reject_unknown_arguments
     def deviations(self, quantity: str, **at: Any) -> np.ndarray:
@@ -242,10 +255,7 @@ class Table:
         ValueError
             As for `interp`, and at the singularity of an axis with a square-root transform.
         """
-        if self.has_views:
-            table, at = self.fix_view(at)
-            return table.derivatives(names, **at)
-        return differentiate_table(self.interpolation, names, at)
+        return differentiate_table(self.interpolation, names, self._complete_view(at))
 
     @reject_unknown_arguments
     def to_csv(self, path: str | Path) -> None:

@@ -27,7 +27,7 @@ from splits.tables.interpolation import (
     compute_stencil,
     estimate_error_weights,
 )
-from splits.tables.views import VIEW_QUANTITIES
+from splits.tables.views import MIXED_QUANTITIES, POLAR, VIEW_QUANTITIES
 
 ERROR_STEP = 1e-3
 """Step of the derivative of an error, relative to the length of the axis."""
@@ -45,8 +45,12 @@ class TableInterpolation:
     def __init__(self, dataset: xr.Dataset) -> None:
         self.dataset = dataset
         self.axes = list_axes(dataset)[:-1]
-        self.quantities = list_quantities(dataset)
-        self.has_direction = any(name in VIEW_QUANTITIES for name in self.quantities)
+        quantities = list_quantities(dataset)
+        self.has_direction = any(name in VIEW_QUANTITIES for name in quantities)
+        # Of a table with directions, a point has the quantities under the beam.
+        self.quantities = [
+            name for name in quantities if name in MIXED_QUANTITIES or POLAR not in self.axes
+        ]
         self._prepared: dict[str, dict[str, AxisInterpolation]] = {}
         self._comparisons: dict[str, xr.Dataset] | None = None
 

@@ -23,9 +23,9 @@ from splits.tables.table_interpolation import TableInterpolation, combine_axis_e
 from splits.tables.views import (
     AZIMUTH,
     DIFFUSE_PREFIX,
+    MIXED_QUANTITIES,
     POLAR,
     VIEW_AXES,
-    VIEW_QUANTITIES,
     fold_azimuths,
     list_view_axes,
 )
@@ -33,7 +33,6 @@ from splits.tables.views import (
 N_RINGS, N_RING_DIRECTIONS = 3, 8
 """Numbers of rings of a field of view, and of directions in each."""
 MAX_FIELD_OF_VIEW_DEG = 60.0
-MIXED_QUANTITIES = ("reflectance", *VIEW_QUANTITIES)
 LABELS = {
     "reflectance": "reflectance",
     "reflectance_factor": "reflectance factor",

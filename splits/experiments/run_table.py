@@ -131,7 +131,9 @@ def _make_table(
         block_attributes.append(block.attrs)
     seconds = time.perf_counter() - start_time
     table = assemble_dataset(arrays, plan, request, block_attributes, seconds)
-    return _add_experiment_attributes(experiment, _compare(experiment, plan, request, folder, table))
+    return _add_experiment_attributes(
+        experiment, _compare(experiment, plan, request, folder, table)
+    )
 
 
 def _compare(

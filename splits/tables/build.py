@@ -32,7 +32,7 @@ from splits.tables.block import (
     load_block,
     save_block,
 )
-from splits.tables.comparison import add_comparisons
+from splits.tables.comparison import PATH_ERROR_RATIO, add_comparisons
 from splits.tables.media_cache import MediaCache
 from splits.tables.plan import PathGroup, TablePlan, choose_table_solver
 from splits.tables.table_interpolation import TableInterpolation
@@ -171,6 +171,7 @@ def compute_table(
 def warn_of_wide_intervals(table: xr.Dataset) -> None:
     """Warn of the interval whose error of interpolation exceeds the requested error most."""
     interpolation, max_stderr = TableInterpolation(table), float(table.attrs["max_stderr"])
+    noise = PATH_ERROR_RATIO * max_stderr if table.attrs["solver"] == MONTE_CARLO else 0.0
     found = [
         (*interval, name, quantity)
         for quantity in interpolation.quantities
@@ -179,7 +180,7 @@ def warn_of_wide_intervals(table: xr.Dataset) -> None:
         if (interval := axis.find_largest_difference(MAX_CONVERGED_POLAR_DEG)) is not None
     ]
     largest, low, high, column, name, quantity = max(found, default=(0.0, 0.0, 0.0, 0, "", ""))
-    if largest > max_stderr:
+    if largest > np.hypot(max_stderr, noise):
         warnings.warn(
             f"interpolation of {quantity} along {name} between {low:g} and {high:g} has an error "
             f"of {largest:.2g} at {table.wavelength.values[column]:g} nm, above max_stderr = "

@@ -37,7 +37,7 @@ MAX_OTHER_MEDIA = 6
 """Largest number of combinations of nodes of the other axes, without angles."""
 N_OTHER_ANGLES = 7
 """Number of nodes of every other angle in a table with directions."""
-PATH_ERROR_RATIO = 3.0
+PATH_ERROR_RATIO = 2.0
 """Error of paths in comparisons, relative to that of the table."""
 
 ComputeTable = Callable[[TablePlan, TableRequest], xr.Dataset]
@@ -51,9 +51,7 @@ def find_positions_between(name: str, nodes: np.ndarray, *, has_direction: bool)
     return COORDINATES[kind].invert(np.stack(rows, axis=1).ravel())
 
 
-def list_comparison_grids(
-    grid: ParameterGrid, axes: Sequence[str]
-) -> dict[str, ParameterGrid]:
+def list_comparison_grids(grid: ParameterGrid, axes: Sequence[str]) -> dict[str, ParameterGrid]:
     """Return the grid of the comparison along each axis.
 
     Parameters

@@ -289,7 +289,9 @@ def estimate_error_weights(
             coordinates[right - 1 : right + 1], x
         )[0]
         rows.append(row)
-    for other in _list_compared_coordinates(name, nodes, kind):
+    # The first and the last node are never left out.
+    is_at_end = value < nodes[1] or value > nodes[-2]
+    for other in _list_compared_coordinates(name, nodes, kind) if is_at_end else ():
         row = np.zeros(len(nodes))
         row[stencil] += weights
         row[stencil] -= compute_lagrange_weights(
@@ -301,7 +303,7 @@ def estimate_error_weights(
 
 def _list_compared_coordinates(name: str, nodes: np.ndarray, kind: str) -> list[Coordinate]:
     """Return the coordinates whose differences from the default one estimate its error."""
-    if name == "wavelength":
+    if name == "wavelength" or kind == "logarithm":
         return []
     if kind == "cosine" or name in ("polar_deg", "incidence_deg"):
         return [COORDINATES["identity" if kind == "cosine" else "cosine"]]

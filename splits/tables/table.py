@@ -205,9 +205,7 @@ class Table:
         float, shape (axes, wavelengths)
             Error estimates, with relative signs along the spectrum.
         """
-        return estimate_interpolation_errors(
-            self.interpolation, quantity, self._complete_view(at)
-        )
+        return estimate_interpolation_errors(self.interpolation, quantity, self._complete_view(at))
 
     @reject_unknown_arguments
     def deviations(self, quantity: str, **at: Any) -> np.ndarray:

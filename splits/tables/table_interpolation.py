@@ -159,9 +159,9 @@ class LocatedQuantity:
         variable = self._dataset[name]
         extra = [d for d in variable.dims if d not in {*self.names, *self.kept, "wavelength"}]
         selected = load_selection(variable.isel(self._needed))
-        values: np.ndarray = (
-            selected.transpose(*self.names, *self.kept, *extra, "wavelength").values.astype(float)
-        )
+        values: np.ndarray = selected.transpose(
+            *self.names, *self.kept, *extra, "wavelength"
+        ).values.astype(float)
         return values
 
     def combine(

@@ -237,9 +237,7 @@ Estimate = tuple[xr.DataArray, xr.DataArray]
 """Values and standard errors."""
 
 
-def _average(
-    interpolation: TableInterpolation, name: str, directions: list[Direction]
-) -> Estimate:
+def _average(interpolation: TableInterpolation, name: str, directions: list[Direction]) -> Estimate:
     """Return a quantity of a table, averaged over directions where it depends on these."""
     dataset, axes = interpolation.dataset, list_view_axes(name)
     if not axes:

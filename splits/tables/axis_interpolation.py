@@ -2,8 +2,8 @@
 
 A table has spectra at two or more positions between all neighbouring nodes of an axis, for a few
 nodes of the other axes (`splits.tables.comparison`).  At every wavelength, the coordinate is the
-one that predicts these spectra best.  The differences that remain, divided by the product of the distances
-of the stencil from the position, give the factor f⁗/24 of the error along the axis.
+one that predicts these spectra best.  The differences that remain, divided by the product of the
+distances of the stencil from the position, give the factor f⁗/24 of the error along the axis.
 """
 
 from __future__ import annotations
@@ -63,13 +63,16 @@ class AxisError(NamedTuple):
     Attributes
     ----------
     signed : float
-        Best estimate, with its sign.
+        Best estimate, with its sign; without a measurement, the sign is only that relative to
+        other wavelengths.
     magnitude : float
         Root mean square, at least as large.
+    is_measured : bool
     """
 
     signed: np.ndarray
     magnitude: np.ndarray
+    is_measured: bool
 
 
 class AxisInterpolation:
@@ -253,9 +256,8 @@ class AxisInterpolation:
             is then returned, in the order of the axes.
         """
         factors, _ = self._interpolate_factors(value, at)
-        return AxisError(
-            weights.product * factors[0], np.abs(weights.product) * np.sqrt(factors[1])
-        )
+        product = weights.product
+        return AxisError(product * factors[0], np.abs(product) * np.sqrt(factors[1]), True)
 
     def measure_slope_error(
         self, value: float, weights: AxisWeights, at: Mapping[str, object]

@@ -240,8 +240,8 @@ def estimate_error_weights(
     """Return the weights of all nodes in estimates of the interpolation error of a value.
 
     The estimates are the errors of predicting nearby nodes from others, scaled to the position of
-    the value, and the differences from interpolation in other coordinates, which also see the
-    first and the last interval.  With at most four nodes, the contribution of the farthest node
+    the value, and the differences from linear interpolation in other coordinates in the first and
+    the last interval.  With at most four nodes, the contribution of the farthest node
     replaces that of an additional node.
 
     Parameters
@@ -280,28 +280,25 @@ def estimate_error_weights(
             row[node] += scale
             row[remaining[omitted.nodes]] -= scale * omitted.weights
             rows.append(row)
+    compared = []
+    if value < nodes[1] or value > nodes[-2]:
+        # The first and the last node are never left out.
+        compared = list_compared_coordinates(name, nodes, kind)
     if has_direction and len(nodes) > 2:
         # A detail such as a halo may be narrower than an interval.
-        right = int(np.searchsorted(coordinates, x))
+        compared = [*compared, COORDINATES[kind]]
+    right = int(np.searchsorted(nodes, value))
+    neighbours = nodes[right - 1 : right + 1]
+    for other in compared:
         row = np.zeros(len(nodes))
         row[stencil] += weights
-        row[right - 1 : right + 1] -= compute_lagrange_weights(
-            coordinates[right - 1 : right + 1], x
-        )[0]
-        rows.append(row)
-    # The first and the last node are never left out.
-    is_at_end = value < nodes[1] or value > nodes[-2]
-    for other in _list_compared_coordinates(name, nodes, kind) if is_at_end else ():
-        row = np.zeros(len(nodes))
-        row[stencil] += weights
-        row[stencil] -= compute_lagrange_weights(
-            other.apply(nodes[stencil]), float(other.apply(np.array(value)))
-        )[0]
+        ends, position = other.apply(neighbours), float(other.apply(np.array(value)))
+        row[right - 1 : right + 1] -= compute_lagrange_weights(ends, position)[0]
         rows.append(row)
     return np.array(rows)
 
 
-def _list_compared_coordinates(name: str, nodes: np.ndarray, kind: str) -> list[Coordinate]:
+def list_compared_coordinates(name: str, nodes: np.ndarray, kind: str) -> list[Coordinate]:
     """Return the coordinates whose differences from the default one estimate its error."""
     if name == "wavelength" or kind == "logarithm":
         return []

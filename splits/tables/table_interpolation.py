@@ -197,9 +197,8 @@ class LocatedQuantity:
                 found = np.array([
                     self.combine(values, {name: row[:, np.newaxis]}) for row in rows
                 ])  # fmt: skip
-                largest = np.argmax(np.abs(found), axis=0, keepdims=True)
-                signed = np.take_along_axis(found, largest, axis=0)[0]
-                errors.append(AxisError(signed, np.abs(signed)))
+                largest = np.argmax((found**2).reshape(len(found), -1).sum(axis=1))
+                errors.append(AxisError(found[largest], np.abs(found).max(axis=0), False))
         return errors
 
     def differentiate(self, name: str) -> DerivativeEstimate:
@@ -279,7 +278,8 @@ def combine_axis_errors(errors: Sequence[AxisError], like: np.ndarray) -> np.nda
     """
     signed, squared = np.zeros_like(like), np.zeros_like(like)
     for error in errors:
-        signed += error.signed
+        if error.is_measured:
+            signed += error.signed
         squared += error.magnitude**2
     return np.maximum(np.abs(signed), np.sqrt(squared))
 
@@ -344,7 +344,8 @@ def estimate_interpolation_errors(
     located = interpolation.locate(quantity, interpolation.complete_point(at))
     values = located.read(quantity)
     errors = [
-        np.copysign(error.magnitude, error.signed) for error in located.estimate_errors(values)
+        np.copysign(error.magnitude, error.signed) if error.is_measured else error.signed
+        for error in located.estimate_errors(values)
     ]
     return np.array(errors).reshape(-1, values.shape[-1])
 

@@ -9,7 +9,7 @@ distances of the stencil from the position, give the factor f⁗/24 of the error
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -240,9 +240,7 @@ class AxisInterpolation:
             self.name, self.nodes, value, has_direction=self.has_direction
         )
 
-    def measure_error(
-        self, value: float, weights: AxisWeights, at: Mapping[str, object]
-    ) -> AxisError:
+    def measure_error(self, value: float, weights: AxisWeights, at: Mapping[str, Any]) -> AxisError:
         """Return the measured error at a position.
 
         Parameters
@@ -260,7 +258,7 @@ class AxisInterpolation:
         return AxisError(product * factors[0], np.abs(product) * np.sqrt(factors[1]), True)
 
     def measure_slope_error(
-        self, value: float, weights: AxisWeights, at: Mapping[str, object]
+        self, value: float, weights: AxisWeights, at: Mapping[str, Any]
     ) -> np.ndarray:
         """Return the measured error of the derivative at a position, shape (wavelengths,)."""
         factors, factor_slopes = self._interpolate_factors(value, at)
@@ -270,7 +268,7 @@ class AxisInterpolation:
         return slope
 
     def _interpolate_factors(
-        self, value: float, at: Mapping[str, object]
+        self, value: float, at: Mapping[str, Any]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the signed and the squared factor at a position, and their derivatives."""
         interval = min(max(int(np.searchsorted(self.nodes, value)) - 1, 0), len(self.nodes) - 2)
@@ -336,7 +334,7 @@ def _choose_coordinates(
     return choice, best
 
 
-def _interpolate_linearly(name: str, nodes: np.ndarray, target: object) -> np.ndarray:
+def _interpolate_linearly(name: str, nodes: np.ndarray, target: Any) -> np.ndarray:
     """Return the weights of linear interpolation between nodes; a text selects its node."""
     if nodes.dtype.kind != "f":
         return (nodes == str(target)).astype(float)

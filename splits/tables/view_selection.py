@@ -195,10 +195,11 @@ def select_view(interpolation: TableInterpolation, request: ViewRequest) -> xr.D
             # Positions between nodes of other axes, in the same direction and under the same sky.
             exact = part.assign({f"{name}_stderr": 0.0 * part[name] for name in part.data_vars})
             found = _estimate(TableInterpolation(exact), names, request)
-            values = {name: value for name, (value, _) in found.items()}
-            for name, value in values.items():
-                value.attrs["long_name"] = LABELS[name]
-            selected = selected.merge(rename_comparison(xr.Dataset(values), axis))
+            compared = xr.Dataset({
+                name: value.assign_attrs(long_name=LABELS[name])
+                for name, (value, _) in found.items()
+            })  # fmt: skip
+            selected = selected.merge(rename_comparison(compared, axis))
     return selected
 
 
@@ -254,8 +255,8 @@ def _average(interpolation: TableInterpolation, name: str, directions: list[Dire
         total = total + direction.weight * estimate
     dims = [*located.kept, "wavelength"]
     coordinates = {dim: dataset[dim] for dim in dims}
-    value, error = (xr.DataArray(one, coordinates, dims) for one in total)
-    return value, error
+    mean, mean_error = (xr.DataArray(one, coordinates, dims) for one in total)
+    return mean, mean_error
 
 
 def _mix(

@@ -67,7 +67,9 @@ def build(make, grid, wavelengths, max_stderr):
     """Return a table, whether or not its nodes suffice."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "interpolation of")
-        return splits.build_table(make, grid, wavelengths, max_stderr=max_stderr, threads=1)
+        return splits.build_table(
+            make, grid, wavelengths, max_stderr=max_stderr, threads=1, solver="discrete_ordinates"
+        )
 
 
 def draw_point(random, grid):
@@ -140,9 +142,7 @@ def compare_views(name, n_points):
         found = table.interp(**point)
         error = found.reflectance_factor_interpolation_error.values
         stderr = found.reflectance_factor_stderr.values
-        other = np.hypot(
-            np.sqrt(stderr**2 - error**2), np.pi * exact.brdf_stderr.values.ravel()
-        )
+        other = np.hypot(np.sqrt(stderr**2 - error**2), np.pi * exact.brdf_stderr.values.ravel())
         factor = np.pi * exact.brdf.values.ravel()
         rows.append((found.reflectance_factor.values - factor, error, other))
     judge(name, *np.swapaxes(rows, 0, 1))

@@ -300,10 +300,8 @@ def estimate_error_weights(
 
 def list_compared_coordinates(name: str, nodes: np.ndarray, kind: str) -> list[Coordinate]:
     """Return the coordinates whose differences from the default one estimate its error."""
-    if name == "wavelength" or kind == "logarithm":
+    if name in ("wavelength", "polar_deg", "incidence_deg") or kind in ("logarithm", "cosine"):
         return []
-    if kind == "cosine" or name in ("polar_deg", "incidence_deg"):
-        return [COORDINATES["identity" if kind == "cosine" else "cosine"]]
     low = float(nodes[0] - 0.25 * (nodes[1] - nodes[0]))
     high = float(nodes[-1] + 0.25 * (nodes[-1] - nodes[-2]))
     others = [COORDINATES["identity"], *(Coordinate(False, 0.0, one) for one in (low, high))]

@@ -278,8 +278,7 @@ def combine_axis_errors(errors: Sequence[AxisError], like: np.ndarray) -> np.nda
     """
     signed, squared = np.zeros_like(like), np.zeros_like(like)
     for error in errors:
-        if error.is_measured:
-            signed += error.signed
+        signed += error.signed if error.is_measured else error.magnitude
         squared += error.magnitude**2
     return np.maximum(np.abs(signed), np.sqrt(squared))
 

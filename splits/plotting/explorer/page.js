@@ -166,7 +166,7 @@ function interp(table, at) {
       const found = combine(table, table.value, rows.map((one, j) => (j === k ? () => row : one)));
       found.forEach((x, i) => { largest[i] = Math.max(largest[i], Math.abs(x)); });
     }
-    largest.forEach((x, i) => { squares[i] += x * x; });
+    largest.forEach((x, i) => { sum[i] += x; squares[i] += x * x; });
   });
   const error = value.map((_, i) => Math.hypot(
     Math.max(Math.abs(correlated[i]), Math.sqrt(variance[i])), Math.max(Math.abs(sum[i]), Math.sqrt(squares[i])),

@@ -43,7 +43,7 @@ FIT_SOURCES = (
 RETRIEVAL_SOURCES = (
     "analysis/theory/kokhanovsky_zege.py",
     "experiments/config/retrieve.py", "experiments/run_retrieve.py",
-    "tables/interpolation.py", "tables/interpolated_spectra.py",
+    "tables/interpolation.py", "tables/axis_interpolation.py", "tables/comparison.py",
     "tables/axis_order.py", "tables/table.py", "tables/table_interpolation.py",
     "materials/impurities.csv", "materials/impurities.py", "media/measured_inputs.py",
     "retrieval/state_vector.py", "retrieval/cubic_interpolation.py", "retrieval/band_selection.py",
@@ -63,7 +63,10 @@ RETURN_SOURCES = (
     "retrieval/return_model.py",
 )
 """Files that determine retrievals from a table of returns."""
-TABLE_SOURCES = ("tables/assembly.py", "tables/build.py", "experiments/run_table.py")
+TABLE_SOURCES = (
+    "tables/assembly.py", "tables/build.py", "tables/comparison.py", "tables/axis_interpolation.py",
+    "tables/interpolation.py", "tables/table_interpolation.py", "experiments/run_table.py",
+)  # fmt: skip
 """Files that determine how a table is made from its simulated parts."""
 FIGURE_SOURCES = ("plotting/*.py", "plotting/*.mplstyle")
 """Files that determine figures."""

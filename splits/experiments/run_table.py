@@ -25,7 +25,13 @@ from splits.io.netcdf import save
 from splits.simulation.run_options import RunOptions
 from splits.tables.assembly import allocate_arrays, assemble_dataset, insert_block
 from splits.tables.block import TableRequest, make_block_path
-from splits.tables.build import compute_block_digest, iterate_blocks
+from splits.tables.build import (
+    compute_block_digest,
+    compute_table,
+    iterate_blocks,
+    warn_of_wide_intervals,
+)
+from splits.tables.comparison import add_comparisons
 from splits.tables.plan import PathGroup, TablePlan
 from splits.tables.storage import MAX_BYTES_IN_MEMORY, compute_table_bytes, write_table_blockwise
 from splits.tables.views import ViewGrid, check_quantities, drop_view_axes, has_diffuse
@@ -126,7 +132,7 @@ def _make_table(
         block_attributes.append(block.attrs)
     seconds = time.perf_counter() - start_time
     table = assemble_dataset(arrays, plan, request, block_attributes, seconds)
-    return _complete_table(experiment, log, table)
+    return _complete_table(experiment, plan, request, folder, log, table)
 
 
 def write_table(
@@ -148,16 +154,27 @@ def write_table(
         return
     log(f"{experiment.name}: {plan}")
     simulate = partial(_simulate_blocks, experiment, request, plan.path_groups, folder, log)
-    complete = partial(_complete_table, experiment, log)
+    complete = partial(_complete_table, experiment, plan, request, folder, log)
     write_table_blockwise(path, plan, request, simulate, complete)
 
 
 def _complete_table(
-    experiment: SimulationConfig, log: LogCallback, table: xr.Dataset
+    experiment: SimulationConfig,
+    plan: TablePlan,
+    request: TableRequest,
+    folder: Path | None,
+    log: LogCallback,
+    table: xr.Dataset,
 ) -> xr.Dataset:
-    """Return a table with the attributes of its experiment, and log a missed error."""
+    """Return a table with spectra between its nodes and the attributes of its experiment.
+
+    A missed error is logged.
+    """
     log_missed_error(log, experiment.name, table)
-    return table.assign_attrs(
+    compute, grid = partial(compute_table, folder=folder), experiment.make_axes()
+    compared = add_comparisons(table, experiment.make_medium, grid, plan, request, compute)
+    warn_of_wide_intervals(compared)
+    return compared.assign_attrs(
         title=f"Experiment {experiment.name}",
         experiment=experiment.name,
         instrument="table",

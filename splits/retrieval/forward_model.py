@@ -6,17 +6,20 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-import xarray as xr
 
-from splits.core.validation import check_choice, invalid
+from splits.core.validation import invalid, key_prefix
 from splits.illumination.bands import BandMatrix
 from splits.retrieval.cubic_interpolation import interpolate, interpolate_states
 from splits.retrieval.map_minimization import TableGrid
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.state_vector import SCALE, ParameterRange, StateVector
 from splits.tables.axes import INCIDENCE, ParameterGrid, check_axis_values
-from splits.tables.axis_order import load_selection
-from splits.tables.interpolation import compute_interpolation_weights, transform_axis
+from splits.tables.interpolation import (
+    COORDINATES,
+    compute_interpolation_weights,
+    estimate_error_weights,
+    transform_axis,
+)
 from splits.tables.table import Table
 from splits.tables.views import DIFFUSE_PREFIX, VIEW_AXES
 
@@ -70,15 +73,11 @@ class MeasurementOperator(NamedTuple):
         for row, error_row, wavelength in zip(
             matrix, interpolation_error, measurement.wavelength_nm, strict=True
         ):
-            interpolation = compute_interpolation_weights(
-                "wavelength", wavelengths, float(wavelength)
-            )
-            row[interpolation.nodes] = interpolation.weights
-            if len(interpolation.error_weights):
-                error_row[:] = max(
-                    interpolation.error_weights,
-                    key=lambda error_weights: float((error_weights**2).sum()),
-                )
+            stencil = compute_interpolation_weights("wavelength", wavelengths, float(wavelength))
+            row[stencil.nodes] = stencil.weights
+            estimates = estimate_error_weights("wavelength", wavelengths, float(wavelength))
+            if len(estimates):
+                error_row[:] = max(estimates, key=lambda weights: float((weights**2).sum()))
         return cls(matrix, interpolation_error[np.newaxis])
 
 
@@ -113,17 +112,26 @@ class TableForwardModel:
             raise invalid("free", list(state_vector.names), "at least one axis of the table")
         self._scale_index = state_vector.names.index(SCALE) if SCALE in state_vector.names else None
         self._axis_indices = [state_vector.names.index(name) for name in self.axes]
-        values, nodes = _slice_table(table, quantity, self.axes, self.fixed)
+        values, nodes, self._steps = _resample_table(
+            table, quantity, state_vector, self.axes, self.fixed
+        )
         self.node_values = np.ascontiguousarray(
             values.reshape(-1, values.shape[-1]) @ self.operator.matrix.T
         )
-        max_nodes = max(len(row) for row in nodes)
         coordinates = [
             state_vector.to_coordinate(i, row)
             for i, row in zip(self._axis_indices, nodes, strict=True)
         ]
+        max_nodes = max(len(row) for row in nodes)
         self._axis_nodes = np.array([np.pad(row, (0, max_nodes - len(row))) for row in coordinates])
         self._n_nodes = np.array([len(row) for row in nodes], dtype=np.int64)
+
+    @property
+    def table_node_values(self) -> np.ndarray:
+        """Values at the nodes of the table alone, shape (nodes, n)."""
+        by_axis = self.node_values.reshape(*self._n_nodes, -1)
+        at_nodes = by_axis[tuple(slice(None, None, step) for step in self._steps)]
+        return at_nodes.reshape(-1, by_axis.shape[-1])
 
     def make_operator(self, measurement: Measurement, table: Table) -> MeasurementOperator:
         """Return the operator from the spectra of a table to a measurement."""
@@ -131,7 +139,9 @@ class TableForwardModel:
 
     def make_grid(self, node_values: np.ndarray) -> TableGrid:
         """Return the table over coordinates with other columns."""
-        return TableGrid(np.ascontiguousarray(node_values), self._axis_nodes, self._n_nodes)
+        return TableGrid(
+            np.ascontiguousarray(node_values), self._axis_nodes, self._n_nodes, self._steps
+        )
 
     def list_fixed_values(self) -> dict[str, Any]:
         """Return the incidence and the values of all axes that are not free."""
@@ -251,7 +261,7 @@ class TableForwardModel:
             return states, self.evaluate(states)
         scale = physical[inside, self._scale_index] if self._scale_index is not None else 1.0
         return self.state_vector.to_coordinates(physical[inside]), (
-            self.node_values[inside].T * scale
+            self.table_node_values[inside].T * scale
         ).T
 
 
@@ -295,25 +305,33 @@ def _check_fixed_axes(
     return values
 
 
-def _slice_table(
-    table: Table, quantity: str, axes: list[str], fixed: Mapping[str, Any]
-) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Return values over some axes and wavelength at fixed others, and the nodes of these axes."""
-    part, axis_weights = table.dataset[quantity], {}
-    for name in table.axes[:-1]:
-        if name in axes:
-            continue
-        nodes = table.dataset[name].values
-        value = fixed.get(name, nodes[0])
-        if nodes.dtype.kind != "f":
-            part = part.sel({name: check_choice(f"fixed.{name}", str(value), nodes.tolist())})
-            continue
-        interpolation = compute_interpolation_weights(
-            name, nodes, value, has_direction=table.has_direction
-        )
-        part, axis_weights[name] = part.isel({name: interpolation.nodes}), interpolation.weights
-    part = load_selection(part)
-    for name, weights in axis_weights.items():
-        part = part.dot(xr.DataArray(weights, dims=name), name)
-    values = part.transpose(*axes, "wavelength").values.astype(float)
-    return values, [table.dataset[name].values for name in axes]
+def _resample_table(
+    table: Table,
+    quantity: str,
+    state_vector: StateVector,
+    axes: list[str],
+    fixed: Mapping[str, Any],
+) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
+    """Return values over some axes and wavelength, the nodes of these axes, and their steps.
+
+    A measurement may mix wavelengths for which the table has different coordinates.  Nodes are
+    therefore added, as many as needed for cubics in the coordinates of the state vector to agree
+    with the table.  Every axis has its own nodes at each step.
+    """
+    free = {name: table.dataset[name].values[0] for name in axes}
+    with key_prefix("fixed"):
+        complete = table.interpolation.complete_point({**free, **fixed})
+    point = {name: value for name, value in complete.items() if name not in free}
+    located = table.interpolation.locate(quantity, point)
+    values = located.combine(located.read(quantity))
+    prepared = table.interpolation.prepare(quantity)
+    nodes: dict[str, np.ndarray] = {}
+    steps = {}
+    for name in located.kept:
+        axis, transform = prepared[name], state_vector.transforms[state_vector.names.index(name)]
+        steps[name], nodes[name] = axis.refine_nodes(COORDINATES[transform])
+        # The axes move to the end in turn, and are in order afterwards.
+        values = axis.interpolate(np.moveaxis(values, 0, -2), nodes[name])
+    order = [located.kept.index(name) for name in axes]
+    values = values.transpose(*order, len(order))
+    return values, [nodes[name] for name in axes], np.array([steps[name] for name in axes])

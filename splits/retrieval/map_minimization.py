@@ -27,11 +27,14 @@ class TableGrid(NamedTuple):
     axis_nodes : float64[axes, max_nodes]
         Coordinates.
     n_nodes : int64[axes]
+    steps : int64[axes]
+        Every step along an axis is a node of the table; the others are interpolated.
     """
 
     node_values: np.ndarray
     axis_nodes: np.ndarray
     n_nodes: np.ndarray
+    steps: np.ndarray
 
 
 @entry_point
@@ -68,10 +71,9 @@ def project_spectra(spectra, mean_spectrum, projection, whitening, components, r
 
 
 @entry_point
-def find_nearest_node(
-    node_values, axis_nodes, n_nodes, measurement, prior_mean, prior_precision, state
-):
-    """Set the state to the node in the ranges with the smallest cost."""
+def find_nearest_node(grid, measurement, prior_mean, prior_precision, state):
+    """Set the state to the node of the table in the ranges with the smallest cost."""
+    node_values, axis_nodes, n_nodes, steps = grid
     axes = len(n_nodes)
     min_cost = np.inf
     coordinates = np.empty(axes)
@@ -79,6 +81,7 @@ def find_nearest_node(
         rest, inside, cost = node, True, 0.0
         for a in range(axes - 1, -1, -1):
             coordinates[a] = axis_nodes[a, rest % n_nodes[a]]
+            inside = inside and rest % n_nodes[a] % steps[a] == 0
             rest //= n_nodes[a]
             inside = inside and -1e-9 <= coordinates[a] <= 1.0 + 1e-9
             cost += prior_precision[a] * (coordinates[a] - prior_mean[a]) ** 2
@@ -224,15 +227,7 @@ def retrieve_spectra(
     second_state = np.empty(axes)
     for row in range(len(measurements)):
         state = states[row]
-        find_nearest_node(
-            grid.node_values,
-            grid.axis_nodes,
-            grid.n_nodes,
-            measurements[row],
-            prior_mean,
-            prior_precision,
-            state,
-        )
+        find_nearest_node(grid, measurements[row], prior_mean, prior_precision, state)
         # Derivatives may vanish at bounds, so a second descent starts away from them.
         for a in range(axes):
             second_state[a] = min(max(state[a], SECOND_START_MARGIN), 1.0 - SECOND_START_MARGIN)

@@ -71,8 +71,8 @@ class _ReducedTable(NamedTuple):
 def _reduce_table(model: TableForwardModel, covariance: np.ndarray) -> _ReducedTable:
     """Return the table projected on the components that vary significantly, in units of noise."""
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
-    mean_spectrum = model.node_values.mean(axis=0)
-    whitened_nodes = (model.node_values - mean_spectrum) @ whitening.T
+    mean_spectrum = model.table_node_values.mean(axis=0)
+    whitened_nodes = (model.table_node_values - mean_spectrum) @ whitening.T
     _, singular_values, directions = np.linalg.svd(whitened_nodes, full_matrices=False)
     # Significant components have a standard deviation over the nodes above the limit.
     is_significant = singular_values / np.sqrt(len(whitened_nodes)) > np.sqrt(
@@ -82,9 +82,9 @@ def _reduce_table(model: TableForwardModel, covariance: np.ndarray) -> _ReducedT
         max(int(is_significant.sum()), len(model.axes)), MAX_COMPONENTS, len(singular_values)
     )
     components = directions[:n_components]
-    return _ReducedTable(
-        components @ whitening, mean_spectrum, whitened_nodes @ components.T, whitening
-    )
+    projection = components @ whitening
+    node_components = (model.node_values - mean_spectrum) @ projection.T
+    return _ReducedTable(projection, mean_spectrum, node_components, whitening)
 
 
 @reject_unknown_arguments

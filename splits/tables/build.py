@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ from splits.core.progress import ProgressCallback, report_whole_table
 from splits.core.provenance import hash_physics_sources
 from splits.core.validation import invalid
 from splits.illumination.bands import BandMatrix, check_bands, choose_band_wavelengths
+from splits.instruments.goniophotometer import MAX_CONVERGED_POLAR_DEG
 from splits.instruments.solver import MONTE_CARLO
 from splits.instruments.spectral_run import SpectralRequest
 from splits.media.medium import Medium
@@ -36,8 +39,10 @@ from splits.tables.block import (
     load_block,
     save_block,
 )
+from splits.tables.comparison import PATH_ERROR_RATIO, add_comparisons
 from splits.tables.media_cache import MediaCache
 from splits.tables.plan import PathGroup, TablePlan, choose_table_solver
+from splits.tables.table_interpolation import TableInterpolation
 from splits.tables.views import ViewGrid, check_quantities, drop_view_axes, has_diffuse
 
 
@@ -158,14 +163,51 @@ def build_table(
     )
     request = TableRequest(spectral_request, selected, bool(covariance), chosen, views)
     block_folder = None if folder is None else expand_path(folder, "folder")
-    arrays = allocate_arrays(plan, request)
-    block_attrs = []
-    for block in iterate_blocks(request, plan.path_groups, block_folder, progress):
+    table = compute_table(plan, request, block_folder, progress)
+    compared = add_comparisons(
+        table, make, axes, plan, request, partial(compute_table, folder=block_folder)
+    )
+    warn_of_wide_intervals(compared)
+    if matrix is not None:
+        compared = average_nodes(compared, named, matrix)
+    return compared.assign_attrs(wall_time_s=round(time.perf_counter() - start_time, 3))
+
+
+def compute_table(
+    plan: TablePlan,
+    request: TableRequest,
+    folder: Path | None = None,
+    progress: ProgressCallback = None,
+) -> xr.Dataset:
+    """Return the table of a plan, without comparisons."""
+    start_time = time.perf_counter()
+    arrays, block_attrs = allocate_arrays(plan, request), []
+    for block in iterate_blocks(request, plan.path_groups, folder, progress):
         insert_block(arrays, block)
         block_attrs.append(block.attrs)
     wall_time_s = time.perf_counter() - start_time
-    table = assemble_dataset(arrays, plan, request, block_attrs, wall_time_s)
-    return table if matrix is None else average_nodes(table, named, matrix)
+    return assemble_dataset(arrays, plan, request, block_attrs, wall_time_s)
+
+
+def warn_of_wide_intervals(table: xr.Dataset) -> None:
+    """Warn of the interval whose error of interpolation exceeds the requested error most."""
+    interpolation, max_stderr = TableInterpolation(table), float(table.attrs["max_stderr"])
+    noise = PATH_ERROR_RATIO * max_stderr if table.attrs["solver"] == MONTE_CARLO else 0.0
+    found = [
+        (*interval, name, quantity)
+        for quantity in interpolation.quantities
+        if not quantity.endswith("anisotropy_factor")
+        for name, axis in interpolation.prepare(quantity).items()
+        if (interval := axis.find_largest_difference(MAX_CONVERGED_POLAR_DEG)) is not None
+    ]
+    largest, low, high, column, name, quantity = max(found, default=(0.0, 0.0, 0.0, 0, "", ""))
+    if largest > np.hypot(max_stderr, noise):
+        warnings.warn(
+            f"interpolation of {quantity} along {name} between {low:g} and {high:g} has an error "
+            f"of {largest:.2g} at {table.wavelength.values[column]:g} nm, above max_stderr = "
+            f"{max_stderr:g}: add nodes there, or accept the error that Table.interp states",
+            stacklevel=4,
+        )
 
 
 def compute_block_digest(path_group: PathGroup, request: TableRequest) -> str:

@@ -8,6 +8,7 @@ import xarray as xr
 
 from splits.core.atomic import atomic_write
 from splits.core.escaping import escape_cells
+from splits.tables.axis_order import ALONG
 
 
 def write_csv(dataset: xr.Dataset, path: str | Path) -> None:
@@ -20,11 +21,15 @@ def write_csv(dataset: xr.Dataset, path: str | Path) -> None:
     Parameters
     ----------
     dataset : xarray.Dataset
-        Result of `splits.build_table`; deviations by batch are omitted.
+        Result of `splits.build_table`; deviations by batch and values between nodes are omitted.
     path : path
         Output file, written atomically.
     """
-    names = [str(name) for name, v in dataset.data_vars.items() if "batch" not in v.dims]
+    names = [
+        str(name)
+        for name, v in dataset.data_vars.items()
+        if "batch" not in v.dims and ALONG not in str(name)
+    ]
     by_number_of_axes = sorted(names, key=lambda name: -dataset[name].ndim)
     dims = [str(dim) for name in by_number_of_axes for dim in dataset[name].dims]
     axes = [*dict.fromkeys(dim for dim in dims if dim != "wavelength"), "wavelength"]

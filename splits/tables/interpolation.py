@@ -1,10 +1,16 @@
 """Interpolation along one axis of a table, with an estimate of its error.
 
-Values between nodes are those of the cubic through the four nearest nodes, in a transformed
-coordinate in which reflectance varies smoothly: the logarithm of a size, the cosine of an angle.
-The error of a cubic at x is f⁗/24 times the product of the distances of its nodes from x.  The
-error of predicting a node from its neighbours therefore gives an estimate of f⁗ near it.  For axes
-of at most four nodes, the contribution of the farthest node replaces that of an additional node.
+Values between nodes are those of the cubic through the four nearest nodes, in a coordinate in which
+reflectance varies smoothly.  Which coordinate this is depends on what else is in the medium:
+reflectance is nearly linear in the square root of absorption, so that near zero soot the square
+root of soot is the best coordinate for ice that does not absorb, and soot itself for ice that
+absorbs much more.  Coordinates are therefore powers and logarithms of the distance from an origin
+(`list_coordinates`), and a table with spectra between its nodes chooses among them for every
+wavelength (`splits.tables.axis_interpolation`).
+
+The error of a cubic at x is f⁗/24 times the product of the distances of its nodes from x.  Without
+spectra between nodes, the error of predicting a node from its neighbours gives an estimate of f⁗
+near it, and the differences between coordinates one of the error next to the ends of an axis.
 """
 
 from __future__ import annotations
@@ -20,68 +26,120 @@ STENCIL_SIZE = 4
 N_VALIDATION_NODES = 2
 """Number of nodes that are predicted from others.  All nodes of the stencil are with directions,
 because distributions have details, such as halos, in a few intervals only."""
+TINY = 1e-300
 
 
-class InterpolationWeights(NamedTuple):
-    """Interpolation stencil of a value on an axis, with the weights of error estimates.
+class Coordinate(NamedTuple):
+    """Coordinate of an axis: a power or the logarithm of the distance from an origin.
 
     Attributes
     ----------
-    nodes : int, shape (stencil,)
-        Nodes of the stencil.
-    weights : float, shape (stencil,)
-        Interpolation weights, with a sum of 1.
-    validation_nodes : int, shape (validation,)
-        Nearby nodes that are predicted from others.
-    error_weights : float, shape (validation, nodes)
-        Weights of all nodes of the axis in each error estimate: the error of the prediction of a
-        validation node, scaled to the position of the value.
+    is_cosine : bool
+        Whether the distance is that of −cos(angle), rather than of the value itself.
+    power : float
+        1 for the value itself, 0 for the logarithm of the distance.
+    origin : float
+        Outside the nodes, or at the first one for positive powers.
     """
 
-    nodes: np.ndarray
-    weights: np.ndarray
-    validation_nodes: np.ndarray
-    error_weights: np.ndarray
+    is_cosine: bool
+    power: float
+    origin: float
 
-    def restrict_to(self, kept_nodes: np.ndarray) -> InterpolationWeights:
-        """Return the weights for an axis reduced to some of its nodes, in order."""
-        nodes, validation = (
-            np.searchsorted(kept_nodes, row) for row in (self.nodes, self.validation_nodes)
-        )
-        return InterpolationWeights(
-            nodes, self.weights, validation, self.error_weights[:, kept_nodes]
-        )
+    def _measure_distance(self, values: np.ndarray) -> np.ndarray:
+        values = np.asarray(values, dtype=float)
+        return (-np.cos(np.radians(values)) if self.is_cosine else values) - self.origin
+
+    def apply(self, values: np.ndarray) -> np.ndarray:
+        """Return the coordinates of values; they increase with the values."""
+        distance = self._measure_distance(values)
+        if self.power == 1.0:
+            return distance
+        size, side = np.abs(distance), np.where(distance < 0.0, -1.0, 1.0)
+        transformed = np.log(size) if self.power == 0.0 else size**self.power
+        return side * (-transformed if self.power < 0.0 else transformed)
+
+    def invert(self, coordinates: np.ndarray) -> np.ndarray:
+        """Return the values of coordinates, for origins that are not above the values."""
+        distance = np.asarray(coordinates, dtype=float)
+        if self.power != 1.0:
+            distance = np.exp(distance) if self.power == 0.0 else distance ** (1.0 / self.power)
+        values = self.origin + distance
+        if self.is_cosine:
+            values = np.degrees(np.arccos(np.clip(-values, -1.0, 1.0)))
+        return values
+
+    def compute_rate(self, value: float) -> float:
+        """Return the derivative of the coordinate with respect to the value."""
+        distance = abs(float(self._measure_distance(np.array(value))))
+        rate = 1.0
+        if self.power != 1.0:
+            if distance < TINY:
+                return np.inf
+            rate = (abs(self.power) or 1.0) * distance ** (self.power - 1.0)
+        return rate * (np.radians(1.0) * np.sin(np.radians(value)) if self.is_cosine else 1.0)
+
+
+COORDINATES = {
+    "identity": Coordinate(False, 1.0, 0.0),
+    "cosine": Coordinate(True, 1.0, 0.0),
+    "logarithm": Coordinate(False, 0.0, 0.0),
+    "square_root": Coordinate(False, 0.5, 0.0),
+}
+"""Coordinates without an origin of their own, by name."""
+ORIGIN_RATIOS = {-1: 4.0 ** np.arange(-5, 4), 1: 4.0 ** np.arange(-3, 3)}
+"""Distances of origins below the first node (−1) and above the last one (1), relative to the
+adjacent interval."""
+DIRECTION_ORIGINS = (0.03, 0.1, 0.4)
+"""Distances of origins beyond the cosine of 90°, for angles of directions."""
 
 
 def transform_axis(
     name: str, nodes: np.ndarray, *, has_direction: bool = False
 ) -> tuple[str, np.ndarray]:
-    """Return the transform of an axis for interpolation, and its transformed nodes.
+    """Return the default coordinate of an axis by name, and the coordinates of its nodes.
 
     Positive amounts that span at least a factor of three are transformed to logarithms.  Amounts
     that begin with 0 are transformed to square roots, because reflectance is nearly linear in the
     square root of absorption.  Polar angles remain as they are, with incidences for one direction
     of observation (`has_direction`): the distributions vary linearly with them at the normal.
     """
+    kind = "identity"
     if name == "azimuth_deg" or (name == "incidence_deg" and not has_direction):
-        return "cosine", apply_axis_transform("cosine", nodes)
-    if name in ("polar_deg", "incidence_deg"):
-        return "identity", apply_axis_transform("identity", nodes)
-    if name != "wavelength" and nodes[0] > 0.0 and nodes[-1] >= 3.0 * nodes[0]:
-        return "logarithm", apply_axis_transform("logarithm", nodes)
-    if name != "wavelength" and nodes[0] == 0.0 and nodes.size > 2:
-        return "square_root", apply_axis_transform("square_root", nodes)
-    return "identity", apply_axis_transform("identity", nodes)
+        kind = "cosine"
+    elif name not in ("polar_deg", "incidence_deg", "wavelength"):
+        if nodes[0] > 0.0 and nodes[-1] >= 3.0 * nodes[0]:
+            kind = "logarithm"
+        elif nodes[0] == 0.0 and nodes.size > 2:
+            kind = "square_root"
+    return kind, apply_axis_transform(kind, nodes)
 
 
 def apply_axis_transform(transform: str, values: np.ndarray) -> np.ndarray:
-    """Return transformed values."""
-    values = np.asarray(values, dtype=float)
-    if transform == "cosine":
-        return -np.cos(np.radians(values))
-    if transform == "logarithm":
-        return np.log(values)
-    return np.sqrt(values) if transform == "square_root" else values
+    """Return the coordinates of values."""
+    return COORDINATES[transform].apply(values)
+
+
+def list_coordinates(
+    name: str, nodes: np.ndarray, *, has_direction: bool = False
+) -> list[Coordinate]:
+    """Return the coordinates among which a table chooses, the default one first."""
+    kind, _ = transform_axis(name, nodes, has_direction=has_direction)
+    default, identity = COORDINATES[kind], COORDINATES["identity"]
+    if name in ("azimuth_deg", "polar_deg") or (name == "incidence_deg" and has_direction):
+        others = [COORDINATES["cosine"], identity]
+        if name != "azimuth_deg":
+            others += [Coordinate(True, p, s) for p in (-1.0, 0.0) for s in DIRECTION_ORIGINS]
+        return [*dict.fromkeys([default, *others])]
+    is_cosine = kind == "cosine"
+    ends = Coordinate(is_cosine, 1.0, 0.0).apply(nodes)
+    origins = [
+        *(ends[0] - (ends[1] - ends[0]) * ORIGIN_RATIOS[-1]),
+        *(ends[-1] + (ends[-1] - ends[-2]) * ORIGIN_RATIOS[1]),
+    ]
+    powers = (-1.0, 0.0, 0.5)
+    shifted = [Coordinate(is_cosine, power, float(one)) for one in origins for power in powers]
+    return [*dict.fromkeys([default, identity, *shifted])]
 
 
 def check_within_axis(name: str, nodes: np.ndarray, value: object) -> float:
@@ -99,10 +157,63 @@ def check_within_axis(name: str, nodes: np.ndarray, value: object) -> float:
     return x
 
 
+class InterpolationWeights(NamedTuple):
+    """Interpolation stencil of a value on an axis in one coordinate.
+
+    Attributes
+    ----------
+    nodes : int, shape (stencil,)
+        Nodes of the stencil.
+    weights : float, shape (stencil,)
+        Interpolation weights, with a sum of 1.
+    slopes : float, shape (stencil,)
+        Derivatives of the weights with respect to the coordinate.
+    product, product_slope : float
+        Product of the distances of the nodes from the value in the coordinate, and its derivative.
+    """
+
+    nodes: np.ndarray
+    weights: np.ndarray
+    slopes: np.ndarray
+    product: float
+    product_slope: float
+
+
+def compute_stencil(coordinates: np.ndarray, x: float) -> InterpolationWeights:
+    """Return the stencil of a position among the coordinates of nodes."""
+    stencil = _find_nearest_nodes(coordinates, x, STENCIL_SIZE)
+    return InterpolationWeights(stencil, *compute_lagrange_weights(coordinates[stencil], x))
+
+
+def compute_lagrange_weights(
+    nodes: np.ndarray, x: float
+) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """Return the weights of the Lagrange polynomial at x, their derivatives, and the product.
+
+    The product is that of the distances of the nodes from x; its derivative is the last item.
+    """
+    n = len(nodes)
+    points = nodes.tolist()
+    weights, slopes = np.empty(n), np.empty(n)
+    for i, node in enumerate(points):
+        weight, slope = 1.0, 0.0
+        for j, other_node in enumerate(points):
+            if i != j:
+                scale = 1.0 / (node - other_node)
+                slope = slope * (x - other_node) * scale + weight * scale
+                weight *= (x - other_node) * scale
+        weights[i], slopes[i] = weight, slope
+    product, product_slope = 1.0, 0.0
+    for node in points:
+        product_slope = product_slope * (x - node) + product
+        product *= x - node
+    return weights, slopes, product, product_slope
+
+
 def compute_interpolation_weights(
     name: str, nodes: np.ndarray, value: object, *, has_direction: bool = False
 ) -> InterpolationWeights:
-    """Return the interpolation weights of a value on an axis.
+    """Return the interpolation weights of a value on an axis in its default coordinate.
 
     Parameters
     ----------
@@ -119,38 +230,82 @@ def compute_interpolation_weights(
         For a value outside the axis.
     """
     kind, coordinates = transform_axis(name, nodes, has_direction=has_direction)
-    x = float(apply_axis_transform(kind, np.array(check_within_axis(name, nodes, value))))
-    stencil = _find_nearest_nodes(coordinates, x, STENCIL_SIZE)
-    weights = _compute_lagrange_weights(coordinates[stencil], x)
-    node_product = float(np.prod(x - coordinates[stencil]))
-    if len(coordinates) == 2 and node_product != 0.0:
+    x = check_within_axis(name, nodes, value)
+    return compute_stencil(coordinates, float(apply_axis_transform(kind, np.array(x))))
+
+
+def estimate_error_weights(
+    name: str, nodes: np.ndarray, value: float, *, has_direction: bool = False
+) -> np.ndarray:
+    """Return the weights of all nodes in estimates of the interpolation error of a value.
+
+    The estimates are the errors of predicting nearby nodes from others, scaled to the position of
+    the value, and the differences from linear interpolation in other coordinates in the first and
+    the last interval.  With at most four nodes, the contribution of the farthest node
+    replaces that of an additional node.
+
+    Parameters
+    ----------
+    name, nodes, has_direction
+        As for `compute_interpolation_weights`.
+    value : float
+        Position within the axis.
+
+    Returns
+    -------
+    float, shape (estimates, nodes)
+        No estimates at a node.
+    """
+    kind, coordinates = transform_axis(name, nodes, has_direction=has_direction)
+    x = float(apply_axis_transform(kind, np.array(value)))
+    stencil, weights, _, product, _ = compute_stencil(coordinates, x)
+    if product == 0.0:
+        return np.zeros((0, len(nodes)))
+    rows = []
+    if len(nodes) == 2:
         # No node can be omitted; the estimate is a quarter of the difference at the midpoint.
-        return InterpolationWeights(
-            stencil, weights, stencil[:1], np.prod(weights) * np.array([[-1.0, 1.0]])
-        )
-    if node_product == 0.0:
-        # No error at a node.
-        return InterpolationWeights(stencil, weights, stencil[:0], np.zeros((0, len(coordinates))))
+        rows.append(np.prod(weights) * np.array([-1.0, 1.0]))
     ordered = stencil[np.argsort(np.abs(coordinates[stencil] - x), kind="stable")]
-    if len(coordinates) <= STENCIL_SIZE:
-        # All nodes are needed; the contribution of the farthest replaces that of one more.
-        error_row = np.zeros((1, len(coordinates)))
-        error_row[0, stencil] += weights
-        error_row[0, ordered[:-1]] -= _compute_lagrange_weights(coordinates[ordered[:-1]], x)
-        return InterpolationWeights(stencil, weights, ordered[-1:], error_row)
-    validation = ordered if has_direction else ordered[:N_VALIDATION_NODES]
-    error_weights = np.zeros((len(validation), len(coordinates)))
-    for row, node in enumerate(validation):
-        remaining = np.delete(np.arange(len(coordinates)), node)
-        neighbours = remaining[
-            _find_nearest_nodes(coordinates[remaining], coordinates[node], STENCIL_SIZE)
-        ]
-        scale = abs(node_product / float(np.prod(coordinates[node] - coordinates[neighbours])))
-        error_weights[row, node] += scale
-        error_weights[row, neighbours] -= scale * _compute_lagrange_weights(
-            coordinates[neighbours], coordinates[node]
-        )
-    return InterpolationWeights(stencil, weights, validation, error_weights)
+    if 2 < len(nodes) <= STENCIL_SIZE:
+        row = np.zeros(len(nodes))
+        row[stencil] += weights
+        row[ordered[:-1]] -= compute_lagrange_weights(coordinates[ordered[:-1]], x)[0]
+        rows.append(row)
+    elif len(nodes) > STENCIL_SIZE:
+        for node in ordered if has_direction else ordered[:N_VALIDATION_NODES]:
+            remaining = np.delete(np.arange(len(nodes)), node)
+            omitted = compute_stencil(coordinates[remaining], coordinates[node])
+            row = np.zeros(len(nodes))
+            scale = abs(product / omitted.product)
+            row[node] += scale
+            row[remaining[omitted.nodes]] -= scale * omitted.weights
+            rows.append(row)
+    compared = []
+    if value < nodes[1] or value > nodes[-2]:
+        # The first and the last node are never left out.
+        compared = list_compared_coordinates(name, nodes, kind)
+    if has_direction and len(nodes) > 2:
+        # A detail such as a halo may be narrower than an interval.
+        compared = [*compared, COORDINATES[kind]]
+    right = int(np.searchsorted(nodes, value))
+    neighbours = nodes[right - 1 : right + 1]
+    for other in compared:
+        row = np.zeros(len(nodes))
+        row[stencil] += weights
+        ends, position = other.apply(neighbours), float(other.apply(np.array(value)))
+        row[right - 1 : right + 1] -= compute_lagrange_weights(ends, position)[0]
+        rows.append(row)
+    return np.array(rows)
+
+
+def list_compared_coordinates(name: str, nodes: np.ndarray, kind: str) -> list[Coordinate]:
+    """Return the coordinates whose differences from the default one estimate its error."""
+    if name in ("wavelength", "polar_deg", "incidence_deg") or kind in ("logarithm", "cosine"):
+        return []
+    low = float(nodes[0] - 0.25 * (nodes[1] - nodes[0]))
+    high = float(nodes[-1] + 0.25 * (nodes[-1] - nodes[-2]))
+    others = [COORDINATES["identity"], *(Coordinate(False, 0.0, one) for one in (low, high))]
+    return [one for one in others if one != COORDINATES[kind]]
 
 
 def _find_nearest_nodes(nodes: np.ndarray, x: float, n_nodes: int) -> np.ndarray:
@@ -159,13 +314,3 @@ def _find_nearest_nodes(nodes: np.ndarray, x: float, n_nodes: int) -> np.ndarray
     right = int(np.searchsorted(nodes, x))
     first = min(max(right - n_nodes // 2, 0), len(nodes) - n_nodes)
     return np.arange(first, first + n_nodes)
-
-
-def _compute_lagrange_weights(nodes: np.ndarray, x: float) -> np.ndarray:
-    """Return the weights of the Lagrange polynomial at x."""
-    weights = np.ones(len(nodes))
-    for i, node in enumerate(nodes):
-        for j, other_node in enumerate(nodes):
-            if i != j:
-                weights[i] *= (x - other_node) / (node - other_node)
-    return weights

@@ -22,15 +22,15 @@ from splits.tables.isofit import convert_to_isofit
 from splits.tables.spires import convert_to_spires
 from splits.tables.storage import MAX_BYTES_IN_MEMORY
 from splits.tables.table_interpolation import (
+    TableInterpolation,
     average_bands,
     differentiate_table,
     estimate_interpolation_errors,
-    has_directional_quantity,
     interpolate_deviations,
     interpolate_table,
 )
 from splits.tables.view_selection import ViewRequest, describe_table, select_view
-from splits.tables.views import POLAR, VIEW_AXES
+from splits.tables.views import AZIMUTH, POLAR, VIEW_AXES
 
 
 class Table:
@@ -45,6 +45,8 @@ class Table:
     ----------
     dataset : xarray.Dataset
         Table with ascending numeric axes and the wavelength as the last axis.
+    interpolation : TableInterpolation
+        Interpolation of its quantities.
 
     Raises
     ------
@@ -57,6 +59,7 @@ class Table:
         self.dataset = sort_axes(dataset)
         if self.dataset.nbytes <= MAX_BYTES_IN_MEMORY:
             check_complete(self.dataset)
+        self.interpolation = TableInterpolation(self.dataset)
 
     def __repr__(self) -> str:
         """Return a summary of the table: one line per axis, and the direction of observation."""
@@ -80,7 +83,7 @@ class Table:
     @property
     def has_direction(self) -> bool:
         """Whether the table holds distributions over directions, or their values in one."""
-        return has_directional_quantity(self.dataset)
+        return self.interpolation.has_direction
 
     @reject_unknown_arguments
     def at_view(
@@ -126,7 +129,27 @@ class Table:
         request = ViewRequest.from_arguments(
             self.dataset, polar_deg, azimuth_deg, field_of_view_deg, diffuse_fraction
         )
-        return Table(select_view(self.dataset, request))
+        return Table(select_view(self.interpolation, request))
+
+    def _complete_view(self, at: Mapping[str, Any]) -> dict[str, Any]:
+        """Return positions with the direction of observation of a table that has directions."""
+        if not self.has_views:
+            return dict(at)
+        at = check_axis_values(at, self.axes)
+        polar, azimuth = self._get_direction(at)
+        request = ViewRequest.from_arguments(self.dataset, polar, azimuth, 0.0, 0.0)
+        for name in VIEW_AXES:
+            if name in self.axes:
+                request.check_within_table(name, self.dataset[name].values)
+        return at | dict(zip(VIEW_AXES, (request.polar, request.azimuth), strict=True))
+
+    def _get_direction(self, at: Mapping[str, Any], prefix: str = "") -> tuple[Any, Any]:
+        """Return the direction among positions; an axis of a single polar angle may be omitted."""
+        polar, nodes = at.get(POLAR), self.dataset[POLAR].values
+        if polar is None and nodes.size > 1:
+            hint = "an axis of the table" + (" that is not retrieved" if prefix else "")
+            raise invalid(f"{prefix}{POLAR}", None, "given", hint)
+        return nodes[0] if polar is None else polar, at.get(AZIMUTH)
 
     def fix_view(self, at: Mapping[str, Any], prefix: str = "") -> tuple[Table, dict[str, Any]]:
         """Return the table for the direction among positions on axes, and the other positions.
@@ -134,13 +157,10 @@ class Table:
         Names in messages begin with the prefix.  Axes of a single angle may be omitted.
         """
         at = check_axis_values(at, self.axes, prefix)
-        polar, azimuth = (at.pop(name, None) for name in VIEW_AXES)
-        nodes = self.dataset[POLAR].values
-        if polar is None and nodes.size > 1:
-            hint = "an axis of the table" + (" that is not retrieved" if prefix else "")
-            raise invalid(f"{prefix}{POLAR}", None, "given", hint)
+        direction = self._get_direction(at, prefix)
+        others = {name: value for name, value in at.items() if name not in VIEW_AXES}
         with key_prefix(prefix.rstrip(".")):
-            return self.at_view(nodes[0] if polar is None else polar, azimuth), at
+            return self.at_view(*direction), others
 
     @reject_unknown_arguments
     def interp(self, *, bands: Any = None, **at: Any) -> xr.Dataset:
@@ -170,11 +190,11 @@ class Table:
         ValueError
             For an unknown or missing axis, or a value outside the table.
         """
-        if self.has_views:
-            table, at = self.fix_view(at)
-            return table.interp(bands=bands, **at)
-        found = interpolate_table(self.dataset, at)
-        return found if bands is None else found.assign(average_bands(self.dataset, at, bands))
+        interpolation, complete = self.interpolation, self._complete_view(at)
+        found = interpolate_table(interpolation, complete)
+        return (
+            found if bands is None else found.assign(average_bands(interpolation, complete, bands))
+        )
 
     @reject_unknown_arguments
     def interpolation_errors(self, quantity: str, **at: Any) -> np.ndarray:
@@ -193,10 +213,7 @@ class Table:
         float, shape (axes, wavelengths)
             Error estimates, with relative signs along the spectrum.
         """
-        if self.has_views:
-            table, at = self.fix_view(at)
-            return table.interpolation_errors(quantity, **at)
-        return estimate_interpolation_errors(self.dataset, quantity, at)
+        return estimate_interpolation_errors(self.interpolation, quantity, self._complete_view(at))
 
     @reject_unknown_arguments
     def deviations(self, quantity: str, **at: Any) -> np.ndarray:
@@ -218,7 +235,7 @@ class Table:
         ValueError
             For a table made without ``covariance=True``.
         """
-        return interpolate_deviations(self.dataset, quantity, at)
+        return interpolate_deviations(self.interpolation, quantity, at)
 
     @reject_unknown_arguments
     def derivatives(self, names: Sequence[str], **at: Any) -> xr.Dataset:
@@ -244,10 +261,7 @@ class Table:
         ValueError
             As for `interp`, and at the singularity of an axis with a square-root transform.
         """
-        if self.has_views:
-            table, at = self.fix_view(at)
-            return table.derivatives(names, **at)
-        return differentiate_table(self.dataset, names, at)
+        return differentiate_table(self.interpolation, names, self._complete_view(at))
 
     @reject_unknown_arguments
     def to_csv(self, path: str | Path) -> None:

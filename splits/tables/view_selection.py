@@ -18,18 +18,15 @@ from splits.core.validation import check_number, check_range, invalid, snap_to_l
 from splits.simulation.arguments import FULL_TURN_DEG, check_direction_angles
 from splits.tables.axes import INCIDENCE
 from splits.tables.axis_order import list_axes, list_quantities, load_selection
-from splits.tables.interpolated_spectra import (
-    InterpolatedSpectra,
-    compute_axis_weights,
-    interpolate_first_axis,
-)
+from splits.tables.comparison import rename_comparison
 from splits.tables.interpolation import check_within_axis
+from splits.tables.table_interpolation import TableInterpolation, combine_axis_errors
 from splits.tables.views import (
     AZIMUTH,
     DIFFUSE_PREFIX,
+    MIXED_QUANTITIES,
     POLAR,
     VIEW_AXES,
-    VIEW_QUANTITIES,
     fold_azimuths,
     list_view_axes,
 )
@@ -37,7 +34,6 @@ from splits.tables.views import (
 N_RINGS, N_RING_DIRECTIONS = 3, 8
 """Numbers of rings of a field of view, and of directions in each."""
 MAX_FIELD_OF_VIEW_DEG = 60.0
-MIXED_QUANTITIES = ("reflectance", *VIEW_QUANTITIES)
 LABELS = {
     "reflectance": "reflectance",
     "reflectance_factor": "reflectance factor",
@@ -162,13 +158,13 @@ def _list_mixed(dataset: xr.Dataset) -> list[str]:
     return [*names, *(DIFFUSE_PREFIX + name for name in names)]
 
 
-def select_view(dataset: xr.Dataset, request: ViewRequest) -> xr.Dataset:
+def select_view(interpolation: TableInterpolation, request: ViewRequest) -> xr.Dataset:
     """Return a table of spectra for one request, with the interpolation error in its errors.
 
     Parameters
     ----------
-    dataset : xarray.Dataset
-        Table with directions of observation.
+    interpolation : TableInterpolation
+        Interpolation of a table with directions of observation.
     request : ViewRequest
 
     Raises
@@ -176,7 +172,7 @@ def select_view(dataset: xr.Dataset, request: ViewRequest) -> xr.Dataset:
     ValueError
         For directions outside the table.
     """
-    directions = request.list_directions()
+    dataset = interpolation.dataset
     names = [name for name in MIXED_QUANTITIES if name in dataset]
     if not names:
         hint = "quantities under isotropic light alone have no beam"
@@ -184,13 +180,8 @@ def select_view(dataset: xr.Dataset, request: ViewRequest) -> xr.Dataset:
         raise invalid("table", list(map(str, dataset.data_vars)), allowed, hint)
     for axis in dict.fromkeys(axis for name in names for axis in list_view_axes(name)):
         request.check_within_table(axis, dataset[axis].values)
-    direct = {name: _average(dataset, name, directions) for name in names}
-    if request.diffuse_fraction.any():
-        diffuse = {name: _average(dataset, DIFFUSE_PREFIX + name, directions) for name in names}
-        dims = ("wavelength",) * request.diffuse_fraction.ndim
-        direct = _mix(direct, diffuse, xr.DataArray(request.diffuse_fraction, dims=dims))
     variables: dict[str, Any] = {}
-    for name, (value, error) in direct.items():
+    for name, (value, error) in _estimate(interpolation, names, request).items():
         dims = tuple(str(dim) for dim in dataset[name].dims if dim not in VIEW_AXES)
         values, errors = (one.transpose(*dims).values for one in (value, error))
         variables |= make_variable(name, dims, values, errors, LABELS[name])
@@ -200,10 +191,33 @@ def select_view(dataset: xr.Dataset, request: ViewRequest) -> xr.Dataset:
         "field_of_view_deg": request.field_of_view_deg,
         "diffuse_fraction": request.diffuse_fraction,
     }
-    coordinates = {
-        name: coordinate for name, coordinate in dataset.coords.items() if name not in VIEW_AXES
-    }
-    return xr.Dataset(variables, coordinates, dataset.attrs | attributes)
+    coordinates = {name: dataset[name] for name in interpolation.axes if name not in VIEW_AXES}
+    coordinates["wavelength"] = dataset.wavelength
+    selected = xr.Dataset(variables, coordinates, dataset.attrs | attributes)
+    for axis, part in interpolation.comparisons.items():
+        if axis not in VIEW_AXES and all(name in part for name in names):
+            # Positions between nodes of other axes, in the same direction and under the same sky.
+            exact = part.assign({f"{name}_stderr": 0.0 * part[name] for name in part.data_vars})
+            found = _estimate(TableInterpolation(exact), names, request)
+            compared = xr.Dataset({
+                name: value.assign_attrs(long_name=LABELS[name])
+                for name, (value, _) in found.items()
+            })  # fmt: skip
+            selected = selected.merge(rename_comparison(compared, axis))
+    return selected
+
+
+def _estimate(
+    interpolation: TableInterpolation, names: list[str], request: ViewRequest
+) -> dict[str, Estimate]:
+    """Return the estimates of quantities for a request."""
+    directions = request.list_directions()
+    direct = {name: _average(interpolation, name, directions) for name in names}
+    if not request.diffuse_fraction.any():
+        return direct
+    diffuse = {name: _average(interpolation, DIFFUSE_PREFIX + name, directions) for name in names}
+    dims = ("wavelength",) * request.diffuse_fraction.ndim
+    return _mix(direct, diffuse, xr.DataArray(request.diffuse_fraction, dims=dims))
 
 
 def describe_table(dataset: xr.Dataset) -> str:
@@ -228,40 +242,25 @@ Estimate = tuple[xr.DataArray, xr.DataArray]
 """Values and standard errors."""
 
 
-def _average(dataset: xr.Dataset, name: str, directions: list[Direction]) -> Estimate:
+def _average(interpolation: TableInterpolation, name: str, directions: list[Direction]) -> Estimate:
     """Return a quantity of a table, averaged over directions where it depends on these."""
-    axes = list_view_axes(name)
-    pair = dataset[name], dataset[f"{name}_stderr"]
+    dataset, axes = interpolation.dataset, list_view_axes(name)
     if not axes:
-        return load_selection(pair[0]), load_selection(pair[1])
-    other_dims = [dim for dim in pair[0].dims if dim not in axes]
+        return load_selection(dataset[name]), load_selection(dataset[f"{name}_stderr"])
     total: Any = 0.0
     # Errors of neighbouring directions are treated as fully correlated.
     for direction in directions:
-        part = _interpolate(pair, axes, direction)
-        total = total + direction.weight * np.stack(part)
-    coordinates = {dim: dataset[dim] for dim in other_dims}
-    value, error = (xr.DataArray(one, coordinates, other_dims) for one in total)
-    return value, error
-
-
-def _interpolate(
-    pair: Estimate, axes: tuple[str, ...], direction: Direction
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return values and standard errors in a direction, over the other dimensions."""
-    weights, needed = [], {}
-    for name in axes:
-        nodes = pair[0][name].values
-        angle = direction.polar if name == POLAR else direction.azimuth
-        one = compute_axis_weights(name, nodes, angle, has_direction=True)
-        rows = np.union1d(one.nodes, np.flatnonzero(one.error_weights.any(axis=0)))
-        weights.append(one.restrict_to(rows))
-        needed[name] = rows
-    arrays = [one.isel(needed).transpose(*axes, ...).values.astype(float) for one in pair]
-    spectra = InterpolatedSpectra(*arrays)
-    for one in weights:
-        spectra = interpolate_first_axis(spectra, one)
-    return spectra.value, np.hypot(spectra.stderr, spectra.interpolation_error)
+        angles = {POLAR: direction.polar, AZIMUTH: direction.azimuth}
+        located = interpolation.locate(name, {axis: angles[axis] for axis in axes})
+        values = located.read(name)
+        value, stderr = located.combine(values), located.read(f"{name}_stderr")
+        error = combine_axis_errors(located.estimate_errors(values), value)
+        estimate = np.stack([value, np.hypot(located.combine_errors(stderr), error)])
+        total = total + direction.weight * estimate
+    dims = [*located.kept, "wavelength"]
+    coordinates = {dim: dataset[dim] for dim in dims}
+    mean, mean_error = (xr.DataArray(one, coordinates, dims) for one in total)
+    return mean, mean_error
 
 
 def _mix(

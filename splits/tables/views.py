@@ -18,6 +18,8 @@ VIEW_AXES = (POLAR, AZIMUTH)
 ANGLES = (INCIDENCE, *VIEW_AXES)
 DIFFUSE_PREFIX = "diffuse_"
 VIEW_QUANTITIES = ("reflectance_factor", "anisotropy_factor")
+MIXED_QUANTITIES = ("reflectance", *VIEW_QUANTITIES)
+"""Quantities of a beam, which isotropic light may be mixed with."""
 DIFFUSE_QUANTITIES = tuple(DIFFUSE_PREFIX + name for name in ("reflectance", *VIEW_QUANTITIES))
 """Quantities under isotropic light, in a table whose other quantities are under beams."""
 ALL_QUANTITIES = (*SIDE_QUANTITIES, *VIEW_QUANTITIES, *DIFFUSE_QUANTITIES)

@@ -6,6 +6,7 @@ for (const table of tables) {
   table.value = numbers(table.value);
   table.stderr = numbers(table.stderr);
   table.at = table.axes.map((axis) => axis.start);
+  for (const axis of table.axes) if (axis.measured) axis.measured.factors = numbers(axis.measured.factors);
   if (table.directions) table.directions.value = numbers(table.directions.value);
 }
 
@@ -19,6 +20,14 @@ const laws = {
 };
 const STENCIL_SIZE = 4;
 
+// A coordinate is a power, or the logarithm for power 0, of the distance from an origin.
+function coordinate([isCosine, power, origin], value) {
+  const distance = (isCosine ? -Math.cos(value * Math.PI / 180) : value) - origin;
+  if (power === 1) return distance;
+  const size = Math.abs(distance), bent = power === 0 ? Math.log(size) : size ** power;
+  return (distance < 0 ? -1 : 1) * (power < 0 ? -bent : bent);
+}
+
 function nearest(at, x, count) {
   count = Math.min(count, at.length);
   let right = at.findIndex((one) => one >= x);
@@ -31,66 +40,138 @@ function lagrange(at, x) {
   return at.map((one, i) => at.reduce((weight, other, j) => (i === j ? weight : weight * (x - other) / (one - other)), 1));
 }
 
-function weightsAt(axis, value) {
-  const law = laws[axis.law][0];
-  const at = axis.nodes.map(law), x = law(value);
-  const stencil = nearest(at, x, STENCIL_SIZE);
-  const weights = lagrange(stencil.map((i) => at[i]), x);
-  const nodeProduct = stencil.reduce((product, i) => product * (x - at[i]), 1);
-  const errorWeights = [];
-  if (nodeProduct !== 0 && at.length === 2) {
-    errorWeights.push([-weights[0] * weights[1], weights[0] * weights[1]]);
-  } else if (nodeProduct !== 0) {
-    const ordered = [...stencil].sort((i, j) => Math.abs(at[i] - x) - Math.abs(at[j] - x) || i - j);
-    if (at.length <= STENCIL_SIZE) {
-      const row = at.map(() => 0), few = ordered.slice(0, -1), found = lagrange(few.map((i) => at[i]), x);
-      stencil.forEach((i, k) => { row[i] += weights[k]; });
-      few.forEach((i, k) => { row[i] -= found[k]; });
-      errorWeights.push(row);
-      return { stencil, weights, errorWeights };
-    }
-    for (const node of ordered.slice(0, 2)) {
-      const rest = at.map((_, i) => i).filter((i) => i !== node);
-      const few = nearest(rest.map((i) => at[i]), at[node], STENCIL_SIZE).map((i) => rest[i]);
-      const scale = Math.abs(nodeProduct / few.reduce((product, i) => product * (at[node] - at[i]), 1));
-      const row = at.map(() => 0), found = lagrange(few.map((i) => at[i]), at[node]);
-      row[node] += scale;
-      few.forEach((i, k) => { row[i] -= scale * found[k]; });
-      errorWeights.push(row);
-    }
-  }
-  return { stencil, weights, errorWeights };
+function stencilOf(at, x) {
+  const nodes = nearest(at, x, STENCIL_SIZE), near = nodes.map((i) => at[i]);
+  return { nodes, weights: lagrange(near, x), product: near.reduce((product, one) => product * (x - one), 1) };
 }
 
-// Interpolate along the first axis: values, standard errors of nodes, and interpolation errors.
-function along(read, axis, value) {
-  const w = weightsAt(axis, value), size = read.value.length / axis.nodes.length;
-  const out = { value: new Float64Array(size), stderr: new Float64Array(size), interpolationError: new Float64Array(size) };
-  for (let i = 0; i < size; i++) {
-    let v = 0, correlated = 0, variance = 0, previous = 0, added = 0;
-    w.stencil.forEach((node, k) => {
-      const j = node * size + i, weight = w.weights[k];
-      v += weight * read.value[j];
-      correlated += weight * read.stderr[j];
-      variance += (weight * read.stderr[j]) ** 2;
-      previous += Math.abs(weight) * read.interpolationError[j];
-    });
-    for (const row of w.errorWeights) {
-      let deviation = 0;
-      for (let node = 0; node < row.length; node++) deviation += row[node] * read.value[node * size + i];
-      added = Math.max(added, Math.abs(deviation));
+// Add weights of nodes to a row of weights of all nodes.
+function put(row, nodes, weights, scale = 1) {
+  nodes.forEach((node, k) => { row[node] += scale * weights[k]; });
+  return row;
+}
+
+// Weights of all nodes of an axis, and the product of distances, for each of its coordinates.
+function weightsAt(axis, value) {
+  return axis.coordinates.map((one) => {
+    const stencil = stencilOf(axis.nodes.map((node) => coordinate(one, node)), coordinate(one, value));
+    return { row: put(axis.nodes.map(() => 0), stencil.nodes, stencil.weights), product: stencil.product };
+  });
+}
+
+// Weights of estimates of an error that was not measured.
+function estimatesAt(axis, value) {
+  const one = axis.coordinates[0], at = axis.nodes.map((node) => coordinate(one, node)), x = coordinate(one, value);
+  const { nodes, weights, product } = stencilOf(at, x), rows = [], last = at.length - 1;
+  if (product === 0) return rows;
+  const blank = () => at.map(() => 0);
+  const ordered = [...nodes].sort((i, j) => Math.abs(at[i] - x) - Math.abs(at[j] - x) || i - j);
+  if (at.length === 2) {
+    rows.push([-weights[0] * weights[1], weights[0] * weights[1]]);
+  } else if (at.length <= STENCIL_SIZE) {
+    const few = ordered.slice(0, -1);
+    rows.push(put(put(blank(), nodes, weights), few, lagrange(few.map((i) => at[i]), x), -1));
+  } else {
+    for (const node of ordered.slice(0, 2)) {
+      const rest = at.map((_, i) => i).filter((i) => i !== node), omitted = stencilOf(rest.map((i) => at[i]), at[node]);
+      const scale = Math.abs(product / omitted.product), row = blank();
+      row[node] += scale;
+      rows.push(put(row, omitted.nodes.map((i) => rest[i]), omitted.weights, -scale));
     }
-    out.value[i] = v;
-    out.stderr[i] = Math.max(Math.abs(correlated), Math.sqrt(variance));
-    out.interpolationError[i] = Math.hypot(previous, added);
   }
-  return out;
+  if (value < axis.nodes[1] || value > axis.nodes[last - 1]) {
+    const right = axis.nodes.findIndex((node) => node >= value), two = [right - 1, right];
+    for (const other of axis.compared) {
+      const found = lagrange(two.map((i) => coordinate(other, axis.nodes[i])), coordinate(other, value));
+      rows.push(put(put(blank(), nodes, weights), two, found, -1));
+    }
+  }
+  return rows;
+}
+
+// Sums over the nodes of all axes, with rows of weights: one for all wavelengths, or one for each.
+function combine(table, values, rows, power = 1) {
+  const width = table.wavelength.length;
+  return table.axes.reduce((read, axis, k) => {
+    const size = read.length / axis.nodes.length, out = new Float64Array(size);
+    for (let node = 0; node < axis.nodes.length; node++) {
+      for (let i = 0; i < size; i++) out[i] += rows[k](i % width)[node] ** power * read[node * size + i];
+    }
+    return out;
+  }, values);
+}
+
+// Two nodes and the fraction of the second, linear in the default coordinate of an axis.
+function linear(nodes, law, value) {
+  if (nodes.length === 1) return [[0, 1]];
+  const at = nodes.map(laws[law][0]), x = laws[law][0](value);
+  let right = at.findIndex((one) => one >= x);
+  right = Math.min(Math.max(right < 0 ? at.length : right, 1), at.length - 1);
+  const fraction = Math.min(Math.max((x - at[right - 1]) / (at[right] - at[right - 1]), 0), 1);
+  return [[right - 1, 1 - fraction], [right, fraction]];
+}
+
+// The measured error of an axis, as splits.tables.axis_interpolation: signed, and its square.
+function measuredError(table, axis, value, at) {
+  const m = axis.measured, width = table.wavelength.length, size = m.factors.length / m.between.length;
+  const right = axis.nodes.findIndex((node) => node >= value);
+  const first = m.count * Math.min(Math.max((right < 0 ? axis.nodes.length : right) - 1, 0), axis.nodes.length - 2);
+  const law = laws[axis.law][0], positions = m.between.slice(first, first + m.count).map(law), x = law(value);
+  const above = positions.findIndex((one) => one >= x);
+  const left = Math.min(Math.max((above < 0 ? m.count : above) - 1, 0), m.count - 2);
+  const fraction = (x - positions[left]) / (positions[left + 1] - positions[left]), inside = Math.min(Math.max(fraction, 0), 1);
+  const start = (first + left) * size, signed = new Float64Array(width), squared = new Float64Array(width), step = new Float64Array(width);
+  let places = [[0, 1]];
+  for (const other of m.others) {
+    const two = linear(other.nodes, other.law, at[other.axis]);
+    places = places.flatMap(([place, weight]) => two.map(([i, w]) => [place * other.nodes.length + i, weight * w]));
+  }
+  for (const [place, weight] of places) {
+    for (let i = 0; i < width; i++) {
+      const low = m.factors[start + place * width + i], high = m.factors[start + size + place * width + i];
+      signed[i] += weight * ((1 - inside) * low + inside * high);
+      squared[i] += weight * ((1 - inside) * low ** 2 + inside * high ** 2);
+      step[i] += weight * (high - low);
+    }
+  }
+  const count = size / width;
+  for (let i = 0; i < width; i++) {
+    let mean = 0;
+    for (let place = 0; place < count; place++) {
+      mean += (1 - inside) * m.factors[start + place * width + i] ** 2 + inside * m.factors[start + size + place * width + i] ** 2;
+    }
+    squared[i] += (fraction - inside) ** 2 * step[i] ** 2 + m.share ** 2 * mean / count;
+  }
+  return { signed, squared };
 }
 
 function interp(table, at) {
-  let read = { value: table.value, stderr: table.stderr, interpolationError: new Float64Array(table.value.length) };
-  table.axes.forEach((axis, k) => { read = along(read, axis, at[k]); });
-  return { value: read.value, error: read.stderr.map((s, i) => Math.hypot(s, read.interpolationError[i])) };
+  const weights = table.axes.map((axis, k) => weightsAt(axis, at[k]));
+  const rows = table.axes.map((axis, k) => (i) => weights[k][axis.choice[i]].row);
+  const value = combine(table, table.value, rows), width = table.wavelength.length;
+  const correlated = combine(table, table.stderr, rows), variance = combine(table, table.stderr.map((s) => s * s), rows, 2);
+  const sum = new Float64Array(width), squares = new Float64Array(width);
+  table.axes.forEach((axis, k) => {
+    if (axis.measured) {
+      const found = measuredError(table, axis, at[k], at);
+      for (let i = 0; i < width; i++) {
+        const product = weights[k][axis.choice[i]].product;
+        sum[i] += product * found.signed[i];
+        squares[i] += product ** 2 * found.squared[i];
+      }
+      return;
+    }
+    const largest = new Float64Array(width);
+    for (const row of estimatesAt(axis, at[k])) {
+      const found = combine(table, table.value, rows.map((one, j) => (j === k ? () => row : one)));
+      found.forEach((x, i) => { largest[i] = Math.max(largest[i], Math.abs(x)); });
+    }
+    largest.forEach((x, i) => { sum[i] += x; squares[i] += x * x; });
+  });
+  const error = value.map((_, i) => Math.hypot(
+    Math.max(Math.abs(correlated[i]), Math.sqrt(variance[i])), Math.max(Math.abs(sum[i]), Math.sqrt(squares[i])),
+  ));
+  return { value, error };
 }
 
 // --- display ------------------------------------------------------------------------------------

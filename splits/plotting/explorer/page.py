@@ -14,7 +14,12 @@ from splits.core.atomic import atomic_write
 from splits.core.escaping import escape_json
 from splits.core.parameter_names import parse_impurity_parameter
 from splits.core.validation import invalid
-from splits.tables.interpolation import apply_axis_transform, transform_axis
+from splits.tables.axis_interpolation import MEAN_SHARE, AxisInterpolation
+from splits.tables.interpolation import (
+    apply_axis_transform,
+    list_compared_coordinates,
+    transform_axis,
+)
 from splits.tables.table import Table
 
 MAX_PAGE_BYTES = 5_000_000
@@ -79,6 +84,7 @@ def _serialize_table(label: str, entry: ExplorerTable) -> dict[str, Any]:
     """Return the data of a table for the page."""
     dataset = entry.table.dataset
     names = entry.table.axes[:-1]
+    interpolation = entry.table.interpolation.prepare("reflectance") if names else {}
     axes = []
     for name in names:
         nodes = dataset[name].values
@@ -99,6 +105,7 @@ def _serialize_table(label: str, entry: ExplorerTable) -> dict[str, Any]:
                 "nodes": nodes.tolist(),
                 "law": transform,
                 "start": float(nodes[0]) if _is_addition(name) else middle,
+                **_serialize_interpolation(interpolation[name], names),
             }
         )
         assert np.array_equal(apply_axis_transform(transform, nodes), transformed)
@@ -118,6 +125,32 @@ def _serialize_table(label: str, entry: ExplorerTable) -> dict[str, Any]:
         if entry.directions is None
         else _serialize_directions(entry.directions, names),
     }
+
+
+def _serialize_interpolation(axis: AxisInterpolation, names: Sequence[str]) -> dict[str, Any]:
+    """Return the coordinates and the errors of interpolation along an axis for the page."""
+    coordinates = [
+        [bool(is_cosine), power, origin] for is_cosine, power, origin in axis.coordinates
+    ]
+    measured = None
+    if axis.is_measured:
+        others = [
+            {
+                "axis": names.index(name),
+                "nodes": nodes.tolist(),
+                "law": transform_axis(name, nodes)[0],
+            }
+            for name, nodes in axis.other_axes.items()
+        ]
+        measured = {
+            "between": axis.between.tolist(), "count": axis.n_compared, "share": MEAN_SHARE,
+            "others": others, "factors": _encode_float32(axis.factors[0]),
+        }  # fmt: skip
+    compared = list_compared_coordinates(axis.name, axis.nodes, axis.default)
+    return {
+        "coordinates": coordinates, "choice": axis.choice.tolist(), "measured": measured,
+        "compared": [[bool(is_cosine), *rest] for is_cosine, *rest in compared],
+    }  # fmt: skip
 
 
 MAX_POLAR_DEG = 80.0

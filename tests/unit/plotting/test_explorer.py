@@ -13,6 +13,8 @@ from browser import NEEDS_BROWSER, page_of
 from splits.core.validation import InvalidValue
 from splits.plotting.explorer import page
 from splits.plotting.explorer.page import ExplorerTable, compute_colour_weights, write_explorer
+from splits.tables.axes import ParameterGrid
+from splits.tables.comparison import list_comparison_grids, rename_comparison
 from splits.tables.table import Table
 
 AXES = {
@@ -24,17 +26,28 @@ AXES = {
 }
 
 
-def make_explorer_table(path_sharing_axes="optical_radius_um, impurities_ng_g.black_carbon"):
-    size, angle, soot, water, w = np.meshgrid(*AXES.values(), indexing="ij", sparse=True)
+def evaluate_reflectance(axes):
+    """Return a snow-like reflectance over the axes of a table."""
+    size, angle, soot, water, w = np.meshgrid(*axes.values(), indexing="ij", sparse=True)
     depth = np.sqrt(size / 1e4 * ((w / 700.0) ** 3 + soot / 200.0)) * (1.0 + water)
     values = np.exp(-depth * (1.0 + 2.0 * np.cos(np.radians(angle))))
-    stderr = 0.002 + 0.004 * values * (1.0 - values)
-    variables = {
-        "reflectance": (tuple(AXES), values, {"long_name": "reflectance"}),
-        "reflectance_stderr": (tuple(AXES), stderr),
-    }
-    dataset = xr.Dataset(variables, AXES, {"path_sharing_axes": path_sharing_axes})
+    return xr.DataArray(values, axes, list(axes), attrs={"long_name": "reflectance"})
+
+
+def make_explorer_table(
+    path_sharing_axes="optical_radius_um, impurities_ng_g.black_carbon", is_compared=False
+):
+    values = evaluate_reflectance(AXES)
+    variables = {"reflectance": values, "reflectance_stderr": 0.002 + 0.004 * values * (1 - values)}
+    dataset = xr.Dataset(variables, attrs={"path_sharing_axes": path_sharing_axes})
     dataset.optical_radius_um.attrs = {"long_name": "radius of spheres", "units": "um"}
+    names = list(AXES)[:-1]
+    grid = ParameterGrid.from_mapping({name: AXES[name] for name in names})
+    for name, one in list_comparison_grids(grid, names[:3] if is_compared else []).items():
+        axes = {n: np.array(row) for n, row in zip(*one, strict=True)}
+        part = evaluate_reflectance(axes | {"wavelength": AXES["wavelength"]})
+        renamed = rename_comparison(part.to_dataset(name="reflectance"), name)
+        dataset = dataset.assign(renamed.data_vars)
     return Table(dataset)
 
 
@@ -59,8 +72,8 @@ def explorer_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("explorer") / "explorer.html"
     snow = make_explorer_table()
     tables = {"snow": ExplorerTable(snow, "results/data/a.nc", "Snow", make_directions()),
-             "</script>": ExplorerTable(
-        make_explorer_table("none"), "b.nc", "An awkward name")}  # fmt: skip
+             "</script>": ExplorerTable(make_explorer_table("none"), "b.nc", "An awkward name"),
+             "compared": ExplorerTable(make_explorer_table("none", True), "c.nc", "")}  # fmt: skip
     write_explorer(tables, path)
     return path
 
@@ -92,12 +105,11 @@ def read_numbers(text, name):
 
 
 @NEEDS_BROWSER
-@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("number", [0, 1, 2])
 @pytest.mark.parametrize("point", POINTS, ids=str)
 def test_browser_and_python_interpolate_equally(explorer_file, tmp_path, number, point):
-    expected = make_explorer_table(*(["none"] if number else [])).interp(
-        **dict(zip(list(AXES)[:-1], point, strict=True))
-    )
+    table = make_explorer_table("none", number == 2)
+    expected = table.interp(**dict(zip(list(AXES)[:-1], point, strict=True)))
     text = render_page(explorer_file, tmp_path, number, point)
     actual = {name: read_numbers(text, name) for name in ("values", "errors")}
     np.testing.assert_allclose(actual["values"], expected.reflectance, rtol=0.0, atol=1e-6)

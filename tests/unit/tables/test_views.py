@@ -38,7 +38,11 @@ def test_directions_between_nodes_have_the_analytic_values(table, polar, azimuth
 def test_positions_may_include_the_direction(table):
     direct = table.interp(**AT, polar_deg=33.0, azimuth_deg=100.0)
     fixed = table.at_view(33.0, 100.0).interp(**AT)
-    assert direct.drop_attrs().equals(fixed.drop_attrs())
+    for name in table.interpolation.quantities:
+        np.testing.assert_allclose(direct[name], fixed[name], rtol=1e-6)
+        # Errors of directions may add to those of the other axes, or are part of the nodes'.
+        ratio = direct[f"{name}_stderr"] / fixed[f"{name}_stderr"]
+        assert ((ratio > 0.7) & (ratio < 2.0)).all()
     slope = table.derivatives([SIZE], **AT, polar_deg=30.0, azimuth_deg=90.0)
     # Between two sizes, values are linear in the logarithm.
     low, high = (evaluate_factor(size, 40.0, 30.0, 90.0, WAVELENGTH) for size in (100.0, 400.0))

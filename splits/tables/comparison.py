@@ -1,0 +1,206 @@
+"""Spectra between the nodes of a table, which measure the error of its interpolation.
+
+For each numeric axis, the solver of the table also solves positions between all neighbouring nodes,
+with the other axes at a few of their nodes.  Both are solved together, with the same numbers of
+streams or the same rays, so that their differences are more precise than their values.  Axes that
+do not share paths are not compared: their differences would have the full noise of the rays.
+
+In the dataset of a table, the values at the nodes and between those of the axis AXIS are the
+variables QUANTITY_along_AXIS, over the dimensions NAME_along_AXIS for each axis NAME.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import xarray as xr
+
+from splits.instruments.solver import DISCRETE_ORDINATES
+from splits.media.medium import Medium
+from splits.tables.axes import INCIDENCE, ParameterGrid
+from splits.tables.axis_interpolation import MIN_COMPARED
+from splits.tables.axis_order import ALONG, list_axes, list_quantities
+from splits.tables.block import TableRequest
+from splits.tables.interpolation import COORDINATES, transform_axis
+from splits.tables.plan import TablePlan
+from splits.tables.views import ANGLES, POLAR, ViewGrid, drop_view_axes, has_diffuse
+
+POSITIONS = {"few nodes": (0.15, 0.5, 0.85), "more nodes": (0.25, 0.75)}
+"""Compared positions in an interval, as fractions of it in the default coordinate.  With few nodes,
+one difference more makes up for the choice of the coordinate."""
+MAX_FEW_NODES = 4
+N_OTHER_NODES = 3
+"""Number of nodes of every other axis."""
+MAX_OTHER_MEDIA = 6
+"""Largest number of combinations of nodes of the other axes, without angles."""
+N_OTHER_ANGLES = 7
+"""Number of nodes of every other angle in a table with directions."""
+PATH_ERROR_RATIO = 2.0
+"""Error of paths in comparisons, relative to that of the table."""
+
+ComputeTable = Callable[[TablePlan, TableRequest], xr.Dataset]
+
+
+def find_positions_between(name: str, nodes: np.ndarray, *, has_direction: bool) -> np.ndarray:
+    """Return the compared positions of an axis, as many between all neighbouring nodes."""
+    kind, t = transform_axis(name, nodes, has_direction=has_direction)
+    fractions = POSITIONS["few nodes" if nodes.size <= MAX_FEW_NODES else "more nodes"]
+    rows = [t[:-1] + fraction * np.diff(t) for fraction in fractions]
+    return COORDINATES[kind].invert(np.stack(rows, axis=1).ravel())
+
+
+def list_comparison_grids(grid: ParameterGrid, axes: Sequence[str]) -> dict[str, ParameterGrid]:
+    """Return the grid of the comparison along each axis.
+
+    Parameters
+    ----------
+    grid : ParameterGrid
+        Grid of the table, with directions of observation.
+    axes : sequence of str
+        Axes to compare; those of text or of a single node are left out.
+    """
+    has_direction = POLAR in grid.names
+    grids = {}
+    for name in axes:
+        values = grid.get_values(name, None)
+        if len(values) < 2 or isinstance(values[0], str):
+            continue
+        nodes = np.array(values, dtype=float)
+        between = find_positions_between(name, nodes, has_direction=has_direction)
+        positions = np.sort(np.concatenate([nodes, between]))
+        kept = _thin_axes(grid.drop(name), has_direction)
+        names = grid.names
+        rows = [
+            tuple(positions.tolist()) if other == name else kept.get_values(other, None)
+            for other in names
+        ]
+        grids[name] = ParameterGrid(names, tuple(rows))
+    return grids
+
+
+def _thin_axes(grid: ParameterGrid, has_direction: bool) -> ParameterGrid:
+    """Return a grid of a few nodes of every axis, with both ends where possible; texts are kept."""
+    counts = {}
+    for name, values in zip(*grid, strict=True):
+        is_direction = has_direction and name in ANGLES
+        limit = N_OTHER_ANGLES if is_direction else N_OTHER_NODES
+        is_text = isinstance(values[0], str)
+        counts[name] = len(values) if is_text else min(len(values), limit)
+    media = [
+        name for name, values in zip(*grid, strict=True)
+        if name not in ANGLES and not isinstance(values[0], str)
+    ]  # fmt: skip
+    while media and math.prod(counts[name] for name in media) > MAX_OTHER_MEDIA:
+        largest = max(reversed(media), key=lambda name: counts[name])
+        if counts[largest] == 1:
+            break
+        counts[largest] -= 1
+    rows = []
+    for name, values in zip(*grid, strict=True):
+        count, last = counts[name], len(values) - 1
+        chosen = [last // 2] if count == 1 else np.linspace(0, last, count).round().astype(int)
+        rows.append(tuple(values[i] for i in chosen))
+    return ParameterGrid(grid.names, tuple(rows))
+
+
+def add_comparisons(
+    table: xr.Dataset,
+    make_medium: Callable[..., Medium],
+    grid: ParameterGrid,
+    plan: TablePlan,
+    request: TableRequest,
+    compute: ComputeTable,
+) -> xr.Dataset:
+    """Return a table with spectra between its nodes.
+
+    Parameters
+    ----------
+    table : xarray.Dataset
+    make_medium, grid
+        As for `TablePlan.from_grid`; the grid includes directions of observation.
+    plan, request
+        Of the table.
+    compute : callable
+        Function of a plan and a request that returns a table.
+    """
+    by_ordinates = request.solver == DISCRETE_ORDINATES
+    axes = grid.names if by_ordinates else plan.path_sharing_axes
+    spectral = request.spectral_request
+    if not by_ordinates:
+        spectral = spectral._replace(max_stderr=PATH_ERROR_RATIO * spectral.max_stderr)
+    added = {}
+    incidence = 0.0 if INCIDENCE in grid.names else plan.path_groups[0].incidence
+    for name, one in list_comparison_grids(grid, axes).items():
+        views = ViewGrid.from_grid(one)
+        kept = [q for q in request.quantities if name in table[q].dims]
+        if not kept:
+            continue
+        part_plan = TablePlan.from_grid(
+            make_medium, drop_view_axes(one), plan.wavelengths, incidence,
+            has_views=views is not None, with_diffuse=has_diffuse(kept),
+        )  # fmt: skip
+        part_request = request._replace(
+            spectral_request=spectral, quantities=tuple(kept), covariance=False, views=views
+        )
+        part = compute(part_plan, part_request)[kept]
+        added[name] = part
+    for name, part in added.items():
+        table = table.assign(rename_comparison(part, name).data_vars)
+    return table
+
+
+def rename_comparison(part: xr.Dataset, name: str) -> xr.Dataset:
+    """Return a comparison with the names of its variables in a table."""
+    for variable in part.data_vars.values():
+        variable.attrs = {
+            "long_name": f"{variable.attrs['long_name']} at and between nodes of {name}",
+            "units": "1",
+        }
+    names = [str(n) for n in (*part.data_vars, *part.dims) if n != "wavelength"]
+    return part.drop_attrs(deep=False).rename({n: f"{n}{ALONG}{name}" for n in names})
+
+
+def extract_comparisons(dataset: xr.Dataset) -> dict[str, xr.Dataset]:
+    """Return the comparisons of a table by axis.
+
+    Those that do not belong to the nodes are left out: the table may be a selection of other nodes,
+    or several tables that were joined.
+    """
+    quantities, found = list_quantities(dataset), {}
+    for name in list_axes(dataset)[:-1]:
+        suffix = f"{ALONG}{name}"
+        kept = [q for q in quantities if q + suffix in dataset and name in dataset[q].dims]
+        if not kept:
+            continue
+        part = dataset[[q + suffix for q in kept]]
+        expected = [
+            {n if n == "wavelength" else f"{n}{suffix}" for n in dataset[q].dims} for q in kept
+        ]
+        if [set(part[q + suffix].dims) for q in kept] != expected:
+            continue
+        names = [*part.data_vars, *(d for d in part.dims if d != "wavelength")]
+        part = part.rename({n: str(n).removesuffix(suffix) for n in names}).sortby(name)
+        if _fits(part, name, dataset):
+            found[name] = part.load()
+    return found
+
+
+def _fits(part: xr.Dataset, name: str, dataset: xr.Dataset) -> bool:
+    """Return whether a comparison is that of the nodes of a table."""
+    for other in map(str, part.dims):
+        nodes, positions = dataset[other].values, part[other].values
+        if other == name:
+            step, rest = divmod(len(positions) - 1, max(len(nodes) - 1, 1))
+            fits = step > MIN_COMPARED and not rest and np.array_equal(positions[::step], nodes)
+        elif other == "wavelength":
+            fits = True
+        elif nodes.dtype.kind != "f":
+            fits = set(nodes.tolist()) <= set(positions.tolist())
+        else:
+            is_within = positions.min() <= nodes[0] and nodes[-1] <= positions.max()
+            fits = is_within or len(positions) == 1
+        if not fits:
+            return False
+    return not any(np.isnan(variable).any() for variable in part.data_vars.values())

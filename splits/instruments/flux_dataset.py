@@ -114,7 +114,8 @@ def _make_path_variables(result: FluxResult, traced_medium: TracedMedium) -> dic
     ratio_error = traced_medium.path_ratio.find_largest_error(traced_medium.medium, edges)
     ratio_error *= np.abs(fluxes[0].mean(axis=0))
     # Light that no ray carries is absorbed, and has a path per absorbed light.
-    longest = 1.0 / np.maximum(steps.absorption_rate * thickness, np.finfo(float).tiny)
+    longest, rate = np.full_like(absorptance, np.inf), steps.absorption_rate
+    np.divide(1.0 / thickness, rate, out=longest, where=rate > 0.0)
     unsampled_flux = result.unsampled_light * np.minimum(longest, 1.0)
     flux_error = _combine_errors(fluxes, result, unsampled_flux, ratio_error)
     if traced_medium.semi_infinite:

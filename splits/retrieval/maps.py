@@ -235,7 +235,8 @@ def _check_band_image(image: Any, bands: Mapping[str, SpectralBand]) -> xr.DataA
                 limits = f"within {band} of {name}"
                 hint = "is the order of the bands that of the image?"
                 raise invalid("image.wavelength", wavelength, limits, hint)
-    return convert_units("image", image, image.attrs.get("units"), "1")
+    converted: Any = convert_units("image", image, image.attrs.get("units"), "1")
+    return xr.DataArray(converted)
 
 
 def _find_defect(spectra: np.ndarray, wavelength_nm: np.ndarray) -> InvalidValue | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 
@@ -27,6 +28,9 @@ FIXED_ATTRIBUTES = (INCIDENCE, *VIEW_AXES, "field_of_view_deg", "diffuse_fractio
 """Attributes of a table that are conditions of a measurement."""
 ERROR_CORRELATION_NM = 400.0
 """Correlation length (nm) assumed for errors of table nodes."""
+MAX_RESAMPLED_VALUES = 20_000_000
+"""Largest number of values of a table with added nodes, if the table itself has
+fewer."""
 SCALE_RANGE = (0.2, 5.0)
 """Widest range of the scale factor."""
 
@@ -112,7 +116,7 @@ class TableForwardModel:
             raise invalid("free", list(state_vector.names), "at least one axis of the table")
         self._scale_index = state_vector.names.index(SCALE) if SCALE in state_vector.names else None
         self._axis_indices = [state_vector.names.index(name) for name in self.axes]
-        values, nodes, self._steps = _resample_table(
+        values, nodes, self._steps, self._resampling_errors = _resample_table(
             table, quantity, state_vector, self.axes, self.fixed
         )
         self.node_values = np.ascontiguousarray(
@@ -206,9 +210,8 @@ class TableForwardModel:
         node_stderr = np.sqrt(
             np.maximum(interpolated[f"{q}_stderr"].values ** 2 - interpolation_error**2, 0.0)
         )
-        axis_error = (
-            self.table.interpolation_errors(q, **fixed, **free_values) @ self.operator.matrix.T
-        )
+        axis_errors = self.table.interpolation_errors(q, **fixed, **free_values)
+        axis_error = np.vstack([axis_errors, self._resampling_errors]) @ self.operator.matrix.T
         wavelength_error = self.operator.interpolation_error @ interpolated[q].values
         covariance = (
             self.compute_node_covariance(node_stderr, {**fixed, **free_values})
@@ -311,12 +314,13 @@ def _resample_table(
     state_vector: StateVector,
     axes: list[str],
     fixed: Mapping[str, Any],
-) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
-    """Return values over some axes and wavelength, the nodes of these axes, and their steps.
+) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, np.ndarray]:
+    """Return values over some axes and wavelength, the nodes of these axes, their steps and errors.
 
     A measurement may mix wavelengths for which the table has different coordinates.  Nodes are
     therefore added, as many as needed for cubics in the coordinates of the state vector to agree
-    with the table.  Every axis has its own nodes at each step.
+    with the table, or as many as `MAX_RESAMPLED_VALUES` allows.  Every axis has its own nodes at
+    each step.  Errors, of shape (axes, wavelengths), are the deviations that remain.
     """
     free = {name: table.dataset[name].values[0] for name in axes}
     with key_prefix("fixed"):
@@ -325,13 +329,22 @@ def _resample_table(
     located = table.interpolation.locate(quantity, point)
     values = located.combine(located.read(quantity))
     prepared = table.interpolation.prepare(quantity)
-    nodes: dict[str, np.ndarray] = {}
-    steps = {}
+    coordinates = {
+        name: COORDINATES[state_vector.transforms[state_vector.names.index(name)]]
+        for name in located.kept
+    }
+    refined = {name: prepared[name].refine_nodes(one) for name, one in coordinates.items()}
+    size = values.shape[-1]
+    while size * math.prod(len(nodes) for _, nodes, _ in refined.values()) > MAX_RESAMPLED_VALUES:
+        most = max(refined, key=lambda name: refined[name][0])
+        steps = refined[most][0]
+        if steps == 1:
+            break
+        refined[most] = prepared[most].refine_nodes(coordinates[most], steps // 2)
     for name in located.kept:
-        axis, transform = prepared[name], state_vector.transforms[state_vector.names.index(name)]
-        steps[name], nodes[name] = axis.refine_nodes(COORDINATES[transform])
         # The axes move to the end in turn, and are in order afterwards.
-        values = axis.interpolate(np.moveaxis(values, 0, -2), nodes[name])
+        values = prepared[name].interpolate(np.moveaxis(values, 0, -2), refined[name][1])
     order = [located.kept.index(name) for name in axes]
     values = values.transpose(*order, len(order))
-    return values, [nodes[name] for name in axes], np.array([steps[name] for name in axes])
+    steps, nodes, errors = zip(*(refined[name] for name in axes), strict=True)
+    return values, list(nodes), np.array(steps), np.array(errors)

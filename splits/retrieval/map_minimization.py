@@ -77,12 +77,19 @@ def find_nearest_node(grid, measurement, prior_mean, prior_precision, state):
     axes = len(n_nodes)
     min_cost = np.inf
     coordinates = np.empty(axes)
-    for node in range(len(node_values)):
-        rest, inside, cost = node, True, 0.0
+    n_table_nodes = 1
+    for a in range(axes):
+        n_table_nodes *= (n_nodes[a] - 1) // steps[a] + 1
+    for table_node in range(n_table_nodes):
+        rest, inside, cost = table_node, True, 0.0
+        node, stride = 0, 1
         for a in range(axes - 1, -1, -1):
-            coordinates[a] = axis_nodes[a, rest % n_nodes[a]]
-            inside = inside and rest % n_nodes[a] % steps[a] == 0
-            rest //= n_nodes[a]
+            n_axis_nodes = (n_nodes[a] - 1) // steps[a] + 1
+            index = rest % n_axis_nodes * steps[a]
+            rest //= n_axis_nodes
+            node += index * stride
+            stride *= n_nodes[a]
+            coordinates[a] = axis_nodes[a, index]
             inside = inside and -1e-9 <= coordinates[a] <= 1.0 + 1e-9
             cost += prior_precision[a] * (coordinates[a] - prior_mean[a]) ** 2
         if not inside:

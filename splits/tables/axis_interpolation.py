@@ -171,22 +171,28 @@ class AxisInterpolation:
         interpolated: np.ndarray = np.einsum("pnw,...nw->...pw", weights, values, optimize=True)
         return interpolated
 
-    def refine_nodes(self, coordinate: Coordinate) -> tuple[int, np.ndarray]:
+    def refine_nodes(
+        self, coordinate: Coordinate, max_steps: int = MAX_REFINEMENT
+    ) -> tuple[int, np.ndarray, np.ndarray]:
         """Return nodes of which cubics in one coordinate agree with the interpolation.
 
         Parameters
         ----------
         coordinate : Coordinate
+        max_steps : int
+            Largest number of intervals between neighbouring nodes of the table.
 
         Returns
         -------
         int
             Number of intervals between neighbouring nodes of the table.
         float, shape (nodes,)
+        float, shape (wavelengths,)
+            Largest deviation of the cubics.
         """
         steps, refined = 1, self.nodes
         if self.comparison is None or self.coordinates == [coordinate]:
-            return steps, refined
+            return steps, refined, np.zeros(len(self.choice))
         is_node = np.isin(self.comparison[self.name].values, self.nodes)
         rows = np.moveaxis(self.comparison.values[is_node].astype(float), 0, -2)
         ends = coordinate.apply(self.nodes)
@@ -201,10 +207,9 @@ class AxisInterpolation:
                 row[stencil.nodes] = stencil.weights
             by_cubics = np.einsum("pn,...nw->...pw", matrix, self.interpolate(rows, refined))
             deviation = np.abs(by_cubics - self.interpolate(rows, middle))
-            if (deviation.max(axis=tuple(range(rows.ndim - 1))) <= allowed).all():
-                return steps, refined
-            if steps >= MAX_REFINEMENT:
-                return steps, refined
+            largest = deviation.max(axis=tuple(range(rows.ndim - 1)))
+            if 2 * steps > max_steps or (largest <= allowed).all():
+                return steps, refined, largest
             steps *= 2
             fractions = np.arange(steps) / steps
             inner = (ends[:-1, np.newaxis] + fractions * np.diff(ends)[:, np.newaxis]).ravel()

@@ -305,8 +305,10 @@ def solve_spectrum(
     if list_traced(few.layers):
         by_paths = compute_replicate_error(few.layers, solve_few).max(axis=(0, -1))
         optics_error = np.hypot(optics_error, spread(by_paths))
+    budget = snowpack.solve(cosines, n_streams)
+    slab_error = compute_slab_error(snowpack, budget.reflectance, budget.transmittance)
     return SpectrumSolution(
-        snowpack.solve(cosines, n_streams), n_streams, spread(truncation.largest), optics_error,
+        budget, n_streams, spread(truncation.largest), np.hypot(optics_error, slab_error),
         truncation,
     )  # fmt: skip
 
@@ -342,9 +344,70 @@ def compute_optics_error(snowpack: GranularStack) -> np.ndarray:
     return np.hypot(np.max(errors, axis=0), WET_ERROR if snowpack.is_wet else 0.0)
 
 
+_ERROR_SATURATION, _WEAK_NODE, _ERROR_STREAMS, _STEP = 0.1, 1, 8, 0.01
+"""Saturation, node of absorption, streams and relative step of `find_similarity_error`."""
+
+
 @cache
 def load_natural_grains(wet: bool) -> GrainTable:
     """Return the table of the grains of natural snow, dry or wet."""
     name = "natural_grains_wet.nc" if wet else "natural_grains_dry.nc"
     with as_file(files("splits.discrete_ordinates") / name) as path:
         return GrainTable.from_dataset(xr.load_dataset(path))
+
+
+def find_similarity_error(contrast: np.ndarray, is_wet: bool) -> np.ndarray:
+    """Return the relative error of (1 − ω)/(1 − g) in a table, at the next contrasts."""
+    table = load_natural_grains(wet=is_wet)
+    row = np.searchsorted(table.contrast.nodes, contrast).clip(0, table.contrast.nodes.size - 1)
+    errors: np.ndarray = _tabulate_similarity_errors(is_wet)[row]
+    return errors
+
+
+@cache
+def _tabulate_similarity_errors(is_wet: bool) -> np.ndarray:
+    """Return these errors at the contrasts of a table, from half-spaces of weak absorption."""
+    table = load_natural_grains(wet=is_wet)
+    n, q = table.contrast.nodes.size, table.absorption.nodes[_WEAK_NODE]
+
+    def reflect(absorption: float) -> np.ndarray:
+        layer = GranularLayer(
+            np.asarray(np.inf), np.asarray(1000.0), np.asarray(_ERROR_SATURATION * is_wet),
+            table.contrast.nodes, table.water, np.full(n, absorption), np.zeros((n, 2)), table,
+        )  # fmt: skip
+        return (
+            GranularStack([layer], np.zeros(n)).solve(np.array([1.0]), _ERROR_STREAMS).reflectance
+        )
+
+    x = q / (1.0 - q)
+    slope = np.abs(reflect(x * (1.0 + _STEP)) - reflect(x)).max(axis=-1) / _STEP
+    errors: np.ndarray = table.stderr[:, _WEAK_NODE] / slope
+    return errors
+
+
+def compute_slab_error(
+    snowpack: GranularStack, reflectance: np.ndarray, transmittance: np.ndarray
+) -> np.ndarray | float:
+    """Return the error of reflectance and transmittance of dry natural snow that transmits light.
+
+    The errors of the table are those of half-spaces, which reflect all light without absorption,
+    whatever the asymmetry parameter g.  A slab reflects R = s/(s + c) and transmits T = c/(s + c)
+    by diffusion theory, where s is proportional to 1 - g: both change by R T times the relative
+    error of 1 - g.  The balance of wet and dry pores has a larger error.
+
+    Parameters
+    ----------
+    snowpack : GranularStack
+    reflectance, transmittance : float, shape (..., wavelengths, beams)
+
+    Returns
+    -------
+    float, shape (..., wavelengths)
+        Of the beam for which it is largest; 0 for other grains.
+    """
+    contrasts = [one.contrast for one in snowpack.layers if isinstance(one.grains, GrainTable)]
+    if snowpack.is_wet or not contrasts:
+        return 0.0
+    change = (reflectance * transmittance).max(axis=-1)
+    error: np.ndarray = change * find_similarity_error(contrasts[0], is_wet=False)
+    return error

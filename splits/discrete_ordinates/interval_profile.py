@@ -12,7 +12,6 @@ The errors combine
 
 from __future__ import annotations
 
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +25,7 @@ from splits.discrete_ordinates.granular_stack import (
     GranularStack,
     choose_trial_wavelengths,
     compute_optics_error,
-    load_natural_grains,
+    find_similarity_error,
     spread_truncation,
 )
 from splits.discrete_ordinates.pores import WET
@@ -38,10 +37,6 @@ N_MATERIALS = 3
 PORE_BALANCE_ERROR = 0.035
 """Relative error of the path length in water relative to that in air, half of the difference of
 both estimates of the changes between them."""
-_ERROR_SATURATION = 0.1
-_WEAK_NODE = 1
-_ERROR_STREAMS = 8
-_STEP = 0.01
 
 
 class LayerDivision(NamedTuple):
@@ -233,35 +228,6 @@ def _perturb_tables(parts: GranularStack) -> list[list[GranularLayer]]:
             grain_absorption=layer.grain_absorption / (1.0 + largest),
         )
     return [absorbing, denser]
-
-
-def find_similarity_error(contrast: np.ndarray, is_wet: bool) -> np.ndarray:
-    """Return the relative error of (1 − ω)/(1 − g) in a table, at the next contrasts."""
-    table = load_natural_grains(wet=is_wet)
-    row = np.searchsorted(table.contrast.nodes, contrast).clip(0, table.contrast.nodes.size - 1)
-    errors: np.ndarray = _tabulate_similarity_errors(is_wet)[row]
-    return errors
-
-
-@cache
-def _tabulate_similarity_errors(is_wet: bool) -> np.ndarray:
-    """Return these errors at the contrasts of a table, from half-spaces of weak absorption."""
-    table = load_natural_grains(wet=is_wet)
-    n, q = table.contrast.nodes.size, table.absorption.nodes[_WEAK_NODE]
-
-    def reflect(absorption: float) -> np.ndarray:
-        layer = GranularLayer(
-            np.asarray(np.inf), np.asarray(1000.0), np.asarray(_ERROR_SATURATION * is_wet),
-            table.contrast.nodes, table.water, np.full(n, absorption), np.zeros((n, 2)), table,
-        )  # fmt: skip
-        return (
-            GranularStack([layer], np.zeros(n)).solve(np.array([1.0]), _ERROR_STREAMS).reflectance
-        )
-
-    x = q / (1.0 - q)
-    slope = np.abs(reflect(x * (1.0 + _STEP)) - reflect(x)).max(axis=-1) / _STEP
-    errors: np.ndarray = table.stderr[:, _WEAK_NODE] / slope
-    return errors
 
 
 def _scale_reflectance_error(profile: IntervalProfile, error: np.ndarray) -> IntervalProfile:

@@ -14,6 +14,7 @@ from splits.discrete_ordinates.granular_stack import (
     Truncation,
     choose_trial_wavelengths,
     compute_optics_error,
+    compute_slab_error,
     solve_spectrum,
     spread_truncation,
 )
@@ -95,6 +96,8 @@ def solve_spectra(
             budget = part.solve(cosines[rows, np.newaxis], int(n_streams))
             result.reflectance[rows, columns] = budget.reflectance
             result.transmittance[rows, columns] = budget.transmittance
+    slab_error = compute_slab_error(snowpacks, result.reflectance, result.transmittance)
+    result.optics_error[:] = np.hypot(result.optics_error, slab_error)
     return result
 
 

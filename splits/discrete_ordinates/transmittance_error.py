@@ -26,11 +26,11 @@ from splits.discrete_ordinates.granular_stack import (
     GranularStack,
     SpectrumSolution,
     choose_trial_wavelengths,
+    find_similarity_error,
     solve_spectrum,
     spread_truncation,
 )
 from splits.discrete_ordinates.integrals import TINY
-from splits.discrete_ordinates.interval_profile import find_similarity_error
 from splits.discrete_ordinates.replicates import compute_replicate_error, list_traced
 
 OPTICS_SHARE = 0.5

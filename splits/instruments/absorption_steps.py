@@ -19,7 +19,7 @@ from splits.discrete_ordinates.applicability import (
 )
 from splits.discrete_ordinates.grain_table import GrainTable
 from splits.discrete_ordinates.granular_layers import GranularLayer
-from splits.discrete_ordinates.interval_profile import find_similarity_error
+from splits.discrete_ordinates.granular_stack import find_similarity_error
 from splits.discrete_ordinates.replicates import compute_replicate_error
 from splits.kernels.base.scene import DRY_PORE, MATRIX
 from splits.media.medium import Layer, Medium

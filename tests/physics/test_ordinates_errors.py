@@ -69,16 +69,18 @@ def test_transparent_half_spaces_reflect_all_light():
 
 @NEEDS_JIT
 @pytest.mark.slow
-def test_errors_of_transparent_layers_agree_with_the_scatter_between_tables():
+@pytest.mark.parametrize("depth_m", [0.003, 0.006, 0.03])
+def test_errors_of_transparent_layers_agree_with_the_scatter_between_tables(depth_m):
     rays, beam = 20 * GRAIN_RAYS_PER_CHUNK, np.array([1.0])
     natural = splits.Snow.natural(optical_radius_um=100.0)
-    snowpack = make_granular_stack(make_transparent(0.0, depth_m=0.03), np.array([500.0]))
+    snowpack = make_granular_stack(make_transparent(0.0, depth_m=depth_m), np.array([500.0]))
     (layer,) = snowpack.layers
     axes = TableAxes(
         Axis(layer.contrast), Axis(np.zeros(1)), Axis(np.array([0.0, 0.01])), layer.water_index
     )
+    solution = solve_spectrum(snowpack, beam, 1.0)
     expected = snowpack.solve(beam, 8).reflectance[0, 0]
-    error = compute_optics_error(snowpack)[0] * np.sqrt(N_RAYS / rays)
+    error = solution.optics_error[0] * np.sqrt(N_RAYS / rays)
     z = []
     for seed in range(12):
         table = tabulate_grains(natural, axes, 17, rays, RunOptions.from_arguments(300 + seed))

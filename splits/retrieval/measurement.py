@@ -74,14 +74,6 @@ class Measurement(NamedTuple):
         wavelength, values = (
             _read_bands(measured, spectral_bands) if spectral_bands else _read_spectrum(measured)
         )
-        covariance = UNKNOWN_NOISE_STDERR**2 * np.eye(values.size)
-        if noise is not None:
-            covariance = _make_covariance("noise", noise, wavelength, list(spectral_bands))
-        if isinstance(measured, xr.DataArray | pd.Series | pd.DataFrame) and not spectral_bands:
-            # Labels may be in any order, also of noise that is in their order.
-            order = np.argsort(wavelength)
-            values, covariance = values[order], covariance[np.ix_(order, order)]
-            wavelength = check_increasing("measured (wavelengths)", wavelength[order])
         gaps = np.flatnonzero(~np.isfinite(values))
         if gaps.size:
             location = (
@@ -91,6 +83,14 @@ class Measurement(NamedTuple):
             )
             hint = "masked, NaN or missing: leave those out"
             raise invalid("measured", f"{gaps.size} gaps, the first {location}", "numbers", hint)
+        covariance = UNKNOWN_NOISE_STDERR**2 * np.eye(values.size)
+        if noise is not None:
+            covariance = _make_covariance("noise", noise, wavelength, list(spectral_bands))
+        if isinstance(measured, xr.DataArray | pd.Series | pd.DataFrame) and not spectral_bands:
+            # Labels may be in any order, also of noise that is in their order.
+            order = np.argsort(wavelength)
+            values, covariance = values[order], covariance[np.ix_(order, order)]
+            wavelength = check_increasing("measured (wavelengths)", wavelength[order])
         if np.abs(values).max() > MAX_REFLECTANCE:
             largest = float(values[np.abs(values).argmax()])
             raise invalid(

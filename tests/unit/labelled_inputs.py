@@ -278,6 +278,7 @@ def make_cases(folder: Path) -> dict[str, Any]:
     surface = spectrum.map(
         lambda one: {"rms_height_m": 1.0, "correlation": "spectrum", "spectrum": one}
     )
+    place = {SIZE: 150.0, "incidence_deg": 30.0, "polar_deg": 20.0, "azimuth_deg": 30.0}
     bands = columns(wavelength_nm=NM, response=ALBEDOS).map(lambda one: {"mine": one})
     skies = [SKY, csv_file(new("sky"), **SKY.value)]
     per_pack = [
@@ -346,8 +347,9 @@ def make_cases(folder: Path) -> dict[str, Any]:
         "Table.at_view": ({"polar_deg": 20.0, "azimuth_deg": 30.0}, {
             "diffuse_fraction": [named([0.25, 0.5], [500.0, 900.0])]}),
         "Table.fix_view": ({}, {"at": [names(polar_deg=20.0, azimuth_deg=30.0)]}),
-        "Table.interp": ({}, {"at": [names(**{SIZE: 150.0, "incidence_deg": 30.0,
-                                              "polar_deg": 20.0, "azimuth_deg": 30.0})]}),
+        "Table.interp": (place, {"at": [names(**place)], "bands": [
+            columns(wavelength_nm=[500.0, 900.0], response=[0.25, 0.5]).map(
+                lambda one: {"mine": one})]}),
         "Table.derivatives": ({"names": [SIZE]}, {"at": []}),
         "Table.deviations": ({}, {"at": []}),
         "Table.interpolation_errors": ({}, {"at": []}),
@@ -358,7 +360,7 @@ def make_cases(folder: Path) -> dict[str, Any]:
             "bands": [bands, names(blue=(400, 500), red=(600, 700))._replace(foreign=[])]}),
         "hdrf": ({"medium": NATURAL, "sky": SKY_OF_NATURAL, "wavelength_nm": NM, **DIRECTIONS}, {
             "sky": [], "wavelength_nm": [axis(*NM)], "polar_deg": [axis(0.0, 30.0)],
-            "azimuth_deg": [axis(0.0, 90.0)]}),
+            "azimuth_deg": [axis(0.0, 90.0)], "bands": [bands]}),
         "goniophotometer": ({"medium": NATURAL, "wavelength_nm": NM, **DIRECTIONS}, {
             "wavelength_nm": [axis(*NM)], "polar_deg": [axis(0.0, 30.0)],
             "azimuth_deg": [axis(0.0, 90.0)], "n_bins": [], "stokes": []}),
@@ -379,7 +381,7 @@ def make_cases(folder: Path) -> dict[str, Any]:
         "build_table": ({"make": lambda saturation: NATURAL, "grid": {"saturation": [0.0]},
                          "wavelength_nm": NM, **QUICK}, {
             "grid": [Variants(None, descending=[{"saturation": [1.0, 0.0]}])],
-            "wavelength_nm": [axis(*NM)], "folder": []}),
+            "wavelength_nm": [axis(*NM)], "bands": [bands], "folder": []}),
         "build_return_table": ({"make": lambda saturation: SNOW, "grid": {"saturation": [0.0]},
                                 "wavelength_nm": NM, **FEW_RAYS}, {
             "grid": [Variants(None, descending=[{"saturation": [1.0, 0.0]}])],
@@ -415,7 +417,8 @@ def make_cases(folder: Path) -> dict[str, Any]:
                           "fixed": FIXED}, {
             "image": [labelled(IMAGE, IMAGE.assign_coords(wavelength=W + 5000.0),
                                IMAGE.assign_coords(incidence_deg=60.0))],
-            "noise": [NOISE], "fixed": [names(**FIXED)],
+            # Images in bands have their own tests (test_retrieval_in_bands.py).
+            "bands": [], "noise": [NOISE], "fixed": [names(**FIXED)],
             "free": [named([64.0, 512.0], ["low", "high"]).map(lambda one: {SIZE: one})],
             "prior": [named([128.0, 64.0], ["mean", "standard deviation"]).map(
                 lambda one: {SIZE: one})],

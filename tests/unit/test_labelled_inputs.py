@@ -65,7 +65,7 @@ def test_every_input_has_cases(cases):
 def call(name: str, arguments: dict[str, Any], parameter: str, value: Any) -> Any:
     """Return the result of a public function for a value of one of its parameters."""
     function = retrieve if name == "retrieve" else list_callables()[name]
-    is_keywords = name == "Table.interp"
+    is_keywords = (name, parameter) == ("Table.interp", "at")
     arguments = {**arguments, **(value if is_keywords else {parameter: value})}
     result = function(**arguments)
     return [*result] if isinstance(result, Iterator) else result

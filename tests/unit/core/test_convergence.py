@@ -76,7 +76,8 @@ def test_a_missed_error_gives_one_warning(name, reason):
         warnings.simplefilter("always")
         result = function(*values, **keywords)
     assert result.attrs["stop_reason"] == reason
-    (warning,) = caught
+    # Tables also warn of intervals that are too wide, which is another error.
+    (warning,) = (one for one in caught if "interpolation" not in str(one.message))
     message = str(warning.message)
     assert message.startswith(f"{function.__name__}: the largest ")
     assert f"is {result.attrs[f'{key}_reached']:.3g}, " in message

@@ -29,7 +29,8 @@ SURFACE_CALLS = ("lens", "surface_map")
 @pytest.mark.parametrize("instrument", INSTRUMENT_CALLS)
 def test_objects_other_than_media_are_rejected(instrument, medium):
     allowed = "ParticleLayer" if instrument in SURFACE_CALLS else "Snow"
-    message = re.escape(f"medium = {medium!r}: must be splits.{allowed}(...)")
+    text = medium.__name__ if isinstance(medium, type) else repr(medium)
+    message = re.escape(f"medium = {text}: must be splits.{allowed}(...)")
     with pytest.raises(ValueError, match=f"^{message}"):
         INSTRUMENT_CALLS[instrument](medium)
 

@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import splits
 from splits.core.validation import InvalidValue
@@ -157,8 +158,7 @@ def test_units_are_obeyed_wherever_they_are_stated(read, place):
             }[place]
             profiles.append(write_profile(kind, scaled, **options))
         found = read(STRATA, *profiles)
-        for name in expected.data_vars:
-            np.testing.assert_allclose(found[name], expected[name], rtol=1e-12, err_msg=name)
+        xr.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
 def test_empty_units_are_those_of_the_schema(read):

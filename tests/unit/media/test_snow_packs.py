@@ -163,7 +163,7 @@ STRUCTURAL_ERRORS = {
         lambda ds: ds.assign_coords(time=[TIMES[0], TIMES[1], pd.NaT]), "time = 'a gap'"
     ),
     "unit": (
-        set_unit("thickness_m", "feet"), r"thickness_m.units = 'feet': must be one of m, metre"
+        set_unit("thickness_m", "ell"), r"thickness_m.units = 'ell': must be one of m, metre"
     ),
     "unit of another quantity": (set_unit("density_kg_m3", "m"), r"density_kg_m3.units = 'm'"),
     "depths": (

@@ -16,7 +16,7 @@ FIXED = {"incidence_deg": 30.0}
 def test_information_of_all_bands_matches_the_formula():
     """All bands of a linear model in any order give ½ log₂ det(I + Kᵀ S⁻¹ K Sₐ)."""
     rows = np.stack([np.ones(W.size), np.linspace(-1.0, 1.0, W.size)])
-    nodes = np.linspace(-1.0, 1.0, 6)
+    nodes = np.linspace(-1.0, 1.0, 40)
     linear = make_table(lambda a, b: 0.5 + 0.1 * (a * rows[0] + b * rows[1]),
                       {"a": nodes, "b": nodes}, 1e-8)  # fmt: skip
     result = splits.select_bands(linear, W, ["a", "b"], 0.02, n_bands=W.size)

@@ -42,12 +42,7 @@ def test_every_field_of_a_scene_enters_the_signature(monkeypatch, field):
         assert compute_path_signature(GRAINS_AND_PARTICLES)[0] != signature[0]
 
 
-def test_no_light_reaches_the_ground_below_an_infinite_layer():
-    open_end, black, soil = (
-        compute_path_signature(splits.Snow.natural(**INFINITE, ground=ground))
-        for ground in (None, "black", 0.3)
-    )
-    assert open_end == black == soil
+def test_the_ground_below_a_finite_layer_is_part_of_its_signature():
     finite = INFINITE | {"depth_m": 1.0}
     over_soil = splits.Snow.natural(**finite, ground=0.3)
     assert compute_path_signature(over_soil) != compute_path_signature(

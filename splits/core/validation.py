@@ -182,7 +182,7 @@ def format_limit(limit: float, value: float) -> str:
 
 
 def _compare(one: float, other: float) -> int:
-    return (one > other) - (one < other)
+    return int(one > other) - int(one < other)
 
 
 def suggest_unit(value: float, low: float, high: float, unit: str) -> str:

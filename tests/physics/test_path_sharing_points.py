@@ -110,10 +110,9 @@ def test_datasets_have_equal_structure_with_and_without_sharing(shared_run):
 
 
 def test_optically_equal_points_keep_their_attributes():
-    """The ground has no effect below a semi-infinite snowpack."""
-    grounds = {"a": {"ground": 0.1}, "b": {"ground": 0.9}}
+    """An impurity of which there is none has no effect."""
+    equal = {"a": {}, "b": {"impurities_ng_g": {"black_carbon": 0}}}
     snow = {"kind": "natural_snow", "specific_surface_area_m2_kg": 20}
-    dataset = run(make_config(medium=snow, grid={"medium": grounds}), ACCURACY, seed=5, threads=2)
-    assert "snow_ground" not in dataset.attrs
+    dataset = run(make_config(medium=snow, grid={"medium": equal}), ACCURACY, seed=5, threads=2)
     assert dataset.attrs["snow_specific_surface_area_m2_kg"] == pytest.approx(20.0)
     np.testing.assert_array_equal(dataset.reflectance[0], dataset.reflectance[1])

@@ -146,6 +146,7 @@ def test_centres_in_place_of_bands_retrieve_another_size(bands, exact):
     assert found.value.item() - TRUE_SIZE > 3.0 * found.value_stderr.item()
 
 
+@pytest.mark.filterwarnings("ignore:interpolation of")  # only nodes are compared
 def test_errors_of_means_contain_the_distance_of_wavelengths(bands):
     """Means from coarse wavelengths differ from those of fine ones by their errors."""
     fine = np.union1d(np.arange(430.0, 2330.1, 5.0), choose_band_wavelengths(as_bands(bands)))

@@ -50,13 +50,9 @@ def test_axes_that_share_paths_are_detected():
     )
 
 
-def test_ground_below_a_semi_infinite_snowpack_is_ignored():
-    plan = make_plan(make_snow, {"ground": [0.1, 0.5], "soot": SOOT})
-    (ensemble,) = plan.path_groups
-    assert plan.path_sharing_axes == ("ground", "soot")
-    assert len(ensemble.path_sharing.media) == 3
-    # A soil spectrum that ends at 1000 nm does not limit the wavelengths of the table.
-    make_plan(make_snow, {"ground": ["camborthid"]})
+def test_ground_below_a_semi_infinite_snowpack_is_rejected():
+    with pytest.raises(ValueError, match=r"ground = 0\.1.*no light reaches it below"):
+        make_plan(make_snow, {"ground": [0.1, 0.5], "soot": SOOT})
 
 
 @pytest.mark.parametrize(

@@ -312,9 +312,8 @@ def test_infinite_media_equal_thick_ones(make_medium, end_s):
     np.testing.assert_array_equal(infinite.return_rate, thick.return_rate)
 
 
-@pytest.mark.parametrize("keywords", [{"ground": 0.5}, {}])
-def test_infinite_media_may_have_depths_and_a_ground(keywords):
-    snow = make_snow(depth_m=math.inf, **keywords)
+def test_infinite_media_may_have_depths():
+    snow = make_snow(depth_m=math.inf)
     result = splits.time_of_flight(snow, 532.0, rays=10, delay_s=[0, 1e-10], depths_m=[0.01, 0.3])
     np.testing.assert_allclose(
         result.fraction_by_depth.sum(), result.fraction.sel(side="reflected")

@@ -88,4 +88,4 @@ def log_missed_error(log: LogCallback, name: str, dataset: xr.Dataset) -> None:
     """Log a line if the dataset of an experiment has a larger error than requested."""
     message = describe_missed_error(dataset.attrs)
     if message:
-        log(f"{name}: warning: {message}")
+        log(f"{name}: note: {message}")

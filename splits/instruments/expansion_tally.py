@@ -32,9 +32,6 @@ from splits.simulation.tally import RAYS_PER_CHUNK
 
 MAX_DEGREE = 24
 """Largest degree of the polynomials, which resolve details of about 180°/24."""
-MAX_LOBE_GROWTH = 4.0
-"""Largest ratio of the rays of a run, and of those after which all but unresolved lobes has the
-requested error."""
 ORDER_CLASSES = (2, 8, 32, 128, NO_MAX_ORDER)
 """Largest order of scattering of each class."""
 
@@ -85,7 +82,6 @@ class ExpansionTally(AngularTally, ExitTally):
         self.values_per_row = 2 * (1 + n_classes * self.basis.norms.size)
         self.add_strata(ORDER_CLASSES)
         self._earlier_errors: list[tuple[int, float]] = []
-        self._lobe_rays = 0
 
     def plan_first_round(self, stop: StoppingRule) -> np.ndarray:
         """Return the rays of each stratum in the first round, from which the others follow."""
@@ -136,11 +132,8 @@ class ExpansionTally(AngularTally, ExitTally):
         target, n_rays = self.target, self.n_rays
         error = estimate.compute_max_error(target, use_stopping_error=True)
         if error <= stop.max_error:
-            # Some more rays usually resolve a lobe.
-            reported = estimate.compute_max_error(target)
-            self._lobe_rays = self._lobe_rays or n_rays
-            gave_up = reported > stop.max_error and n_rays >= MAX_LOBE_GROWTH * self._lobe_rays
-            return Evaluation(reported, estimate, "unresolved_lobe" if gave_up else "")
+            resolved = estimate.compute_max_error(target) <= stop.max_error
+            return Evaluation(error, estimate, "" if resolved else "unresolved_lobe")
         # Eight times the rays should reduce a statistical error by a factor of nearly three.
         stagnates = any(
             n_rays >= 8.0 * earlier_rays and error > 0.8 * earlier

@@ -42,5 +42,5 @@ def test_a_missed_error_is_logged_once(tmp_path, text):
         assert len(found) == n_warnings
         for line in found:
             reached = dataset.attrs["max_stderr_reached"]
-            assert line.startswith(f"mine: warning: the largest standard error is {reached:.3g}, ")
+            assert line.startswith(f"mine: note: the largest standard error is {reached:.3g}, ")
             assert f"max_stderr = {max_stderr:g}; " in line

@@ -92,6 +92,11 @@ def _convert_array(key: str, values: Any, allowed: str) -> np.ndarray:
         numbers = np.array(data, dtype=float)
     elif kind == "O":
         missing = np.asarray(pd.isna(data))
+        # One text among numbers makes all fields of a CSV file texts.
+        texts = (item for item in data.ravel() if isinstance(item, str))
+        wrong = next((text for text in texts if not suggest_number(text)), None)
+        if wrong is not None:
+            raise invalid(key, wrong, allowed, TEXT_HINT)
         numbers = np.full(data.shape, np.nan)
         numbers[~missing] = [check_number(key, item, allowed) for item in data[~missing]]
     else:

@@ -203,8 +203,10 @@ def compute_difference(
         for selection, deviation in zip(selections, deviations, strict=True)
     ]
     variance = ((deviations[0] - deviations[1]) ** 2).sum("batch")
-    has_scatter = sum((deviation != 0.0).any() for deviation in deviations) > 0
-    squared_bound = (bounds[0] - bounds[1]) ** 2 if has_scatter else bounds[0] ** 2 + bounds[1] ** 2
+    of_run = [dim for dim in ("batch", "wavelength") if dim in deviations[0].dims]
+    has_scatter = (deviations[0] != 0.0).any(of_run) | (deviations[1] != 0.0).any(of_run)
+    independent = bounds[0] ** 2 + bounds[1] ** 2
+    squared_bound = ((bounds[0] - bounds[1]) ** 2).where(has_scatter, independent)
     stderr = (variance + squared_bound) ** 0.5
     return (selections[0][quantity] - selections[1][quantity]).drop_attrs(), stderr.drop_attrs()
 

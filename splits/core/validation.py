@@ -344,9 +344,10 @@ def suggest_name(name: object, names: Iterable[str]) -> str:
     keyword = KEYWORD_ALIASES.get(lower.removesuffix("_deg"), lower)
     synonyms = (lower, *NAME_ALIASES.get(lower, ()), keyword, *NAME_ALIASES.get(keyword, ()))
     matches = [synonym for synonym in synonyms if synonym in known][:1]
+    # Names with other letter cases or separators, similar ones, and longer ones with this word.
+    normalized = lower.replace("-", "_").replace(" ", "_")
+    matches = matches or [one for one in known if one.lower() in (lower, normalized)]
     matches = matches or get_close_matches(str(name)[:90], known, n=1)
-    # Names with other letter cases, and longer ones with this word.
-    matches = matches or [one for one in known if one.lower() == lower]
     matches = matches or [one for one in known if lower in one.lower().split("_")]
     if not matches:
         return LOCATION_NOTES.get(keyword, "")

@@ -177,7 +177,7 @@ def compute_response_weights(
     The spectrum is interpolated by polynomials through the nearest nodes, 2 for a linear one.
     """
     points, factors = _make_quadrature(name, band, wavelengths)
-    weights: np.ndarray = factors @ _interpolate_locally(wavelengths, points, n_nodes)
+    weights: np.ndarray = factors @ interpolate_locally(wavelengths, points, n_nodes)
     return weights / weights.sum()
 
 
@@ -200,7 +200,7 @@ def _make_quadrature(
     return points.ravel(), (np.interp(points, nodes, band.response) * simpson).ravel()
 
 
-def _interpolate_locally(nodes: np.ndarray, points: np.ndarray, n_nodes: int) -> np.ndarray:
+def interpolate_locally(nodes: np.ndarray, points: np.ndarray, n_nodes: int) -> np.ndarray:
     """Return weights of the polynomials through the nearest nodes, shape (points, nodes)."""
     size = min(n_nodes, nodes.size)
     first = np.clip(np.searchsorted(nodes, points) - size // 2, 0, nodes.size - size)

@@ -11,7 +11,7 @@ import numpy as np
 from splits.core.arrays import check_array_range, check_increasing, read_columns
 from splits.core.equality import ContentEquality
 from splits.core.validation import check_range, invalid
-from splits.illumination.bands import SpectralBand, as_bands
+from splits.illumination.bands import SpectralBand, as_bands, interpolate_locally
 from splits.materials.refractive_index import check_wavelength_range
 
 SKY_COLUMNS = ("wavelength_nm", "direct", "diffuse")
@@ -138,11 +138,14 @@ class Sky(ContentEquality):
                 hint = "give more wavelengths, or only some bands of a sensor"
                 raise invalid(f"bands.{name}", band.limits_nm, allowed, hint)
 
-    def compute_weights(self, wavelength_nm: np.ndarray, band: SpectralBand) -> np.ndarray:
+    def compute_weights(
+        self, wavelength_nm: np.ndarray, band: SpectralBand, n_nodes: int = 2
+    ) -> np.ndarray:
         """Return the irradiance of a band by wavelength (nm), as weights for an average.
 
-        An albedo is assumed to be linear between wavelengths and 0 outside them: weights are the
-        integrals of irradiance times response times hat functions.
+        An albedo is assumed to be 0 outside the wavelengths, and between them the polynomial
+        through the nearest ones, 2 for a linear one.  Weights are the integrals of irradiance times
+        response times the weights of these polynomials.
         """
         low, high = band.limits_nm
         nodes = np.concatenate([wavelength_nm, self.wavelength_nm, band.wavelength_nm])
@@ -150,7 +153,7 @@ class Sky(ContentEquality):
         nodes = np.unique(nodes[inside])
         if nodes.size < 2 or wavelength_nm.size < 2:
             return np.zeros(wavelength_nm.size)
-        # All three factors are linear between nodes: Simpson's rule is exact.
+        # Where all three factors are linear between nodes, Simpson's rule is exact.
         nodes = np.sort(np.concatenate([nodes, 0.5 * (nodes[1:] + nodes[:-1])]))
         step = nodes[2::2] - nodes[:-2:2]
         simpson = np.zeros(nodes.size)
@@ -162,8 +165,5 @@ class Sky(ContentEquality):
             simpson[points] += coefficient * step / 6.0
         integrand = simpson * np.interp(nodes, self.wavelength_nm, self.total)
         integrand *= np.interp(nodes, band.wavelength_nm, band.response)
-        hats = np.array(
-            [np.interp(nodes, wavelength_nm, hat) for hat in np.eye(wavelength_nm.size)]
-        )
-        weights: np.ndarray = hats @ integrand
+        weights: np.ndarray = integrand @ interpolate_locally(wavelength_nm, nodes, n_nodes)
         return weights

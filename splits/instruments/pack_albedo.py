@@ -89,13 +89,15 @@ def _average_over_bands(
         Albedo and its error.
     """
     good = np.flatnonzero(packs.is_good)
-    weights, covered = skies.compute_band_weights(bands, wavelength_nm)
+    weights, error_weights, covered = skies.compute_band_weights(bands, wavelength_nm)
     # The errors of all wavelengths have the same causes, and add up linearly.
     albedo, stderr, irradiance_covered = np.full((3, len(packs), len(bands)), np.nan)
     irradiance_covered[good] = covered[skies.number]
     for number in range(len(skies.skies)):
         rows = good[skies.number == number]
         albedo[rows], stderr[rows] = (values[rows] @ weights[number].T for values in spectra)
+        between = error_weights[number] @ spectra[0][rows].T
+        stderr[rows] = np.sqrt(stderr[rows] ** 2 + (between**2).sum(axis=0).T)
     dims = (packs.label, "band")
     label = "albedo over a band, weighted by irradiance"
     attributes = {"long_name": "fraction of the band's light within the wavelengths", "units": "1"}

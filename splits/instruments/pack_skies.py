@@ -20,6 +20,7 @@ from splits.instruments.pack_run import DIFFUSE, SUN
 from splits.instruments.sky_mixing import (
     as_sky,
     choose_wavelengths,
+    compute_band_error_weights,
     compute_band_weights,
     make_sky_attributes,
 )
@@ -84,8 +85,8 @@ class PackSkies(NamedTuple):
 
     def compute_band_weights(
         self, bands: Mapping[str, SpectralBand], wavelength_nm: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the normalized weights of bands, and the fractions of their light covered.
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the normalized weights of bands, those of errors, and the fractions covered.
 
         Parameters
         ----------
@@ -96,17 +97,23 @@ class PackSkies(NamedTuple):
         Returns
         -------
         weights : float, shape (skies, bands, wavelengths)
+        error_weights : float, shape (skies, 2, bands, wavelengths)
+            See `splits.instruments.sky_mixing.compute_band_error_weights`.
         covered : float, shape (skies, bands)
+            Fractions of the light of bands.
         """
-        weights, covered = [], []
+        weights, error_weights, covered = [], [], []
         for one in self.skies:
             broad = SpectralBand.from_limits(*one.wavelength_nm[[0, -1]])
-            own, whole = compute_band_weights(one, {**bands, BROADBAND: broad}, wavelength_nm)
+            named = {**bands, BROADBAND: broad}
+            own, whole = compute_band_weights(one, named, wavelength_nm)
             # Without light in a band its albedo is NaN.
             with np.errstate(invalid="ignore", divide="ignore"):
                 weights.append(own / own.sum(axis=1, keepdims=True))
                 covered.append(own.sum(axis=1) / whole)
-        return np.array(weights), np.array(covered)
+            rows = compute_band_error_weights(one, named, wavelength_nm, weights[-1])
+            error_weights.append(rows)
+        return np.array(weights), np.array(error_weights), np.array(covered)
 
     def make_attributes(self) -> dict[str, Any]:
         """Return the attributes of the skies."""

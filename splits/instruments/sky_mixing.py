@@ -137,6 +137,38 @@ def compute_band_weights(
     return weights, all_weights.sum(axis=1)
 
 
+def compute_band_error_weights(
+    sky: Sky, bands: Mapping[str, SpectralBand], wavelength_nm: np.ndarray, weights: np.ndarray
+) -> np.ndarray:
+    """Return weights of estimates of the error of interpolation between wavelengths.
+
+    The estimates are those of `splits.illumination.bands.BandMatrix`; their squares add.
+
+    Parameters
+    ----------
+    sky, bands, wavelength_nm
+        See `compute_band_weights`.
+    weights : float, shape (bands, wavelengths)
+        Normalized weights of the bands.
+
+    Returns
+    -------
+    float, shape (2, bands, wavelengths)
+    """
+    error_weights = np.zeros((2, *weights.shape))
+    for i, (band, row) in enumerate(zip(bands.values(), weights, strict=True)):
+        used = np.flatnonzero(np.nan_to_num(row))
+        if not used.size:
+            continue
+        cubic = sky.compute_weights(wavelength_nm, band, n_nodes=4)
+        error_weights[0, i] = row - cubic / cubic.sum()
+        kept = np.delete(np.arange(row.size), np.arange(used[0] + 1, used[-1], 2))
+        thinned = sky.compute_weights(wavelength_nm[kept], band)
+        error_weights[1, i] = row / 3.0
+        error_weights[1, i, kept] -= thinned / (3.0 * thinned.sum())
+    return error_weights
+
+
 def average_over_bands(
     spectrum: xr.Dataset, name: str, sky: Sky, bands: Mapping[str, SpectralBand], long_name: str
 ) -> dict[str, Variable]:
@@ -160,11 +192,15 @@ def average_over_bands(
     )
     dims = tuple("band" if dim == "wavelength" else str(dim) for dim in spectrum[name].dims)
     label = f"{long_name} over a band, weighted by irradiance"
+    rows = compute_band_error_weights(sky, bands, spectrum.wavelength.values, normalized.values)
+    between = (xr.DataArray(rows, normalized.coords, ("estimate", *normalized.dims))
+               * spectrum[name]).sum("wavelength")  # fmt: skip
+    error = compute_weighted_error(spectrum, name, normalized)
     values, stderr = (
         one.transpose(*dims).values
         for one in (
             (normalized * spectrum[name]).sum("wavelength"),
-            compute_weighted_error(spectrum, name, normalized),
+            (error**2 + (between**2).sum("estimate")) ** 0.5,
         )
     )
     variables = make_variable(f"band_{name}", dims, values, stderr, label)

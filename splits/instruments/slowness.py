@@ -12,6 +12,7 @@ from splits.materials.group_index import (
     WATER_RANGE_NM,
     GroupIndex,
     compute_group_index,
+    compute_temperature_effect,
     compute_water_group_index,
 )
 from splits.materials.library import is_dataset
@@ -59,4 +60,9 @@ def _use_formulation_of_water(group: GroupIndex, medium: Medium, wavelengths: np
             water = compute_water_group_index(wavelengths[rows], isinstance(layer, Snow))
             for values, replacement in zip(group, water, strict=True):
                 values[rows, first + WET_PORE] = replacement
+            # The tables are those of warmer water.
+            others = np.clip(wavelengths[~rows], *WATER_RANGE_NM)
+            stderr = group.stderr[~rows, first + WET_PORE]
+            effect = compute_temperature_effect(others)
+            group.stderr[~rows, first + WET_PORE] = np.hypot(stderr, effect)
         first += len(layer.list_materials())

@@ -110,6 +110,12 @@ def compute_water_group_index(wavelength_nm: np.ndarray, at_melting_point: bool)
     return GroupIndex(0.5 * (cold + warm), np.hypot(error, 0.5 * (warm - cold)))
 
 
+def compute_temperature_effect(wavelength_nm: np.ndarray) -> np.ndarray:
+    """Return the difference between the group indices of water at 0 and at 20 °C."""
+    cold, warm = (_compute_iapws(wavelength_nm, *state) for state in (COLD_WATER, WARM_WATER))
+    return np.abs(cold - warm)
+
+
 def _compute_iapws(wavelength_nm: np.ndarray, temperature_k: float, density: float) -> np.ndarray:
     """Return the group index at a temperature (K) and a density (kg/m³); Eq. 1 of the release."""
     a0, a1, a2, a3, a4, a5, a6, a7 = _IAPWS

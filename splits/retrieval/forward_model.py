@@ -22,6 +22,7 @@ from splits.tables.interpolation import (
     transform_axis,
 )
 from splits.tables.table import Table
+from splits.tables.table_interpolation import scale_axis_errors
 from splits.tables.views import DIFFUSE_PREFIX, VIEW_AXES
 
 FIXED_ATTRIBUTES = (INCIDENCE, *VIEW_AXES, "field_of_view_deg", "diffuse_fraction")
@@ -211,7 +212,10 @@ class TableForwardModel:
             np.maximum(interpolated[f"{q}_stderr"].values ** 2 - interpolation_error**2, 0.0)
         )
         axis_errors = self.table.interpolation_errors(q, **fixed, **free_values)
-        axis_error = np.vstack([axis_errors, self._resampling_errors]) @ self.operator.matrix.T
+        axis_error = (
+            np.vstack([scale_axis_errors(axis_errors), self._resampling_errors])
+            @ self.operator.matrix.T
+        )
         wavelength_error = self.operator.interpolation_error @ interpolated[q].values
         covariance = (
             self.compute_node_covariance(node_stderr, {**fixed, **free_values})

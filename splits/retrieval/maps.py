@@ -239,15 +239,17 @@ def _check_band_image(image: Any, bands: Mapping[str, SpectralBand]) -> xr.DataA
     return xr.DataArray(converted)
 
 
-def _find_defect(spectra: np.ndarray, wavelength_nm: np.ndarray) -> InvalidValue | None:
+def _find_defect(spectra: np.ndarray, measurement: Measurement) -> InvalidValue | None:
     """Return the error for spectra of which none is valid because of their scale or of a band.
 
-    Gaps alone are no defect.
+    Gaps alone are no defect.  Pixels that are 0 in all bands, as outside of a scene, say nothing of
+    the scale.
 
     Parameters
     ----------
     spectra : float, shape (pixels, wavelengths)
-    wavelength_nm : float, shape (wavelengths,)
+    measurement : Measurement
+        With the bands or wavelengths of the spectra.
     """
     is_number = np.isfinite(spectra)
     if not is_number.any():
@@ -255,9 +257,13 @@ def _find_defect(spectra: np.ndarray, wavelength_nm: np.ndarray) -> InvalidValue
     empty = np.flatnonzero(~is_number.any(axis=0))
     if empty.size and np.count_nonzero(is_number.any(axis=1)) > 1:
         hint = "leave it out: image.dropna('wavelength', how='all')"
-        found = f"without a number at {wavelength_nm[empty[0]]:g} nm"
+        found = f"without a number at {measurement.wavelength_nm[empty[0]]:g} nm"
+        if measurement.bands:
+            name = [*measurement.bands][empty[0]]
+            hint = f"leave {name} out of bands, and of the image: image.dropna('band', how='all')"
+            found = f"without a number in band {name}"
         return invalid("image", found, "numbers in each band", hint)
-    spectra = spectra[is_number.all(axis=1)]
+    spectra = spectra[is_number.all(axis=1) & (spectra != 0.0).any(axis=1)]
     if spectra.size and (np.abs(spectra).max(axis=1) > MAX_REFLECTANCE).all():
         median = float(np.median(spectra))
         hint = "fractions, neither per cent nor digital numbers: divide the image by its scale"
@@ -287,7 +293,7 @@ class _MapRetrieval(NamedTuple):
     def retrieve_block(self, spectra: np.ndarray) -> np.ndarray:
         """Return parameters, errors, misfit and flags of spectra, shape (..., what)."""
         flat = as_float_array("image", spectra, allow_gaps=True).reshape(-1, spectra.shape[-1])
-        defect = _find_defect(flat, self.model.measurement.wavelength_nm)
+        defect = _find_defect(flat, self.model.measurement)
         if defect and not self.is_lazy:
             raise defect
         if defect:

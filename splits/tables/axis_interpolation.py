@@ -88,6 +88,8 @@ class AxisInterpolation:
     comparison : xarray.DataArray, optional
         Values at the nodes and between them, for some nodes of the other axes, with the axis as
         the first dimension and the wavelength as the last one.
+    other_transforms : mapping of str to str
+        Default coordinate of each other numeric axis of the table.
     """
 
     def __init__(
@@ -98,6 +100,7 @@ class AxisInterpolation:
         *,
         has_direction: bool,
         comparison: xr.DataArray | None = None,
+        other_transforms: Mapping[str, str] | None = None,
     ) -> None:
         self.name, self.nodes, self.has_direction = name, nodes, has_direction
         self.default = transform_axis(name, nodes, has_direction=has_direction)[0]
@@ -105,7 +108,7 @@ class AxisInterpolation:
         if comparison is not None:
             candidates = list_coordinates(name, nodes, has_direction=has_direction)
         choice = np.zeros(n_wavelengths, dtype=int)
-        self.comparison = comparison
+        self.comparison, self.other_transforms = comparison, other_transforms or {}
         if comparison is not None:
             positions = comparison[name].values
             is_node = np.isin(positions, nodes)
@@ -296,13 +299,14 @@ class AxisInterpolation:
         mean_square = (1.0 - inside) * low_mean + inside * high_mean
         kept = 0
         for name, nodes in self.other_axes.items():
+            kind = self.other_transforms.get(name, "identity")
             # Axes with several targets stay in their order.
             rows = np.moveaxis(both, 2 + kept, 0)
             target = at[name]
             if np.ndim(target) == 0:
-                both = np.tensordot(_interpolate_linearly(name, nodes, target), rows, 1)
+                both = np.tensordot(_interpolate_linearly(kind, nodes, target), rows, 1)
             else:
-                matrix = np.array([_interpolate_linearly(name, nodes, one) for one in target])
+                matrix = np.array([_interpolate_linearly(kind, nodes, one) for one in target])
                 both = np.moveaxis(np.tensordot(matrix, rows, 1), 0, 2 + kept)
                 kept += 1
         both[0, 1] += MEAN_SHARE**2 * mean_square
@@ -339,14 +343,14 @@ def _choose_coordinates(
     return choice, best
 
 
-def _interpolate_linearly(name: str, nodes: np.ndarray, target: Any) -> np.ndarray:
-    """Return the weights of linear interpolation between nodes; a text selects its node."""
+def _interpolate_linearly(transform: str, nodes: np.ndarray, target: Any) -> np.ndarray:
+    """Return the weights of linear interpolation in a coordinate; a text selects its node."""
     if nodes.dtype.kind != "f":
         return (nodes == str(target)).astype(float)
     if len(nodes) == 1:
         return np.ones(1)
-    kind, coordinates = transform_axis(name, nodes)
-    x = float(apply_axis_transform(kind, np.array(target, dtype=float)))
+    coordinates = apply_axis_transform(transform, nodes)
+    x = float(apply_axis_transform(transform, np.array(target, dtype=float)))
     right = min(max(int(np.searchsorted(coordinates, x)), 1), len(nodes) - 1)
     weights = np.zeros(len(nodes))
     step = coordinates[right] - coordinates[right - 1]

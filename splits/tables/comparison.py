@@ -32,9 +32,10 @@ POSITIONS = {"few nodes": (0.15, 0.5, 0.85), "more nodes": (0.25, 0.75)}
 one difference more makes up for the choice of the coordinate."""
 MAX_FEW_NODES = 4
 N_OTHER_NODES = 3
-"""Number of nodes of every other axis."""
-MAX_OTHER_MEDIA = 6
-"""Largest number of combinations of nodes of the other axes, without angles."""
+"""Largest number of nodes of every other axis."""
+MAX_OTHER_MEDIA = {"by ordinates": 27, "by paths": 6}
+"""Largest number of combinations of nodes of the other axes, without angles, unless both ends of
+all axes need more.  Paths have much larger errors, and may keep the middle of an axis only."""
 N_OTHER_ANGLES = 7
 """Number of nodes of every other angle in a table with directions."""
 PATH_ERROR_RATIO = 2.0
@@ -51,7 +52,9 @@ def find_positions_between(name: str, nodes: np.ndarray, *, has_direction: bool)
     return COORDINATES[kind].invert(np.stack(rows, axis=1).ravel())
 
 
-def list_comparison_grids(grid: ParameterGrid, axes: Sequence[str]) -> dict[str, ParameterGrid]:
+def list_comparison_grids(
+    grid: ParameterGrid, axes: Sequence[str], *, by_ordinates: bool = True
+) -> dict[str, ParameterGrid]:
     """Return the grid of the comparison along each axis.
 
     Parameters
@@ -60,6 +63,8 @@ def list_comparison_grids(grid: ParameterGrid, axes: Sequence[str]) -> dict[str,
         Grid of the table, with directions of observation.
     axes : sequence of str
         Axes to compare; those of text or of a single node are left out.
+    by_ordinates : bool
+        Whether discrete ordinates solve the table.
     """
     has_direction = POLAR in grid.names
     grids = {}
@@ -70,7 +75,7 @@ def list_comparison_grids(grid: ParameterGrid, axes: Sequence[str]) -> dict[str,
         nodes = np.array(values, dtype=float)
         between = find_positions_between(name, nodes, has_direction=has_direction)
         positions = np.sort(np.concatenate([nodes, between]))
-        kept = _thin_axes(grid.drop(name), has_direction)
+        kept = _thin_axes(grid.drop(name), has_direction, by_ordinates)
         names = grid.names
         rows = [
             tuple(positions.tolist()) if other == name else kept.get_values(other, None)
@@ -80,7 +85,7 @@ def list_comparison_grids(grid: ParameterGrid, axes: Sequence[str]) -> dict[str,
     return grids
 
 
-def _thin_axes(grid: ParameterGrid, has_direction: bool) -> ParameterGrid:
+def _thin_axes(grid: ParameterGrid, has_direction: bool, by_ordinates: bool) -> ParameterGrid:
     """Return a grid of a few nodes of every axis, with both ends where possible; texts are kept."""
     counts = {}
     for name, values in zip(*grid, strict=True):
@@ -92,9 +97,11 @@ def _thin_axes(grid: ParameterGrid, has_direction: bool) -> ParameterGrid:
         name for name, values in zip(*grid, strict=True)
         if name not in ANGLES and not isinstance(values[0], str)
     ]  # fmt: skip
-    while media and math.prod(counts[name] for name in media) > MAX_OTHER_MEDIA:
+    max_media = MAX_OTHER_MEDIA["by ordinates" if by_ordinates else "by paths"]
+    while media and math.prod(counts[name] for name in media) > max_media:
         largest = max(reversed(media), key=lambda name: counts[name])
-        if counts[largest] == 1:
+        # An error may vanish in the middle of an axis: both ends stay.
+        if counts[largest] == 1 or (by_ordinates and counts[largest] == 2):
             break
         counts[largest] -= 1
     rows = []
@@ -132,7 +139,7 @@ def add_comparisons(
         spectral = spectral._replace(max_stderr=PATH_ERROR_RATIO * spectral.max_stderr)
     added = {}
     incidence = 0.0 if INCIDENCE in grid.names else plan.path_groups[0].incidence
-    for name, one in list_comparison_grids(grid, axes).items():
+    for name, one in list_comparison_grids(grid, axes, by_ordinates=by_ordinates).items():
         views = ViewGrid.from_grid(one)
         kept = [q for q in request.quantities if name in table[q].dims]
         if not kept:
@@ -200,7 +207,7 @@ def _fits(part: xr.Dataset, name: str, dataset: xr.Dataset) -> bool:
             fits = set(nodes.tolist()) <= set(positions.tolist())
         else:
             is_within = positions.min() <= nodes[0] and nodes[-1] <= positions.max()
-            fits = is_within or len(positions) == 1
+            fits = is_within or (len(positions) == 1 and positions[0] in nodes)
         if not fits:
             return False
     return not any(np.isnan(variable).any() for variable in part.data_vars.values())

@@ -27,6 +27,7 @@ from splits.tables.interpolation import (
     compute_lagrange_weights,
     compute_stencil,
     estimate_error_weights,
+    transform_axis,
 )
 from splits.tables.views import MIXED_QUANTITIES, POLAR, VIEW_QUANTITIES
 
@@ -67,11 +68,13 @@ class TableInterpolation:
         if quantity not in self._prepared:
             variable = self.dataset[quantity]
             names = [n for n in self.axes if n in variable.dims]
+            numeric = [name for name in names if self.dataset[name].dtype.kind == "f"]
+            transforms = {
+                name: transform_axis(name, self.dataset[name].values)[0] for name in numeric
+            }
             prepared = {}
-            for name in names:
+            for name in numeric:
                 nodes = self.dataset[name].values
-                if nodes.dtype.kind != "f":
-                    continue
                 comparison = None
                 if name in self.comparisons and quantity in self.comparisons[name]:
                     others = [other for other in names if other != name]
@@ -80,6 +83,7 @@ class TableInterpolation:
                 prepared[name] = AxisInterpolation(
                     name, nodes, variable.sizes["wavelength"],
                     has_direction=self.has_direction, comparison=comparison,
+                    other_transforms=transforms,
                 )  # fmt: skip
             self._prepared[quantity] = prepared
         return self._prepared[quantity]
@@ -350,8 +354,8 @@ def average_bands(
             for suffix in ("", "_stderr", "_interpolation_error")
         )
         node_error = matrix @ np.sqrt(np.maximum(stderr**2 - error**2, 0.0))
-        axis_errors = estimate_interpolation_errors(interpolation, quantity, point) @ matrix.T
-        errors = np.vstack([axis_errors, error_weights @ value])
+        rows = estimate_interpolation_errors(interpolation, quantity, point)
+        errors = np.vstack([scale_axis_errors(rows) @ matrix.T, error_weights @ value])
         means = matrix @ value, node_error, np.sqrt((errors**2).sum(axis=0))
         label = f"{dataset[quantity].attrs.get('long_name', quantity)} over a band"
         variables |= _make_variables(f"band_{quantity}", "band", *means, label)
@@ -371,6 +375,18 @@ def _make_variables(
         name + suffix: (dim, row, {"long_name": long_name, "units": "1"})
         for suffix, row, long_name in rows
     }
+
+
+def scale_axis_errors(errors: np.ndarray) -> np.ndarray:
+    """Return errors of axes, shape (axes, wavelengths), whose squares add up to the whole error.
+
+    It is that of `combine_axis_errors`, which counts the sum of errors where it is larger.
+    """
+    root = np.sqrt((errors**2).sum(axis=0))
+    whole = np.maximum(np.abs(errors.sum(axis=0)), root)
+    scale = np.divide(whole, root, out=np.ones_like(root), where=root > 0.0)
+    scaled: np.ndarray = errors * scale
+    return scaled
 
 
 def estimate_interpolation_errors(

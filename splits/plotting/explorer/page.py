@@ -138,7 +138,7 @@ def _serialize_interpolation(axis: AxisInterpolation, names: Sequence[str]) -> d
             {
                 "axis": names.index(name),
                 "nodes": nodes.tolist(),
-                "law": transform_axis(name, nodes)[0],
+                "law": axis.other_transforms.get(name, "identity"),
             }
             for name, nodes in axis.other_axes.items()
         ]

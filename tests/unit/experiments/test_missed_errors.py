@@ -38,7 +38,7 @@ def test_a_missed_error_is_logged_once(tmp_path, text):
             warnings.simplefilter("error")
             accuracy = Accuracy(max_stderr=max_stderr, max_rays=1)
             dataset = run(experiment, accuracy, threads=1, log=lines.append)
-        found = [line for line in lines if "warning" in line]
+        found = [line for line in lines if "note:" in line]
         assert len(found) == n_warnings
         for line in found:
             reached = dataset.attrs["max_stderr_reached"]

@@ -20,6 +20,7 @@ from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.config.snow_packs import PACKS_PER_BLOCK, count_pack_parts
 from splits.instruments import albedo, spectrophotometer
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
+from splits.media.snow_pack_quality import count_missing_results
 from splits.media.snow_packs import SnowPacks
 from splits.simulation.stopping_rule import STOP_REASONS
 from splits.tables.block import DIGEST_ATTRIBUTE, load_block, make_block_path
@@ -82,6 +83,8 @@ def run_packs(
     }
     dataset = dataset.assign_attrs(to_netcdf_attributes(attributes))
     log_missed_error(log, experiment.name, dataset)
+    if missing := count_missing_results(dataset):
+        log(f"{experiment.name}: of {len(packs)} snowpacks, some have no result: {missing}")
     return dataset
 
 

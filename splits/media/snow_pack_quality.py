@@ -185,3 +185,14 @@ def find_values_out_of_range(values: Mapping[str, np.ndarray]) -> np.ndarray:
     is_outside |= values[DENSITY_KEY] >= ice
     is_outside |= values[WATER_KEY] > porosity * (1.0 + ROUNDING_TOLERANCE)
     return is_outside
+
+
+def count_missing_results(dataset: xr.Dataset) -> str:
+    """Return the numbers of snowpacks without a result by the meaning of their flag, or ""."""
+    flag = dataset.quality_flag
+    meanings = flag.attrs["flag_meanings"].split()
+    return ", ".join(
+        f"{int((flag == value).sum())} {meaning.replace('_', ' ')}"
+        for value, meaning in zip(flag.attrs["flag_values"], meanings, strict=True)
+        if value != 0 and (flag == value).any()
+    )

@@ -12,6 +12,7 @@ from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from splits.media.snow_pack_quality import count_missing_results
 from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.lines import is_covering_line, place_legend_above
 from splits.plotting.spectra import make_axis_label
@@ -91,14 +92,8 @@ def draw_season(dataset: xr.Dataset, quantity: Sequence[str] = ("reflectance",))
 
 def _describe_gaps(dataset: xr.Dataset) -> str:
     """Return the number of snowpacks without a result by the meaning of their flag."""
-    flag = dataset.quality_flag
-    meanings = flag.attrs["flag_meanings"].split()
-    counts = [
-        f"{int((flag == value).sum())} {meaning.replace('_', ' ')}"
-        for value, meaning in zip(flag.attrs["flag_values"], meanings, strict=True)
-        if value != 0 and (flag == value).any()
-    ]
-    return f"Gaps: snowpacks without a result ({', '.join(counts)})." if counts else ""
+    counts = count_missing_results(dataset)
+    return f"Gaps: snowpacks without a result ({counts})." if counts else ""
 
 
 def _set_label_axis(axes: Axes, index: pd.Index) -> tuple[np.ndarray, bool]:

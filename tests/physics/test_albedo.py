@@ -246,3 +246,18 @@ def test_albedos_of_several_media_agree_with_single_runs():
         compute_difference(both, "albedo", "c", "a")
     with pytest.raises(ValueError, match="quantity = 'direct_fraction'"):
         compute_difference(both, "direct_fraction", "a", "b")
+
+
+@pytest.mark.parametrize("step", [10.0, 20.0, 50.0])
+def test_errors_of_bands_contain_the_distance_of_wavelengths(step):
+    snow, sky = splits.Snow.natural(specific_surface_area_m2_kg=20.0, depth_m=0.5), "astm_g173"
+    bands = {"water": (1000, 1100), "ice": (1400, 1560), "both": (950, 1400)}
+
+    def measure(spacing):
+        wavelengths = np.arange(900.0, 1700.1, spacing)
+        found = splits.albedo(snow, splits.sky(sky), wavelengths, 1e-3, bands=bands, threads=1)
+        return found.sel(band=[*bands])
+
+    coarse, fine = measure(step), measure(2.0)
+    difference = np.abs(coarse.band_albedo - fine.band_albedo)
+    assert (difference < 3.0 * np.hypot(coarse.band_albedo_stderr, fine.band_albedo_stderr)).all()

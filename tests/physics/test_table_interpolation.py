@@ -230,3 +230,41 @@ def test_little_soot_is_retrieved_without_bias(soot):
         z.append(float((found.value - soot) / found.value_stderr))
     assert abs(np.mean(z)) < 3.0 / np.sqrt(len(z))
     assert np.sqrt(np.mean(np.square(z))) < 2.0
+
+
+@NEEDS_JIT
+def test_errors_of_four_axes_do_not_vanish_in_the_middle_of_one():
+    """Over a ground as bright as the snow, the depth has no effect and no error."""
+
+    def make(ssa, depth, soot, ground):
+        return splits.Snow.natural(
+            specific_surface_area_m2_kg=ssa, depth_m=depth, ground=ground,
+            impurities_ng_g={"black_carbon": soot},
+        )  # fmt: skip
+
+    grid = {"ssa": [5, 20, 80], "depth": [0.01, 0.03, 0.1, 0.3], "soot": [0, 100, 1000],
+            "ground": [0, 0.45, 0.9]}  # fmt: skip
+    wavelengths = [500.0, 800.0, 1030.0]
+    table = splits.Table(build(make, grid, wavelengths, 0.002))
+    random, z = np.random.default_rng(3), []
+    for _ in range(20):
+        point = {"ssa": random.uniform(5, 80), "depth": np.exp(random.uniform(-4.6, -1.21)),
+                 "soot": random.uniform(0, 1000), "ground": random.uniform(0, 0.9)}  # fmt: skip
+        found = table.interp(**point)
+        expected = splits.spectrophotometer(
+            make(**point), wavelengths, max_stderr=2e-4, solver="discrete_ordinates", threads=1
+        )
+        error = np.hypot(found.reflectance_stderr, expected.reflectance_stderr)
+        z.append(((found.reflectance - expected.reflectance) / error).values)
+    assert np.sqrt(np.mean(np.square(z))) < 1.2
+    assert np.abs(z).max() < compute_z_bound(np.size(z))
+
+
+def test_a_node_that_was_not_compared_has_an_estimated_error():
+    grid = {"soot": [0, 50, 500], "ground": [0.0, 0.9]}
+    made = build(make_thin_snow, grid, [800.0], 0.002)
+    one = splits.Table(made.sel(ground=[0.9]))
+    renamed = made.sel(ground=[0.9]).assign_coords(ground_along_soot=[0.0, 0.5])
+    assert splits.Table(renamed).interp(soot=20.0).reflectance_interpolation_error >= (
+        0.5 * one.interp(soot=20.0).reflectance_interpolation_error
+    )

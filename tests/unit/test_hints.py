@@ -6,6 +6,7 @@ import inspect
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 
@@ -301,3 +302,19 @@ def test_a_key_that_is_a_number_is_no_decimal_comma(tmp_path):
 def test_infinite_limits_and_numbers_are_unchanged():
     assert read_message(check_range, "x", -1, 0.0, math.inf, "m") == "x = -1: must be at least 0 m"
     assert np.isclose(check_range("x", 0.5, 0.0, 1.0), 0.5)
+
+
+@pytest.mark.parametrize("name", ["Sentinel-2A", "sentinel 2a", "SENTINEL_2A"])
+def test_other_spellings_of_a_sensor_suggest_that_sensor(name):
+    with pytest.raises(ValueError, match="did you mean sentinel_2a"):
+        splits.albedo(SNOW, splits.sky("astm_g173"), bands=name)
+
+
+def test_the_text_that_is_no_number_is_named():
+    column = pd.Series(["110", "x", "120"])
+    with pytest.raises(ValueError, match=r"density_kg_m3.* = 'x'"):
+        splits.SnowPacks({
+            "time": pd.date_range("2024-01-01", periods=3), "layer": [0, 0, 0],
+            "thickness_m": [0.1] * 3, "density_kg_m3": column,
+            "specific_surface_area_m2_kg": [20.0] * 3,
+        })  # fmt: skip

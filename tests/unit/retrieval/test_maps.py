@@ -223,6 +223,13 @@ def test_images_without_a_valid_pixel_are_refused(table, image, change, message)
     assert "\n" not in str(error.value)
 
 
+def test_pixels_outside_of_a_scene_do_not_hide_its_scale(table, image):
+    numbers = 10_000.0 * image
+    numbers[{"x": 0}] = 0.0
+    with pytest.raises(InvalidValue, match="divide the image by its scale"):
+        splits.retrieve_map(numbers, table, [SIZE], 0.01, fixed={**FIXED, SOOT: 9.0})
+
+
 def test_blocks_without_a_valid_pixel_give_a_warning(table, image):
     pytest.importorskip("dask")
     lazy = xr.concat([image, 100.0 * image], "x").chunk(x=3)

@@ -26,6 +26,9 @@ COLUMNS = [
     "msi_resolved", "resolved_fraction",
 ]  # fmt: skip
 
+RANGE_UNITS = {"grain_size": " µm", "density": " kg m⁻³"}
+"""Units of parameters in the sentence on their ranges."""
+
 
 def compute_pair_sensitivity(
     dataset: xr.Dataset, parameter: str, low: Any, high: Any, quantity: str
@@ -150,12 +153,18 @@ def describe_ranges(pairs: Mapping[str, Mapping[str, Any]]) -> str:
     parts = []
     for origin, text in (("paper", "stated by the paper"), ("ours", "chosen here, not stated")):
         ranges = [
-            f"{name.replace('_', ' ')} {pair['low']} to {pair['high']}"
+            f"{name.replace('_', ' ')} {_format_end(pair['low'])} to {_format_end(pair['high'])}"
+            f"{RANGE_UNITS.get(name, '')}"
             for name, pair in pairs.items()
             if pair["source"] == origin
         ]
         parts += [f"{text}: {', '.join(ranges)}"] if ranges else []
     return f"Ranges {'; '.join(parts)}."
+
+
+def _format_end(value: Any) -> str:
+    """Return an end of a range, a number or a range of grain sizes, as text."""
+    return f"{value:g}" if isinstance(value, int | float) else str(value).replace("-", "–")
 
 
 def _is_same_label(value: Any, label: Any) -> bool:

@@ -372,12 +372,12 @@ def test_irrelevant_refractive_index_nodes_are_not_marked():
 def test_ranges_that_a_paper_does_not_state_are_noted():
     pairs = {
         "grain_size": {"low": "100-200", "high": "900-1000", "source": "paper"},
-        "density": {"low": 100, "high": 500, "source": "ours"},
+        "density": {"low": 100.0, "high": 500, "source": "ours"},
     }
     text = describe_ranges(pairs)
     assert text == (
-        "Ranges stated by the paper: grain size 100-200 to 900-1000; "
-        "chosen here, not stated: density 100 to 500."
+        "Ranges stated by the paper: grain size 100–200 to 900–1000 µm; "
+        "chosen here, not stated: density 100 to 500 kg m⁻³."
     )
     assert text in read_notes(draw_sensitivity_bars(make_indices(), text))
 

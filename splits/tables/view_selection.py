@@ -197,6 +197,13 @@ def select_view(interpolation: TableInterpolation, request: ViewRequest) -> xr.D
     for axis, part in interpolation.comparisons.items():
         if axis not in VIEW_AXES and all(name in part for name in names):
             # Positions between nodes of other axes, in the same direction and under the same sky.
+            # Quantities under isotropic light do not depend on the incidence of beams.
+            needed = (
+                [DIFFUSE_PREFIX + name for name in names] if request.diffuse_fraction.any() else []
+            )
+            for name in [one for one in needed if one not in part]:
+                at = {d: part[d] for d in dataset[name].dims if d != "wavelength"}
+                part = part.assign({name: load_selection(dataset[name].sel(at))})
             exact = part.assign({f"{name}_stderr": 0.0 * part[name] for name in part.data_vars})
             found = _estimate(TableInterpolation(exact), names, request)
             compared = xr.Dataset({

@@ -268,3 +268,24 @@ def test_a_node_that_was_not_compared_has_an_estimated_error():
     assert splits.Table(renamed).interp(soot=20.0).reflectance_interpolation_error >= (
         0.5 * one.interp(soot=20.0).reflectance_interpolation_error
     )
+
+
+def test_views_under_a_sky_have_measured_errors_along_the_incidence():
+    grid = {"optical_radius_um": [50, 200], "incidence_deg": [0, 40, 70],
+            "polar_deg": [0, 30, 60], "azimuth_deg": [0, 90, 180]}  # fmt: skip
+    quantities = ["reflectance", "reflectance_factor"]
+    quantities += [f"diffuse_{name}" for name in quantities]
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "interpolation of")
+        made = splits.build_table(
+            make_snow, grid, [600.0, 1300.0], max_stderr=0.01, threads=1, quantities=quantities
+        )
+    table = splits.Table(made).at_view(25, 140, diffuse_fraction=[0.2, 0.1])
+    assert f"reflectance_factor{ALONG}incidence_deg" in table.dataset
+    at = {"optical_radius_um": 200.0, "incidence_deg": 55.0}
+    beam = splits.Table(made).at_view(25, 140).interp(**at)
+    found = table.interp(**at)
+    ratio = (
+        found.reflectance_factor_interpolation_error / beam.reflectance_factor_interpolation_error
+    )
+    assert ((ratio > 0.3) & (ratio < 3.0)).all()

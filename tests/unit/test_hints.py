@@ -313,8 +313,8 @@ def test_other_spellings_of_a_sensor_suggest_that_sensor(name):
 def test_the_text_that_is_no_number_is_named():
     column = pd.Series(["110", "x", "120"])
     with pytest.raises(ValueError, match=r"density_kg_m3.* = 'x'"):
-        splits.SnowPacks({
+        splits.SnowPacks(pd.DataFrame({
             "time": pd.date_range("2024-01-01", periods=3), "layer": [0, 0, 0],
             "thickness_m": [0.1] * 3, "density_kg_m3": column,
             "specific_surface_area_m2_kg": [20.0] * 3,
-        })  # fmt: skip
+        }))  # fmt: skip

@@ -205,8 +205,9 @@ def compute_difference(
     variance = ((deviations[0] - deviations[1]) ** 2).sum("batch")
     of_run = [dim for dim in ("batch", "wavelength") if dim in deviations[0].dims]
     has_scatter = (deviations[0] != 0.0).any(of_run) | (deviations[1] != 0.0).any(of_run)
-    independent = bounds[0] ** 2 + bounds[1] ** 2
-    squared_bound = ((bounds[0] - bounds[1]) ** 2).where(has_scatter, independent)
+    squared_bound = xr.where(
+        has_scatter, (bounds[0] - bounds[1]) ** 2, bounds[0] ** 2 + bounds[1] ** 2
+    )
     stderr = (variance + squared_bound) ** 0.5
     return (selections[0][quantity] - selections[1][quantity]).drop_attrs(), stderr.drop_attrs()
 

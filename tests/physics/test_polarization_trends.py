@@ -90,6 +90,7 @@ def test_visible_light_of_snow_is_hardly_polarized_at_all_angles():
     assert all(abs(degree.value) < 0.04 + SIGNIFICANT * degree.stderr for degree in degrees)
 
 
+@pytest.mark.long
 def test_polarization_increases_where_snow_is_darker():
     """Umov's law, as for soils by Woessner & Hapke (1987): dark surfaces polarize more."""
     degrees = [
@@ -133,6 +134,7 @@ def test_saturated_sand_is_darker_but_not_more_polarized():
     assert dry.exceeds(wet)
 
 
+@pytest.mark.long
 def test_depolarization_by_single_grains_exceeds_that_of_hexagons():
     """Liou & Lahore (1974): 0.29 computed and 0.35 measured for random hexagonal crystals."""
     for facetness in (SMOOTH, ROUGH):

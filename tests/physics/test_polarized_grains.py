@@ -66,7 +66,10 @@ def test_moments_and_matrix_of_a_dataset_are_of_the_same_light(medium, exact):
 
 
 @NEEDS_JIT
-@pytest.mark.parametrize("medium", [FACETED, SAND], ids=["snow", "sand"])
+@pytest.mark.parametrize(
+    "medium",
+    [pytest.param(FACETED, id="snow"), pytest.param(SAND, id="sand", marks=pytest.mark.long)],
+)
 def test_matrices_of_grains_have_their_symmetries(medium):
     """At 0° and 180°, by symmetry about the direction; bounds of elements; normalization."""
     ds = splits.single_scattering(medium, NM, 2, rays=1_000_000, stokes=True).squeeze("wavelength")

@@ -67,7 +67,10 @@ def test_interpolation_from_the_file_is_identical(tables, monkeypatch):
     assert not table.dataset.reflectance.variable._in_memory
 
 
-@pytest.mark.parametrize("solver", ["monte_carlo", "discrete_ordinates"])
+@pytest.mark.parametrize(
+    "solver",
+    ["monte_carlo", pytest.param("discrete_ordinates", marks=pytest.mark.long)],
+)
 def test_tables_with_directions_are_written_block_by_block(tmp_path, monkeypatch, solver):
     experiment = SimulationConfig.model_validate(
         {

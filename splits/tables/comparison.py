@@ -36,7 +36,7 @@ N_OTHER_NODES = 3
 MAX_OTHER_MEDIA = {"by ordinates": 27, "by paths": 6}
 """Largest number of combinations of nodes of the other axes, without angles, unless both ends of
 all axes need more.  Paths have much larger errors, and may keep the middle of an axis only."""
-N_OTHER_ANGLES = 7
+N_OTHER_ANGLES = 13
 """Number of nodes of every other angle in a table with directions."""
 PATH_ERROR_RATIO = 2.0
 """Error of paths in comparisons, relative to that of the table."""

@@ -162,13 +162,16 @@ def test_errors_of_interpolation_agree_with_nodes_left_out():
         "optical_radius_um": SIZES, "incidence_deg": zeniths, "polar_deg": zeniths,
         "azimuth_deg": np.arange(0.0, 181.0, 15.0),
     }  # fmt: skip
-    full = splits.build_table(
-        make_snow, grid, wavelengths, max_stderr=0.005, solver="discrete_ordinates"
-    )
-    random = np.random.default_rng(1)
+
+    def build(nodes):
+        return splits.build_table(
+            make_snow, nodes, wavelengths, max_stderr=0.005, solver="discrete_ordinates"
+        )
+
+    full, random = build(grid), np.random.default_rng(1)
     z: dict[str, list[np.ndarray]] = {name: [] for name in DIRECTIONAL}
     for axis in ("incidence_deg", "polar_deg", "azimuth_deg"):
-        table = splits.Table(full.isel({axis: slice(None, None, 2)}))
+        table = splits.Table(build(grid | {axis: grid[axis][::2]}))
         for _ in range(100):
             position = {name: int(random.integers(full.sizes[name])) for name in grid}
             position[axis] = 2 * int(random.integers((full.sizes[axis] - 1) // 2)) + 1
@@ -176,12 +179,15 @@ def test_errors_of_interpolation_agree_with_nodes_left_out():
             found = table.interp(**{name: float(exact[name]) for name in grid})
             for name, rows in z.items():
                 stderr = np.hypot(found[f"{name}_stderr"], exact[f"{name}_stderr"])
-                rows.append(((found[name] - exact[name]) / stderr).values)
+                # Errors of nodes are common to both tables, and cancel in their difference.
+                between = found[f"{name}_interpolation_error"]
+                is_largest = (between > 0.9 * stderr).values
+                rows.append(((found[name] - exact[name]) / between).values[is_largest])
     for name, rows in z.items():
-        rms = float(np.sqrt(np.mean(np.square(rows))))
-        print(f"{name}: {np.size(rows)} values, rms z {rms:.2f}, largest {np.abs(rows).max():.1f}")
-        # Of nodes that were selected, the error is estimated, not measured, and larger.
-        assert 0.3 < rms < 1.2
+        values = np.concatenate(rows)
+        rms = float(np.sqrt(np.mean(np.square(values))))
+        print(f"{name}: {values.size} values, rms z {rms:.2f}, largest {np.abs(values).max():.1f}")
+        assert 0.7 < rms < 1.2 and values.size > 100, name
 
 
 @NEEDS_JIT

@@ -17,7 +17,10 @@ from splits.experiments import load_experiment
 from splits.experiments.archive import list_table_files, make_configuration_members
 from splits.experiments.checkpoints import PointCache
 from splits.experiments.config.accuracy import Accuracy
+from splits.experiments.config.albedo_instrument import SKIES, Albedo
 from splits.experiments.config.settings import Settings
+from splits.experiments.config.simulation import SimulationConfig
+from splits.instruments.sky_mixing import choose_wavelengths
 
 LAYER = "kind: particle_layer, optical_thickness: 4, single_scattering_albedo: 0.9"
 ANGLES = np.linspace(0.0, 180.0, 5)
@@ -243,7 +246,7 @@ def test_place_of_a_season_gives_the_sun(tmp_path, monkeypatch):
     np.testing.assert_allclose(zenith, expected, atol=0.6)
     east = load(latitude_deg=0.0, longitude_deg=90.0).dataset.sun_zenith_deg.values
     np.testing.assert_allclose(np.roll(east, 6), zenith, atol=0.5)
-    with pytest.raises(ConfigError, match=r"medium\.longitude_deg = None: must be in \[-180, 180]"):
+    with pytest.raises(ConfigError, match=r"medium\.longitude_deg = None: must be given \(a pl"):
         load(latitude_deg=45.0)
     with pytest.raises(ConfigError, match=r"medium\.latitude_deg = 95: must be in \[-90, 90] deg"):
         load(latitude_deg=95, longitude_deg=0)
@@ -262,5 +265,19 @@ def test_albedo_under_overcast_skies_needs_no_sun(tmp_path, monkeypatch):
     medium, sky = "{kind: snow_packs, file: season.csv}", "midlatitude_winter_cloudy"
     text = f"medium: {medium}\ninstrument: {{kind: albedo, sky: {sky}}}\n"
     (tmp_path / "mine.yaml").write_text(text, encoding="utf-8")
-    packs = load_experiment("mine.yaml").load_packs()
-    assert np.isfinite(splits.albedo(packs, sky, [500, 900], 0.05, threads=1).albedo).all()
+    experiment = load_experiment("mine.yaml")
+    found = splits.albedo(experiment.load_packs(), sky, max_stderr=0.05, threads=1)
+    assert np.isfinite(found.albedo).all()
+    # The wavelengths are those of the sky in Python, also after the settings are stored.
+    wavelengths = experiment.instrument.get_wavelengths()
+    np.testing.assert_array_equal(wavelengths, found.wavelength)
+    stored = SimulationConfig.model_validate(experiment.dump_simulation()).instrument
+    np.testing.assert_array_equal(stored.get_wavelengths(), found.wavelength)
+
+
+def test_default_wavelengths_of_an_experiment_are_those_of_albedos():
+    for name in SKIES:
+        wavelengths = choose_wavelengths(None, splits.sky(name, 50.0), 2)
+        found = Albedo(kind="albedo", sky=name).get_wavelengths()
+        np.testing.assert_array_equal(found, wavelengths)
+    assert Albedo(kind="albedo", sky=SKIES[1], wavelength_nm=[400, 500]).wavelength_nm == (400, 500)

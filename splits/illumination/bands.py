@@ -160,7 +160,7 @@ class SpectralOperator(NamedTuple):
 def compute_mean_error_weights(
     make_weights: Callable[..., np.ndarray], wavelengths: np.ndarray
 ) -> np.ndarray:
-    """Return weights of two estimates of the error of a mean over a band; their squares add.
+    """Return weights, shape (2, wavelengths), of estimates of a mean's error, whose squares add.
 
     The mean is that of a spectrum that is linear between wavelengths.  A curvature within the
     intervals shows in the difference from cubics, and an edge, as of an absorption band, in that
@@ -171,12 +171,8 @@ def compute_mean_error_weights(
     ----------
     make_weights : callable
         From wavelengths, and ``n_nodes`` of the polynomials between them, to the weights of the
-        mean; without light, these are NaN.
+        mean over a band; without light, these are NaN.
     wavelengths : float, shape (wavelengths,)
-
-    Returns
-    -------
-    float, shape (2, wavelengths)
     """
     weights = make_weights(wavelengths)
     error_weights = np.zeros((2, wavelengths.size))

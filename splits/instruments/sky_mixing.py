@@ -141,18 +141,9 @@ def compute_band_weights(
 def compute_band_error_weights(
     sky: Sky, bands: Mapping[str, SpectralBand], wavelength_nm: np.ndarray
 ) -> np.ndarray:
-    """Return weights of estimates of the error of interpolation between wavelengths.
+    """Return weights of the errors of means over bands, shape (2, bands, wavelengths).
 
-    See `splits.illumination.bands.compute_mean_error_weights`.
-
-    Parameters
-    ----------
-    sky, bands, wavelength_nm
-        See `compute_band_weights`.
-
-    Returns
-    -------
-    float, shape (2, bands, wavelengths)
+    See `compute_band_weights`, and `splits.illumination.bands.compute_mean_error_weights`.
     """
 
     def make_weights(band: SpectralBand, wavelengths: np.ndarray, n_nodes: int = 2) -> np.ndarray:

@@ -20,6 +20,7 @@ from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.albedo_instrument import SKIES, Albedo
 from splits.experiments.config.settings import Settings
 from splits.experiments.config.simulation import SimulationConfig
+from splits.experiments.run_packs import run_packs
 from splits.instruments.sky_mixing import choose_wavelengths
 
 LAYER = "kind: particle_layer, optical_thickness: 4, single_scattering_albedo: 0.9"
@@ -281,3 +282,21 @@ def test_default_wavelengths_of_an_experiment_are_those_of_albedos():
         found = Albedo(kind="albedo", sky=name).get_wavelengths()
         np.testing.assert_array_equal(found, wavelengths)
     assert Albedo(kind="albedo", sky=SKIES[1], wavelength_nm=[400, 500]).wavelength_nm == (400, 500)
+
+
+def test_runs_name_the_first_value_out_of_range(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    columns = {"thickness_m": 0.1, "density_kg_m3": 200.0, "specific_surface_area_m2_kg": 20.0}
+    table = pd.DataFrame({"time": pd.date_range("2024", periods=60), "layer": 0, **columns})
+    # The second block of snowpacks has it.
+    table.loc[55, "density_kg_m3"] = 0.2
+    table.to_csv("season.csv", index=False)
+    instrument = "{incidence_deg: diffuse, wavelength_nm: [500]}"
+    text = f"medium: {{kind: snow_packs, file: season.csv}}\ninstrument: {instrument}\n"
+    (tmp_path / "mine.yaml").write_text(text, encoding="utf-8")
+    lines = []
+    accuracy = Accuracy(max_stderr=0.05)
+    found = run_packs(load_experiment("mine.yaml"), accuracy, None, 1, lines.append)
+    comment = "time 2024-02-25 00:00:00: layers.0.density_kg_m3 = 0.2: must be in [10, 916.9) kg/m3"
+    assert comment in found.quality_flag.attrs["comment"] and comment in lines[-1]
+    assert "1 out of range" in lines[-1] and "unsupported" in found.quality_flag.flag_meanings

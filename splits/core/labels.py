@@ -5,6 +5,7 @@ What is accepted here can be written to a netCDF file and is read from it unchan
 
 from __future__ import annotations
 
+import calendar
 import datetime
 import re
 from typing import Any
@@ -17,6 +18,14 @@ from splits.core.validation import has_surrogates, invalid
 
 TIME_EXAMPLE = "2024-01-31T10:00, or with a zone 2024-01-31T10:00+01:00"
 _TIME_PATTERN = re.compile(r"\d{4}-\d{2}-\d{2}([T ]\d{2}:\d{2}.*)?")
+_MONTH = "|".join(filter(None, [*calendar.month_name, *calendar.month_abbr]))
+_DATE_PATTERN = re.compile(
+    rf"((19|20)\d{{6}}|\d{{4}}[-./]\d{{1,2}}[-./]\d{{1,2}}|\d{{1,2}}[-./ ]\d{{1,2}}[-./ ]\d{{4}}"
+    rf"|\d{{1,2}}[-. ]+({_MONTH})[-., ]+\d{{4}}|({_MONTH})[-. ]+\d{{1,2}}[, ]+\d{{4}})"
+    r"([T ,]*\d{1,2}:?\d{2}.*)?",
+    re.IGNORECASE,
+)
+"""Days with a year of four digits in any form, and the time of day that may follow them."""
 
 
 def parse_time(text: str) -> pd.Timestamp | None:
@@ -43,7 +52,9 @@ def as_utc(times: pd.DatetimeIndex) -> pd.DatetimeIndex:
 
 
 def convert_times(labels: pd.Index) -> pd.Index:
-    """Return labels that are times of any zones as times in UTC, and other labels unchanged.
+    """Return labels that are times of any zones, or their texts, as times in UTC.
+
+    Texts are those of `parse_time`.  Other labels are unchanged.
 
     Raises
     ------
@@ -52,10 +63,12 @@ def convert_times(labels: pd.Index) -> pd.Index:
     """
     if isinstance(labels, pd.DatetimeIndex):
         return as_utc(labels)
-    values = labels.tolist() if labels.dtype == object else []
-    if not values or not all(isinstance(value, datetime.date) for value in values):
+    is_number = isinstance(labels.dtype, np.dtype) and labels.dtype.kind != "O"
+    values = [] if is_number else labels.tolist()
+    times = [parse_time(value) if isinstance(value, str) else value for value in values]
+    if not times or not all(isinstance(time, datetime.date) for time in times):
         return labels
-    times = [pd.to_datetime(value, utc=True) for value in values]
+    times = [pd.to_datetime(time, utc=True) for time in times]
     return as_utc(pd.DatetimeIndex(times, name=labels.name))
 
 
@@ -72,7 +85,7 @@ def normalize_labels(key: str, labels: pd.Index) -> pd.Index:
     Raises
     ------
     ValueError
-        For labels of another type, or of several types.
+        For labels of another type, or of several types, and for texts of dates in another form.
     """
     if isinstance(labels, pd.MultiIndex):
         levels = [normalize_labels(key, labels.get_level_values(name)) for name in labels.names]
@@ -96,6 +109,11 @@ def normalize_labels(key: str, labels: pd.Index) -> pd.Index:
             hint = "give times as datetimes, and other labels as texts"
             found = f"{text} of type {type(value).__name__}"
             raise invalid(key, found, "texts, numbers or times, all of one type", hint)
+    texts = [value for value in values if isinstance(value, str)]
+    if any(map(_DATE_PATTERN.fullmatch, texts)):
+        wrong = next(text for text in texts if parse_time(text) is None)
+        allowed = f"a time of ISO 8601, such as {TIME_EXAMPLE}"
+        raise invalid(key, wrong, allowed, "all labels are times, or none is")
     return pd.Index(values, dtype=object, name=labels.name)
 
 

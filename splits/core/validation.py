@@ -29,6 +29,7 @@ UNIT_SLIPS: dict[str, tuple[tuple[str, float, float], ...]] = {
     "nm": (("micrometres", 1e3, 0.0),),
     "µm": (("millimetres", 1e3, 0.0), ("metres", 1e6, 0.0)),
     "kg/m3": (("g/cm3", 1e3, 0.0),),
+    "m": (("centimetres", 1e-2, 0.0),),
 }
 """Units that are given in place of another one: name, factor and offset."""
 
@@ -188,9 +189,11 @@ def _compare(one: float, other: float) -> int:
 def suggest_unit(value: float, low: float, high: float, unit: str) -> str:
     """Return a hint for a number outside a range that would be in it in another unit, or ""."""
     slips = UNIT_SLIPS.get(unit, ())
-    # A number up to 2 is rather a fraction that is too large.
-    if not unit and low >= 0.0 and high <= 1.0 and value > 2.0:
+    if not unit and low >= 0.0 and high <= 1.0:
         slips = (("per cent", 1e-2, 0.0),)
+    # A number up to 2 is rather a fraction, or a length in metres, that is too large.
+    if unit in ("", "m") and value <= 2.0:
+        slips = ()
     for name, factor, offset in slips:
         converted = factor * value + offset
         if low <= converted <= high and not low <= value <= high:

@@ -20,6 +20,7 @@ from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.config.snow_packs import PACKS_PER_BLOCK, count_pack_parts
 from splits.instruments import albedo, spectrophotometer
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
+from splits.media.snow_pack_input import FLAG_NAME
 from splits.media.snow_pack_quality import count_missing_results
 from splits.media.snow_packs import SnowPacks
 from splits.simulation.stopping_rule import STOP_REASONS
@@ -83,8 +84,12 @@ def run_packs(
     }
     dataset = dataset.assign_attrs(to_netcdf_attributes(attributes))
     log_missed_error(log, experiment.name, dataset)
+    flag = packs.dataset[FLAG_NAME]
+    # Blocks state their own first values.
+    dataset[FLAG_NAME].attrs = {**flag.attrs, **dataset[FLAG_NAME].attrs}
     if missing := count_missing_results(dataset):
-        log(f"{experiment.name}: of {len(packs)} snowpacks, some have no result: {missing}")
+        first = f"; {flag.attrs['comment']}" if "comment" in flag.attrs else ""
+        log(f"{experiment.name}: of {len(packs)} snowpacks, some have no result: {missing}{first}")
     return dataset
 
 

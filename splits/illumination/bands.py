@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -133,13 +134,13 @@ def choose_band_wavelengths(
     return np.unique(np.concatenate(grids))
 
 
-class BandMatrix(NamedTuple):
-    """Linear operators from a spectrum to response-weighted means over bands.
+class SpectralOperator(NamedTuple):
+    """Linear operator from a spectrum to measured values, such as means over bands.
 
     Attributes
     ----------
-    weights : float, shape (bands, wavelengths)
-    error_weights : float, shape (estimates, bands, wavelengths)
+    weights : float, shape (values, wavelengths)
+    error_weights : float, shape (estimates, values, wavelengths)
         Weights of estimates of the error of interpolation between wavelengths, whose squares add.
     """
 
@@ -147,26 +148,41 @@ class BandMatrix(NamedTuple):
     error_weights: np.ndarray
 
     @classmethod
-    def from_bands(cls, bands: Mapping[str, SpectralBand], wavelengths: np.ndarray) -> BandMatrix:
-        """Return the operators for a spectrum at wavelengths (nm), which all bands must be within.
+    def from_bands(
+        cls, bands: Mapping[str, SpectralBand], wavelengths: np.ndarray
+    ) -> SpectralOperator:
+        """Return the response-weighted means over bands, which must be within wavelengths (nm)."""
+        makers = [partial(compute_response_weights, name, band) for name, band in bands.items()]
+        error_weights = [compute_mean_error_weights(make, wavelengths) for make in makers]
+        return cls(np.array([make(wavelengths) for make in makers]), np.stack(error_weights, 1))
 
-        The means are those of a spectrum that is linear between wavelengths.  A curvature within
-        the intervals shows in the difference from cubics, and an edge, as of an absorption band, in
-        that from a mean without every other wavelength.  The latter has four times the error, as
-        the error of linear interpolation is proportional to the square of the interval.
-        """
-        weights = np.zeros((len(bands), wavelengths.size))
-        error_weights = np.zeros((2, *weights.shape))
-        for i, (name, band) in enumerate(bands.items()):
-            weights[i] = compute_response_weights(name, band, wavelengths)
-            cubic = compute_response_weights(name, band, wavelengths, n_nodes=4)
-            error_weights[0, i] = weights[i] - cubic
-            first, last = np.flatnonzero(weights[i])[[0, -1]]
-            kept = np.delete(np.arange(wavelengths.size), np.arange(first + 1, last, 2))
-            error_weights[1, i] = weights[i] / 3.0
-            thinned = compute_response_weights(name, band, wavelengths[kept])
-            error_weights[1, i, kept] -= thinned / 3.0
-        return cls(weights, error_weights)
+
+def compute_mean_error_weights(
+    make_weights: Callable[..., np.ndarray], wavelengths: np.ndarray
+) -> np.ndarray:
+    """Return weights, shape (2, wavelengths), of estimates of a mean's error, whose squares add.
+
+    The mean is that of a spectrum that is linear between wavelengths.  A curvature within the
+    intervals shows in the difference from cubics, and an edge, as of an absorption band, in that
+    from a mean without every other wavelength.  The latter has four times the error, as the error
+    of linear interpolation is proportional to the square of the interval.
+
+    Parameters
+    ----------
+    make_weights : callable
+        From wavelengths, and ``n_nodes`` of the polynomials between them, to the weights of the
+        mean over a band; without light, these are NaN.
+    wavelengths : float, shape (wavelengths,)
+    """
+    weights = make_weights(wavelengths)
+    error_weights = np.zeros((2, wavelengths.size))
+    used = np.flatnonzero(np.nan_to_num(weights))
+    if used.size:
+        error_weights[0] = weights - make_weights(wavelengths, n_nodes=4)
+        kept = np.delete(np.arange(wavelengths.size), np.arange(used[0] + 1, used[-1], 2))
+        error_weights[1] = weights / 3.0
+        error_weights[1, kept] -= make_weights(wavelengths[kept]) / 3.0
+    return error_weights
 
 
 def compute_response_weights(

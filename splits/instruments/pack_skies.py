@@ -111,7 +111,7 @@ class PackSkies(NamedTuple):
             with np.errstate(invalid="ignore", divide="ignore"):
                 weights.append(own / own.sum(axis=1, keepdims=True))
                 covered.append(own.sum(axis=1) / whole)
-            rows = compute_band_error_weights(one, named, wavelength_nm, weights[-1])
+            rows = compute_band_error_weights(one, named, wavelength_nm)
             error_weights.append(rows)
         return np.array(weights), np.array(error_weights), np.array(covered)
 

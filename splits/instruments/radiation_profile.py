@@ -21,6 +21,7 @@ from splits.instruments.irradiance_profile import (
 from splits.instruments.sky_mixing import (
     as_sky,
     choose_wavelengths,
+    compute_band_error_weights,
     compute_band_weights,
     make_coverage_variable,
     make_sky_attributes,
@@ -100,8 +101,9 @@ def radiation_profile(
     xarray.Dataset
         Over ``band``, the first of which is "broadband", and ``depth``: ``downward_irradiance`` and
         ``upward_irradiance`` (W m⁻²).  Over ``band`` and ``interval``, between successive depths:
-        ``absorbed_power`` (W m⁻²).  All with standard errors ``…_stderr``.  Over ``band``
-        ``irradiance_covered``, the fraction of the band's light within the wavelengths.
+        ``absorbed_power`` (W m⁻²).  All with standard errors ``…_stderr``, which include the error
+        of interpolation between the wavelengths.  Over ``band`` ``irradiance_covered``, the
+        fraction of the band's light within the wavelengths.
 
     Raises
     ------
@@ -140,7 +142,9 @@ def radiation_profile(
     dataset = mix_direct_and_diffuse(
         sky_spectrum, wavelengths, simulate_component, list(OUTPUT_VARIABLES)
     )
-    variables = _make_variables(dataset, wavelengths, weights)
+    error_weights = compute_band_error_weights(sky_spectrum, named, wavelengths)
+    error_weights = error_weights * weights.sum(axis=1, keepdims=True)
+    variables = _make_variables(dataset, wavelengths, weights, error_weights)
     variables |= make_coverage_variable(weights, band_irradiance)
     attributes = {
         **run.make_attributes("Sunlight inside", "radiation_profile", medium),
@@ -158,17 +162,21 @@ def radiation_profile(
 
 
 def _make_variables(
-    dataset: xr.Dataset, wavelengths: np.ndarray, weights: np.ndarray
+    dataset: xr.Dataset, wavelengths: np.ndarray, weights: np.ndarray, error_weights: np.ndarray
 ) -> dict[str, Variable]:
     """Return irradiances and absorbed power by band, with their errors."""
     variables: dict[str, Variable] = {}
-    band_weights = xr.DataArray(weights, {"wavelength": wavelengths}, ("band", "wavelength"))
+    axes = {"wavelength": wavelengths}
+    band_weights = xr.DataArray(weights, axes, ("band", "wavelength"))
+    between = xr.DataArray(error_weights, axes, ("estimate", "band", "wavelength"))
     for name, (label, dim, long_name) in OUTPUT_VARIABLES.items():
         mean = (band_weights * dataset[name]).sum("wavelength")
         # Band by band, which limits the memory for many depths.
         errors = [compute_weighted_error(dataset, name, one) for one in band_weights]
+        squares = (xr.dot(between, dataset[name], dim="wavelength") ** 2).sum("estimate")
+        error = (xr.concat(errors, "band") ** 2 + squares) ** 0.5
         dims = ("band", dim)
-        values, stderr = (one.transpose(*dims).values for one in (mean, xr.concat(errors, "band")))
+        values, stderr = (one.transpose(*dims).values for one in (mean, error))
         variables |= make_variable(label, dims, values, stderr, long_name, "W m-2")
     return variables
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from splits.core.uncertainty import (
     make_variable,
 )
 from splits.core.validation import invalid
-from splits.illumination.bands import SpectralBand
+from splits.illumination.bands import SpectralBand, compute_mean_error_weights
 from splits.illumination.sky import Sky
 from splits.illumination.sky_spectra import sky
 from splits.instruments.solver import DISCRETE_ORDINATES
@@ -138,35 +139,24 @@ def compute_band_weights(
 
 
 def compute_band_error_weights(
-    sky: Sky, bands: Mapping[str, SpectralBand], wavelength_nm: np.ndarray, weights: np.ndarray
+    sky: Sky, bands: Mapping[str, SpectralBand], wavelength_nm: np.ndarray
 ) -> np.ndarray:
-    """Return weights of estimates of the error of interpolation between wavelengths.
+    """Return weights of the errors of means over bands, shape (2, bands, wavelengths).
 
-    The estimates are those of `splits.illumination.bands.BandMatrix`; their squares add.
-
-    Parameters
-    ----------
-    sky, bands, wavelength_nm
-        See `compute_band_weights`.
-    weights : float, shape (bands, wavelengths)
-        Normalized weights of the bands.
-
-    Returns
-    -------
-    float, shape (2, bands, wavelengths)
+    See `compute_band_weights`, and `splits.illumination.bands.compute_mean_error_weights`.
     """
-    error_weights = np.zeros((2, *weights.shape))
-    for i, (band, row) in enumerate(zip(bands.values(), weights, strict=True)):
-        used = np.flatnonzero(np.nan_to_num(row))
-        if not used.size:
-            continue
-        cubic = sky.compute_weights(wavelength_nm, band, n_nodes=4)
-        error_weights[0, i] = row - cubic / cubic.sum()
-        kept = np.delete(np.arange(row.size), np.arange(used[0] + 1, used[-1], 2))
-        thinned = sky.compute_weights(wavelength_nm[kept], band)
-        error_weights[1, i] = row / 3.0
-        error_weights[1, i, kept] -= thinned / (3.0 * thinned.sum())
-    return error_weights
+
+    def make_weights(band: SpectralBand, wavelengths: np.ndarray, n_nodes: int = 2) -> np.ndarray:
+        weights = sky.compute_weights(wavelengths, band, n_nodes)
+        # Without light in a band its albedo is NaN.
+        with np.errstate(invalid="ignore"):
+            return weights / weights.sum()
+
+    rows = [
+        compute_mean_error_weights(partial(make_weights, band), wavelength_nm)
+        for band in bands.values()
+    ]
+    return np.stack(rows, axis=1)
 
 
 def average_over_bands(
@@ -192,7 +182,7 @@ def average_over_bands(
     )
     dims = tuple("band" if dim == "wavelength" else str(dim) for dim in spectrum[name].dims)
     label = f"{long_name} over a band, weighted by irradiance"
-    rows = compute_band_error_weights(sky, bands, spectrum.wavelength.values, normalized.values)
+    rows = compute_band_error_weights(sky, bands, spectrum.wavelength.values)
     between = (xr.DataArray(rows, normalized.coords, ("estimate", *normalized.dims))
                * spectrum[name]).sum("wavelength")  # fmt: skip
     error = compute_weighted_error(spectrum, name, normalized)

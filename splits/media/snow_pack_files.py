@@ -10,14 +10,15 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from splits.core.keywords import reject_unknown_arguments
 from splits.core.optional import import_optional
 from splits.core.paths import expand_path
-from splits.core.validation import check_range, invalid
+from splits.core.validation import check_range, invalid, suggest_name
 from splits.io.crocus import THICKNESS
 from splits.io.netcdf import NETCDF_SUFFIXES, SCHEMA_ATTRIBUTE, load, open_foreign
 from splits.materials.csv_table import read_csv
 from splits.media.pack_ground import GROUND_ATTRIBUTE
-from splits.media.snow_pack_input import DEFAULT_LABEL, LAYER_DIM
+from splits.media.snow_pack_input import DEFAULT_LABEL, LAYER_DIM, LAYER_HINT
 from splits.media.snow_pack_readers import read_caaml, read_crocus
 from splits.media.snow_packs import SnowPacks
 
@@ -26,6 +27,7 @@ PACK_SUFFIXES = (".csv", *NETCDF_SUFFIXES, *CAAML_SUFFIXES)
 """Suffixes of files of snowpacks."""
 
 
+@reject_unknown_arguments
 def read_snow_packs(
     file: str | Path | Sequence[str | Path],
     ground: Any = None,
@@ -56,7 +58,7 @@ def read_snow_packs(
     ModuleNotFoundError
         Without pvlib for a place.
     """
-    given = [file] if isinstance(file, str | Path) else file
+    given = [file] if isinstance(file, str) or not isinstance(file, Sequence) else file
     files = [expand_path(one, "file") for one in given]
     suffixes = {one.suffix.lower() for one in files}
     are_caaml = suffixes <= {*CAAML_SUFFIXES}
@@ -78,6 +80,8 @@ def read_snow_packs(
     if all(value is None for value in place.values()):
         return packs
     for (key, value), limit in zip(place.items(), (90.0, 180.0), strict=True):
+        if value is None:
+            raise invalid(key, None, "given", "a place has a latitude and a longitude")
         place[key] = check_range(key, value, -limit, limit, "degrees")
     return packs.with_sun_zenith(_compute_sun_zenith(packs, *place.values()))
 
@@ -101,6 +105,9 @@ def _compute_sun_zenith(packs: SnowPacks, latitude_deg: Any, longitude_deg: Any)
 
 def _read_csv(path: Path) -> pd.DataFrame:
     table = read_csv("file", path, [DEFAULT_LABEL, LAYER_DIM])
+    if LAYER_DIM not in table.column_names:
+        hint = suggest_name(LAYER_DIM, table.column_names) or LAYER_HINT
+        raise table.invalid(f"no column {LAYER_DIM}; {hint}")
     columns: dict[str, Any] = {DEFAULT_LABEL: table.get_times(DEFAULT_LABEL)}
     columns[LAYER_DIM] = table.get_numbers(LAYER_DIM)
     for name in table.column_names:

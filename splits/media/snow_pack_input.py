@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Hashable, Iterable
 from typing import Any, NamedTuple
 
@@ -27,6 +28,8 @@ LAYER_DIM = "layer"
 DEFAULT_LABEL = "time"
 THICKNESS_KEY, DENSITY_KEY, DEPTH_KEY = "thickness_m", "density_kg_m3", "depth_top_m"
 TEMPERATURE_KEY, WATER_KEY, ZENITH_KEY = "temperature_c", "liquid_water_content", "sun_zenith_deg"
+LAYER_HINT = "it counts the layers of each snowpack, 0 at the top"
+"""What the column of layers contains."""
 DEFAULTS = {TEMPERATURE_KEY: -1.0, WATER_KEY: 0.0}
 """Values of optional variables that are not given."""
 IMPURITIES_KEY = "impurities_ng_g"
@@ -84,7 +87,9 @@ def read_input(data: Any, label: str | None, ground: Any) -> SnowPackInput:
         data = _pivot_frame(data, label)
     if not isinstance(data, xr.Dataset):
         allowed = "an xarray.Dataset or a pandas.DataFrame"
-        raise invalid("data", type(data).__name__, allowed, "read files with splits.load first")
+        hint = f"splits.read_snow_packs({str(data)!r}) reads files"
+        is_path = isinstance(data, str | os.PathLike)
+        raise invalid("data", data if is_path else type(data).__name__, allowed, is_path * hint)
     for name in {*data.dims, *data.indexes} - {LAYER_DIM, WAVELENGTH_DIM}:
         _check_label_name(name)
     data = data.drop_vars([FLAG_NAME, LAYER_FLAG_NAME], errors="ignore")
@@ -241,7 +246,8 @@ def _pivot_frame(frame: pd.DataFrame, label: str | None) -> xr.Dataset:
     for name in (label, LAYER_DIM):
         if name not in frame.columns:
             hint = suggest_name(name, map(str, frame.columns))
-            raise invalid(name, None, "a column", hint or "label= names that of the snowpacks")
+            other = "label= names that of the snowpacks" if name == label else LAYER_HINT
+            raise invalid(name, None, "a column", hint or other)
     if not len(frame):
         raise invalid("data", "no rows", "at least one")
     rows, labels = pd.factorize(frame[label])

@@ -13,7 +13,7 @@ import xarray as xr
 from splits.core.arrays import align_to_labels
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.labels import convert_times
-from splits.core.validation import invalid, join_names
+from splits.core.validation import InvalidValue, check_range, invalid, join_names, key_prefix
 from splits.media.ground import OPEN
 from splits.media.measured_inputs import SURFACE_AREA_KEY
 from splits.media.pack_ground import GROUND_KEY
@@ -65,8 +65,8 @@ class SnowPacks:
         Without it, the unit is that of the name.
     label : str, optional
         Dimension or column of the snowpacks; by default the dimension other than ``layer``, or the
-        column ``time``.  Labels are texts, numbers, or times; those with a zone become times in
-        UTC, and those without one are in UTC.
+        column ``time``.  Labels are texts, numbers, or times, also as texts of ISO 8601; those with
+        a zone become times in UTC, and those without one are in UTC.
     ground : number, str, mapping, path or array_like, optional
         Ground below all snowpacks, as for `splits.Stack`; or an albedo for each: a sequence, or an
         array over the label, or over the label and ``wavelength``.  It replaces that of the data.
@@ -76,9 +76,10 @@ class SnowPacks:
     dataset : xarray.Dataset
         Variables as listed, with ``specific_surface_area_m2_kg`` in place of the radius and with
         the defaults.  ``quality_flag`` over the label is one of good, no_snow, missing_value,
-        out_of_range, night; the attribute ``flag_values`` lists the numbers.  ``layer_flag`` is 1
-        for absent layers.  A ground for all is in the attributes, and its name is the variable
-        ``ground`` over the label, so that datasets can be concatenated.
+        out_of_range, night; the attribute ``flag_values`` lists the numbers, and ``comment`` names
+        the first value out of range.  ``layer_flag`` is 1 for absent layers.  A ground for all is
+        in the attributes, and its name is the variable ``ground`` over the label, so that datasets
+        can be concatenated.
 
     Raises
     ------
@@ -109,6 +110,10 @@ class SnowPacks:
     ) -> None:
         given = read_input(data, label, ground)
         self.dataset, self._ground = make_dataset(given), given.ground
+        flag = self.dataset[FLAG_NAME]
+        for position in np.flatnonzero(flag.values == FLAGS["out_of_range"])[:1].tolist():
+            first = f"{self.label} {self.dataset.get_index(self.label)[position]}"
+            flag.attrs["comment"] = f"out of range: {first}: {self._find_obstacle(position)}"
 
     def __repr__(self) -> str:
         """Return the numbers of snowpacks, layers and flags."""
@@ -224,7 +229,7 @@ class SnowPacks:
             For an unknown label, and for a snowpack that is not good.
         """
         index = self.dataset.get_index(self.label)
-        if isinstance(label, datetime.date):
+        if isinstance(index, pd.DatetimeIndex) and isinstance(label, datetime.date | str):
             label = convert_times(pd.Index([label], dtype=object))[0]
         try:
             position = index.get_loc(label)
@@ -237,7 +242,9 @@ class SnowPacks:
         if not self.is_good[position]:
             names = {value: name for name, value in FLAGS.items()}
             flag = names[int(self.dataset[FLAG_NAME].values[position])]
-            raise invalid(self.label, str(label), "a good snowpack", f"{FLAG_NAME} is {flag}")
+            hint = f"{FLAG_NAME} is {flag}"
+            hint += f": {self._find_obstacle(position)}" if flag == "out_of_range" else ""
+            raise invalid(self.label, str(label), "a good snowpack", hint)
         return self._make_stack(position, ground)
 
     @reject_unknown_arguments
@@ -255,23 +262,35 @@ class SnowPacks:
             for position in np.flatnonzero(self.is_good).tolist()
         )
 
+    def _find_obstacle(self, position: int) -> str:
+        """Return the message on the first value out of range of the snowpack at a position."""
+        try:
+            if ZENITH_KEY in self.dataset:
+                zenith = self.dataset[ZENITH_KEY].values[position]
+                check_range(ZENITH_KEY, zenith, 0.0, 180.0, "degrees")
+            self._make_stack(position, None)
+        except InvalidValue as error:
+            return str(error).replace("depth_m", THICKNESS_KEY)
+        return ""
+
     def _make_stack(self, position: int, ground: Any) -> Stack:
         """Return the snowpack at a position."""
         variables = self.dataset.drop_vars(GROUND_KEY, errors="ignore").data_vars
         values = {str(n): v.values[position] for n, v in variables.items()}
         n_layers = int((values[LAYER_FLAG_NAME] == LAYER_FLAGS["present"]).sum())
-        layers = [
-            Snow.natural(
-                depth_m=values[THICKNESS_KEY][layer],
-                density_kg_m3=values[DENSITY_KEY][layer],
-                specific_surface_area_m2_kg=values[SURFACE_AREA_KEY][layer],
-                temperature_c=values[TEMPERATURE_KEY][layer],
-                liquid_water_content=values[WATER_KEY][layer],
-                impurities_ng_g={
-                    kind: values[f"{IMPURITIES_KEY}.{kind}"][layer] for kind in self.impurities
-                },
-            )
-            for layer in range(n_layers)
-        ]
+        layers = []
+        for layer in range(n_layers):
+            with key_prefix(f"layers.{layer}"):
+                snow = Snow.natural(
+                    depth_m=values[THICKNESS_KEY][layer],
+                    density_kg_m3=values[DENSITY_KEY][layer],
+                    specific_surface_area_m2_kg=values[SURFACE_AREA_KEY][layer],
+                    temperature_c=values[TEMPERATURE_KEY][layer],
+                    liquid_water_content=values[WATER_KEY][layer],
+                    impurities_ng_g={
+                        kind: values[f"{IMPURITIES_KEY}.{kind}"][layer] for kind in self.impurities
+                    },
+                )
+            layers.append(snow)
         own = self._ground.get_ground(position) if ground is None else ground
         return Stack(tuple(layers), ground=own)

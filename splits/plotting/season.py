@@ -75,6 +75,9 @@ def draw_season(dataset: xr.Dataset, quantity: Sequence[str] = ("reflectance",))
                 else:
                     axes.errorbar(x, y, error, fmt="o", ms=2.5, color=colour, label=text)
             axes.set_ylabel("albedo" if name == "band_albedo" else make_axis_label(dataset[name]))
+            # Snowpacks without a result are on the axis, too.
+            axes.update_datalim([(one, 0.0) for one in np.atleast_1d(axes.convert_xunits(x))])
+            axes.autoscale_view()
             start_at_zero(axes, name)
             axes.margins(x=0.01)
             axes.spines[["top", "right"]].set_visible(False)

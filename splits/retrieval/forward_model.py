@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from splits.core.validation import invalid, key_prefix
-from splits.illumination.bands import BandMatrix
+from splits.illumination.bands import SpectralOperator
 from splits.retrieval.cubic_interpolation import interpolate, interpolate_states
 from splits.retrieval.map_minimization import TableGrid
 from splits.retrieval.measurement import Measurement
@@ -54,36 +54,20 @@ class ForwardModel(Protocol):
         ...
 
 
-class MeasurementOperator(NamedTuple):
-    """Linear operator from a spectrum at the wavelengths of a table to a measurement.
-
-    Attributes
-    ----------
-    matrix : float, shape (n, wavelengths)
-    interpolation_error : float, shape (estimates, n, wavelengths)
-        Weights of estimates of the error of interpolation between wavelengths, whose squares add.
-    """
-
-    matrix: np.ndarray
-    interpolation_error: np.ndarray
-
-    @classmethod
-    def from_measurement(
-        cls, measurement: Measurement, wavelengths: np.ndarray
-    ) -> MeasurementOperator:
-        """Return the operator of a measurement; reject wavelengths outside the table."""
-        if measurement.bands:
-            return cls(*BandMatrix.from_bands(measurement.bands, wavelengths))
-        matrix, interpolation_error = np.zeros((2, measurement.values.size, wavelengths.size))
-        for row, error_row, wavelength in zip(
-            matrix, interpolation_error, measurement.wavelength_nm, strict=True
-        ):
-            stencil = compute_interpolation_weights("wavelength", wavelengths, float(wavelength))
-            row[stencil.nodes] = stencil.weights
-            estimates = estimate_error_weights("wavelength", wavelengths, float(wavelength))
-            if len(estimates):
-                error_row[:] = max(estimates, key=lambda weights: float((weights**2).sum()))
-        return cls(matrix, interpolation_error[np.newaxis])
+def make_measurement_operator(
+    measurement: Measurement, wavelengths: np.ndarray
+) -> SpectralOperator:
+    """Return the operator of a measurement; reject values outside the wavelengths (nm)."""
+    if measurement.bands:
+        return SpectralOperator.from_bands(measurement.bands, wavelengths)
+    rows, error_rows = np.zeros((2, measurement.values.size, wavelengths.size))
+    for row, error_row, x in zip(rows, error_rows, measurement.wavelength_nm.tolist(), strict=True):
+        stencil = compute_interpolation_weights("wavelength", wavelengths, x)
+        row[stencil.nodes] = stencil.weights
+        estimates = estimate_error_weights("wavelength", wavelengths, x)
+        if len(estimates):
+            error_row[:] = max(estimates, key=lambda weights: float((weights**2).sum()))
+    return SpectralOperator(rows, error_rows[np.newaxis])
 
 
 class TableForwardModel:
@@ -121,7 +105,7 @@ class TableForwardModel:
             table, quantity, state_vector, self.axes, self.fixed
         )
         self.node_values = np.ascontiguousarray(
-            values.reshape(-1, values.shape[-1]) @ self.operator.matrix.T
+            values.reshape(-1, values.shape[-1]) @ self.operator.weights.T
         )
         coordinates = [
             state_vector.to_coordinate(i, row)
@@ -138,9 +122,9 @@ class TableForwardModel:
         at_nodes = by_axis[tuple(slice(None, None, step) for step in self._steps)]
         return at_nodes.reshape(-1, by_axis.shape[-1])
 
-    def make_operator(self, measurement: Measurement, table: Table) -> MeasurementOperator:
+    def make_operator(self, measurement: Measurement, table: Table) -> SpectralOperator:
         """Return the operator from the spectra of a table to a measurement."""
-        return MeasurementOperator.from_measurement(measurement, table.dataset.wavelength.values)
+        return make_measurement_operator(measurement, table.dataset.wavelength.values)
 
     def make_grid(self, node_values: np.ndarray) -> TableGrid:
         """Return the table over coordinates with other columns."""
@@ -214,9 +198,9 @@ class TableForwardModel:
         axis_errors = self.table.interpolation_errors(q, **fixed, **free_values)
         axis_error = (
             np.vstack([scale_axis_errors(axis_errors), self._resampling_errors])
-            @ self.operator.matrix.T
+            @ self.operator.weights.T
         )
-        wavelength_error = self.operator.interpolation_error @ interpolated[q].values
+        wavelength_error = self.operator.error_weights @ interpolated[q].values
         covariance = (
             self.compute_node_covariance(node_stderr, {**fixed, **free_values})
             + axis_error.T @ axis_error
@@ -236,14 +220,14 @@ class TableForwardModel:
         axis_values : dict
             Values of all axes.
         """
-        stderr = np.abs(self.operator.matrix) @ node_stderr
+        stderr = np.abs(self.operator.weights) @ node_stderr
         if f"{self.quantity}_batches" not in self.table.dataset:
             wavelength = self.measurement.wavelength_nm
             correlation = np.exp(
                 -np.abs(wavelength[:, np.newaxis] - wavelength) / ERROR_CORRELATION_NM
             )
             return correlation * stderr[:, np.newaxis] * stderr
-        batches = self.table.deviations(self.quantity, **axis_values) @ self.operator.matrix.T
+        batches = self.table.deviations(self.quantity, **axis_values) @ self.operator.weights.T
         covariance: np.ndarray = batches.T @ batches
         # Standard errors include the interpolation between refractive indices, batches do not.
         return covariance + np.diag(np.maximum(stderr**2 - np.diag(covariance), 0.0))

@@ -105,7 +105,8 @@ def retrieve_map(
     The most probable values of each pixel are found by the Gauss-Newton method from the nearest
     node of the table, and their errors from the curvature of the cost.  `splits.retrieve`
     additionally draws from the posterior, uses several starts, and evaluates the error of the
-    table at the result; a map uses its mean over the ranges.
+    table at the result; a map uses its mean over the ranges.  As there, the errors of a poor fit
+    are increased until its misfit is plausible.
 
     Parameters
     ----------
@@ -331,13 +332,19 @@ class _MapRetrieval(NamedTuple):
         prior = (mean, precision, state_vector.prior_variance)
         retrieve_spectra(table, components, *prior, states, variances, misfit)
         physical = state_vector.to_physical(states)
+        chi2 = misfit[:, 0] + residual_chi2
+        is_poor = is_valid & (chi2 > self.compute_max_chi2())
+        # Larger noise makes the misfit of a poor fit plausible; it does not widen the prior.
+        inflation = np.where(is_poor, chi2 / self.compute_expected_chi2(), 1.0)[:, np.newaxis]
+        prior_information = 1.0 / state_vector.prior_variance
+        information = (1.0 / variances - prior_information) / inflation
+        variances = 1.0 / (information + prior_information)
         bounds = [np.clip(states + sign * np.sqrt(variances), 0.0, 1.0) for sign in (-1.0, 1.0)]
         stderr = 0.5 * np.abs(
             state_vector.to_physical(bounds[1]) - state_vector.to_physical(bounds[0])
         )
-        chi2 = misfit[:, 0] + residual_chi2
         flags = FLAGS["gap"] * gap + FLAGS["out_of_range"] * is_out_of_range
-        flags = flags + FLAGS["poor_fit"] * (is_valid & (chi2 > self.compute_max_chi2()))
+        flags = flags + FLAGS["poor_fit"] * is_poor
         flags = flags + FLAGS["not_converged"] * (is_valid & (misfit[:, 1] == 0.0))
         # A lower bound of 0 is physical, so no flag is set.
         at_low = (states < 1e-6) & (state_vector.low != 0.0)

@@ -23,8 +23,9 @@ LABEL_TOLERANCE = 1e-6
 NOISE_KEYS = ("stderr", "correlation_nm", "independent")
 UNKNOWN_NOISE_STDERR = 1.0
 """Standard error of all values for unknown noise: equal weights, and large enough to dominate."""
-MAX_NOISE_STDERR = 3.0
-"""Largest standard error of a reflectance; larger ones carry no information."""
+MAX_NOISE_STDERR = 1.0
+"""Limit of the standard errors of reflectances; larger ones carry no information."""
+NOISE_HINT = "in per cent, or of counts? write those of reflectances, such as 0.02 for 2 %"
 
 
 class Measurement(NamedTuple):
@@ -129,6 +130,7 @@ def check_conditions(key: str, measured: Any, conditions: Mapping[str, Any]) -> 
             if name not in measured.dims and not is_same_label(values, expected):
                 found = np.unique(coordinates[name].values).tolist()
                 hint = f"the model has {condition} = {short_repr(expected)}"
+                hint += "; give the parts with one value each" if len(found) > 1 else ""
                 raise invalid(f"{key}.{name}", found, short_repr(expected), hint)
 
 
@@ -189,7 +191,7 @@ def _make_covariance(
 ) -> np.ndarray:
     """Return the covariance of noise, in the order of wavelengths or bands."""
     n_values = wavelength_nm.size
-    allowed = f"standard errors above 0, one or {n_values} of them, or their covariance"
+    allowed = f"standard errors in (0, 1), one or {n_values} of them, or their covariance"
     if isinstance(noise, Mapping):
         return _make_correlated_covariance(noise, wavelength_nm, bands)
     # A default index is no wavelength, but bands may be given in their order.
@@ -204,14 +206,16 @@ def _make_covariance(
             raise invalid(key, "a matrix that is not positive definite", allowed)
         if np.diag(values).max() >= MAX_NOISE_STDERR**2:
             largest = float(np.diag(values).max())
-            raise invalid(key, f"a variance of {largest:g}", f"below {MAX_NOISE_STDERR**2:g}")
+            allowed = f"below {MAX_NOISE_STDERR**2:g}"
+            raise invalid(key, f"a variance of {largest:g}", allowed, NOISE_HINT)
         return values
     if values.shape not in ((), (n_values,)):
         raise invalid(key, f"of shape {values.shape}", allowed)
     is_invalid = ~((values > 0.0) & (values < MAX_NOISE_STDERR))
     if is_invalid.any():
-        hint = "no measurement is without noise"
-        raise invalid(key, float(values[is_invalid].flat[0]), allowed, hint)
+        wrong = float(values[is_invalid].flat[0])
+        hint = "no measurement is without noise" if wrong <= 0.0 else NOISE_HINT
+        raise invalid(key, wrong, allowed, hint)
     return np.diag(np.broadcast_to(values, (n_values,)) ** 2)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from splits.core.optional import import_optional
 from splits.media.medium import Medium
 from splits.media.parameters import INCIDENCE_KEY, replace_parameters
-from splits.retrieval.forward_model import MeasurementOperator
+from splits.retrieval.forward_model import make_measurement_operator
 from splits.retrieval.gauss_newton import DescentStage, LocalMinimum, Objective, search_minima
 from splits.retrieval.linearization import BOUND_MARGIN, Linearization, remove_jacobian_noise
 from splits.retrieval.measurement import Measurement
@@ -91,7 +91,7 @@ class MediumForwardModel(ABC):
         self.medium, self.measurement, self.state_vector = medium, measurement, state_vector
         self.incidence, self.seed = incidence, seed
         self.wavelengths = select_simulation_wavelengths(measurement)
-        self.operator = MeasurementOperator.from_measurement(measurement, self.wavelengths).matrix
+        self.operator = make_measurement_operator(measurement, self.wavelengths).weights
         self.names = [name for name in state_vector.names if name != SCALE]
         self.rows = [state_vector.names.index(name) for name in self.names]
         self.scale_row = state_vector.names.index(SCALE) if SCALE in state_vector.names else None

@@ -124,7 +124,7 @@ def retrieve_return(
     pulse_attributes = describe_record(pulse, None, None)
     state_vector = StateVector.from_ranges(free, prior, get_table_ranges(channels))
     operator = make_return_operator(table, edges, record_pulse)
-    _check_rates(rates, edges, return_noise, operator.matrix, table, state_vector)
+    _check_rates(rates, edges, return_noise, operator.weights, table, state_vector)
     expected, min_count = rates.ravel(), MIN_COUNT
     for _ in range(N_NOISE_UPDATES if isinstance(return_noise, PhotonNoise) else 1):
         measurement = make_return_measurement(expected, rates, return_noise, min_count)

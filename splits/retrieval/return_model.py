@@ -27,8 +27,9 @@ from splits.core.validation import (
     invalid,
     short_repr,
 )
+from splits.illumination.bands import SpectralOperator
 from splits.instruments.delay_record import Pulse
-from splits.retrieval.forward_model import MeasurementOperator, TableForwardModel
+from splits.retrieval.forward_model import TableForwardModel
 from splits.retrieval.measurement import Measurement, check_conditions, is_same_label
 from splits.tables.axes import INCIDENCE
 from splits.tables.return_table import TITLE
@@ -51,15 +52,15 @@ class ReturnForwardModel(TableForwardModel):
     ----------
     table, measurement, state_vector, fixed, quantity
         See `TableForwardModel`.
-    operator : MeasurementOperator
+    operator : SpectralOperator
         From the channels of the table to those of the measurement.
     """
 
-    def __init__(self, operator: MeasurementOperator, *arguments: Any, **keywords: Any) -> None:
+    def __init__(self, operator: SpectralOperator, *arguments: Any, **keywords: Any) -> None:
         self._return_operator = operator
         super().__init__(*arguments, **keywords)
 
-    def make_operator(self, measurement: Measurement, table: Table) -> MeasurementOperator:
+    def make_operator(self, measurement: Measurement, table: Table) -> SpectralOperator:
         """Return the operator from the channels of a table to a measurement."""
         return self._return_operator
 
@@ -67,7 +68,7 @@ class ReturnForwardModel(TableForwardModel):
         self, node_stderr: np.ndarray, axis_values: dict[str, Any]
     ) -> np.ndarray:
         """Return the covariance of the errors of nodes: rays in different bins are independent."""
-        scaled = self.operator.matrix * node_stderr
+        scaled = self.operator.weights * node_stderr
         covariance: np.ndarray = scaled @ scaled.T
         return covariance
 
@@ -296,7 +297,7 @@ def make_return_measurement(
     return Measurement(rates.ravel(), channels, np.diag(noise**2), {})
 
 
-def make_return_operator(table: xr.Dataset, edges: np.ndarray, pulse: Pulse) -> MeasurementOperator:
+def make_return_operator(table: xr.Dataset, edges: np.ndarray, pulse: Pulse) -> SpectralOperator:
     """Return the operator from the bins of a table to those of a measurement after a pulse.
 
     Light is uniform within the bins of the table.  The effects of both ways to join pairs of bins,
@@ -335,7 +336,7 @@ def make_return_operator(table: xr.Dataset, edges: np.ndarray, pulse: Pulse) -> 
         np.kron(identity, (matrix - _join_pairs(own_edges, edges, pulse, first)) / divisor)
         for first in (0, 1)
     ]
-    return MeasurementOperator(np.kron(identity, matrix), np.stack(errors))
+    return SpectralOperator(np.kron(identity, matrix), np.stack(errors))
 
 
 def _join_pairs(bins: np.ndarray, edges: np.ndarray, pulse: Pulse, first: int) -> np.ndarray:

@@ -10,7 +10,7 @@ import xarray as xr
 
 from splits.core.provenance import hash_physics_sources
 from splits.core.uncertainty import compute_weighted_error, make_variable
-from splits.illumination.bands import BandMatrix, SpectralBand
+from splits.illumination.bands import SpectralBand, SpectralOperator
 from splits.instruments.spectral_run import QUANTITY_LABELS
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.kernels.tallies.exits import N_BATCHES
@@ -147,7 +147,7 @@ def assemble_dataset(
 
 
 def average_nodes(
-    table: xr.Dataset, bands: Mapping[str, SpectralBand], matrix: BandMatrix
+    table: xr.Dataset, bands: Mapping[str, SpectralBand], matrix: SpectralOperator
 ) -> xr.Dataset:
     """Return a table with its means over bands at all nodes, and their errors."""
     axes = {"band": list(bands), "wavelength": table.wavelength}

@@ -19,7 +19,7 @@ from splits.core.paths import expand_path
 from splits.core.progress import ProgressCallback, report_whole_table
 from splits.core.provenance import hash_physics_sources
 from splits.core.validation import invalid
-from splits.illumination.bands import BandMatrix, check_bands, choose_band_wavelengths
+from splits.illumination.bands import SpectralOperator, check_bands, choose_band_wavelengths
 from splits.instruments.goniophotometer import MAX_CONVERGED_POLAR_DEG
 from splits.instruments.solver import MONTE_CARLO
 from splits.instruments.spectral_run import SpectralRequest
@@ -141,7 +141,7 @@ def build_table(
     if wavelength_nm is None and named:
         wavelength_nm = choose_band_wavelengths(named)
     spectral_request = SpectralRequest.from_arguments(wavelength_nm, 0.0, max_stderr, max_rays, run)
-    matrix = BandMatrix.from_bands(named, spectral_request.wavelengths) if named else None
+    matrix = SpectralOperator.from_bands(named, spectral_request.wavelengths) if named else None
     axes = ParameterGrid.from_mapping(grid)
     views = ViewGrid.from_grid(axes)
     selected = check_quantities(quantities, views, bool(covariance))

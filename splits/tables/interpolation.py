@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.core.validation import check_number, invalid, snap_to_limits
+from splits.core.validation import as_scalar, check_number, invalid, snap_to_limits
 
 STENCIL_SIZE = 4
 """Largest number of nodes in an interpolation stencil."""
@@ -151,6 +151,9 @@ def check_within_axis(name: str, nodes: np.ndarray, value: object) -> float:
         For a value outside the axis.
     """
     allowed = f"from {nodes[0]:g} to {nodes[-1]:g}, as far as the table goes"
+    if np.ndim(as_scalar(value)):
+        hint = "repeat the call for each, such as for the parts of an image with one sun"
+        raise invalid(name, value, f"one number {allowed}", hint)
     x = float(snap_to_limits(check_number(name, value), nodes[0], nodes[-1]))
     if not nodes[0] <= x <= nodes[-1]:
         raise invalid(name, value, allowed)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.illumination.bands import BandMatrix, check_bands
+from splits.illumination.bands import SpectralOperator, check_bands
 from splits.tables.axes import INCIDENCE
 from splits.tables.node_selection import RADIUS, select_at_fixed_axes
 
@@ -58,7 +58,7 @@ def convert_to_spires(
     ).reflectance
     wavelengths = dataset.wavelength.values
     band_by_name = check_bands(bands)
-    weights = BandMatrix.from_bands(band_by_name, wavelengths).weights
+    weights = SpectralOperator.from_bands(band_by_name, wavelengths).weights
     mean = np.einsum("bw,irdw->bidr", weights, _order_spires_axes(subset, impurity))
     return xr.DataArray(
         mean,

@@ -10,7 +10,7 @@ import xarray as xr
 
 from splits.core.arrays import as_1d_array
 from splits.core.validation import check_choice, invalid
-from splits.illumination.bands import BandMatrix, check_bands
+from splits.illumination.bands import SpectralOperator, check_bands
 from splits.io.netcdf import to_netcdf_attributes
 from splits.tables.axes import check_axis_values
 from splits.tables.axis_interpolation import AxisError, AxisInterpolation, AxisWeights
@@ -344,7 +344,7 @@ def average_bands(
     fully correlated between all wavelengths, with its relative signs.
     """
     dataset, named = interpolation.dataset, check_bands(bands)
-    matrix, error_weights = BandMatrix.from_bands(named, dataset.wavelength.values)
+    matrix, error_weights = SpectralOperator.from_bands(named, dataset.wavelength.values)
     point = {name: value for name, value in at.items() if name != "wavelength"}
     spectra = interpolate_table(interpolation, point)
     variables: dict[str, Any] = {}

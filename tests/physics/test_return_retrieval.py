@@ -141,13 +141,13 @@ def test_tables_predict_what_the_instrument_records(table, pulse):
     """The same paths in the bins of a measurement; light is uniform in the bins of a table."""
     edges = SHORT_RECORD[::5] if pulse is None else SHORT_BINS
     operator = make_return_operator(table, edges, Pulse.from_argument(pulse))
-    predicted = operator.matrix @ table.return_rate.sel({AREA: 15.0}).values.ravel()
+    predicted = operator.weights @ table.return_rate.sel({AREA: 15.0}).values.ravel()
     medium, settings = make_deep_snow(**{AREA: 15.0}), {"rays": 20_000, "delay_s": edges}
     light = splits.time_of_flight(medium, 1064.0, **settings, pulse=pulse)
     exact = light.return_rate.sel(side="reflected").values.ravel()
     tolerance = 1e-9 if pulse is None else 0.01
     np.testing.assert_allclose(predicted, exact, atol=tolerance * exact.max())
-    error = operator.interpolation_error @ table.return_rate.sel({AREA: 15.0}).values.ravel()
+    error = operator.error_weights @ table.return_rate.sel({AREA: 15.0}).values.ravel()
     assert np.abs(error).max() < 0.03 * exact.max()
 
 

@@ -165,3 +165,26 @@ def test_errors_of_means_contain_the_distance_of_wavelengths(bands):
             z.append((values - reference) / stderr)
         assert 0.3 < np.sqrt(np.mean(np.square(z))) < 1.2
         assert np.abs(z).max() < 5.0
+
+
+def test_errors_of_profiles_contain_the_distance_of_wavelengths():
+    """Bands with and without absorption edges, irradiances and absorbed powers at all depths."""
+    snow = splits.Snow.natural(specific_surface_area_m2_kg=25, depth_m=0.1)
+    sky = splits.sky("clear", 55.0)
+    bands = {"visible": (400, 700), "infrared": (700, 1400), "edge": (980, 1080)}
+
+    def measure(step, shift):
+        inner = np.arange(300.0 + step, 2490.0 - step, step) + shift
+        wavelengths = [300.0, *inner, 2490.0]
+        return splits.radiation_profile(snow, sky, [0.01, 0.03], wavelengths, bands=bands, **QUIET)
+
+    reference = measure(2.0, 0.0)
+    for step in (20.0, 40.0):
+        z = []
+        for found in (measure(step, 0.0), measure(step, 0.3 * step)):
+            for name in ("downward_irradiance", "upward_irradiance", "absorbed_power"):
+                # The light that falls on the top is exact.
+                ratio = (found[name] - reference[name]) / found[f"{name}_stderr"]
+                z.append(ratio.where(found[f"{name}_stderr"] > 0.0).values.ravel())
+        assert 0.3 < np.sqrt(np.nanmean(np.square(np.concatenate(z)))) < 1.2
+        assert np.nanmax(np.abs(np.concatenate(z))) < 5.0

@@ -56,7 +56,7 @@ LABELLED = {name: case for name, case in CASES.items() if case.labels}
 NON_ARRAYS = {
     "Progress", "ProgressBar", "Interpretation", "SandInterpretation", "__version__", "list_media",
     "load", "load_medium", "open_table", "read_caaml", "read_crocus",
-    "save", "sensor_bands", "surface_map",
+    "read_snow_packs", "save", "sensor_bands", "surface_map",
 }  # fmt: skip
 """Public names without array arguments, and those that store datasets unchanged."""
 DATASET_CALLS = {"save_brdf", "with_diffraction", "retrieve_map", "SnowPacks", "Table"}

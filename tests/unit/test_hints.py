@@ -129,6 +129,7 @@ def test_values_in_place_of_a_layer_or_model(layer, hint):
         ({"saturation": 20}, "in per cent? write 0.2"),
         ({"depth_m": 1.0, "ground": 80}, "in per cent? write 0.8"),
         ({"density_kg_m3": 0.25}, "in g/cm3? write 250"),
+        ({"depth_m": 15_000}, "in centimetres? write 150"),
         ({"optical_radius_um": 0.1}, "in millimetres? write 100"),
         ({"optical_radius_um": 2e-4}, "in metres? write 200"),
         ({"optical_radius_um": "0,2"}, "write 0.2, with a decimal point"),
@@ -144,7 +145,8 @@ def test_other_units_have_a_hint(keywords, hint):
 @pytest.mark.parametrize(
     ("value", "low", "high", "unit"),
     [(1.05, 0.0, 1.0, ""), (-3.0, 0.0, 1.0, ""), (300.0, 0.0, 1.0, ""), (50.0, -1.0, 1.0, ""),
-     (2e5, 200.0, 1e5, "nm"), (1.0, -40.0, 0.0, "°C"), (30.0, 0.0, 10.0, "s")],
+     (2e5, 200.0, 1e5, "nm"), (1.0, -40.0, 0.0, "°C"),
+     (0.2, 0.0, 0.1, "m"), (30.0, 0.0, 10.0, "s")],
 )  # fmt: skip
 def test_numbers_that_no_unit_explains_have_no_hint(value, low, high, unit):
     assert "?" not in read_message(check_range, "x", value, low, high, unit)

@@ -168,8 +168,8 @@ RESULTS = {
 NO_DATASET = {
     "Interpretation", "ParticleLayer", "Progress", "ProgressBar", "RoughSurface", "Sand",
     "SandInterpretation", "Sky", "Snow", "Stack", "__version__", "list_media", "load",
-    "load_medium", "open_table", "read_caaml", "read_crocus", "save", "save_brdf",
-    "sensor_bands", "sky",
+    "load_medium", "open_table", "read_caaml", "read_crocus", "read_snow_packs", "save",
+    "save_brdf", "sensor_bands", "sky",
 }  # fmt: skip
 """Public names of inputs, of reading and writing, and of progress reports."""
 

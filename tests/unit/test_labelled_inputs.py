@@ -14,12 +14,9 @@ from labelled_inputs import DIRECTION_TABLE, NM, PACKS, make_cases, retrieve
 
 import splits
 from splits.io.netcdf import drop_run_specific_attributes
-from splits.media.snow_pack_files import read_snow_packs
 
 METHODS = {"SnowPacks": PACKS, "Table": DIRECTION_TABLE}
 """Classes whose methods take data, and an instance of each."""
-OTHER_READERS = {"read_snow_packs": read_snow_packs}
-"""Readers of files that experiments use."""
 DATA_TYPES = re.compile(r"\bAny\b|ndarray|xr\.|pd\.|Path|Mapping\[str, (?!Medium)|tuple\[")
 """Annotations of parameters that take arrays, datasets, tables, mappings or files."""
 OTHER_PROGRAMS = "to_"
@@ -29,7 +26,7 @@ OTHER_PROGRAMS = "to_"
 def list_callables() -> dict[str, Any]:
     """Return all public functions, classes, constructors and methods that take data."""
     found = {name: getattr(splits, name) for name in splits.__all__ if name != "__version__"}
-    found |= OTHER_READERS | {"Snow.natural": splits.Snow.natural}
+    found |= {"Snow.natural": splits.Snow.natural}
     for owner, instance in METHODS.items():
         for name in vars(type(instance)):
             is_method = callable(getattr(instance, name)) and not name.startswith(

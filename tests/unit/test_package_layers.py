@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[2]
 LAYERS = (
     "core", "kernels", "io", "materials", "illumination", "media", "simulation",
     "discrete_ordinates", "instruments", "tables", "analysis", "retrieval", "plotting",
-    "experiments", "cli",
+    "experiments", "cli", "__main__",
 )  # fmt: skip
 """Packages from the lowest to the highest layer."""
 INNER_LAYERS = {

@@ -99,6 +99,7 @@ INVALID_CALLS = {
     "SnowPacks": lambda: splits.SnowPacks(EMPTY),
     "read_caaml": lambda: splits.read_caaml("there/is/none.xml"),
     "read_crocus": lambda: splits.read_crocus(EMPTY),
+    "read_snow_packs": lambda: splits.read_snow_packs("there/is/none.csv"),
     "save": lambda: splits.save(EMPTY, "x.txt"),
     "save_brdf": lambda: splits.save_brdf(EMPTY, "x", {}),
     "sensor_bands": lambda: splits.sensor_bands("x"),

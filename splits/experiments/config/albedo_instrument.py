@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator
+from pydantic import AfterValidator, model_validator
 
 from splits.core.validation import check_choice, invalid
 from splits.experiments.config.instrument import SpectralInstrument, WavelengthGrid
 from splits.illumination.bands import as_bands
-from splits.illumination.sky_spectra import CLEAR_SKY, list_sky_names
+from splits.illumination.sky_spectra import CLEAR_SKY, list_sky_names, sky
+from splits.instruments.sky_mixing import choose_wavelengths
 from splits.media.medium import Medium
 
 SKIES = (CLEAR_SKY, *list_sky_names())
@@ -29,7 +30,8 @@ class Albedo(SpectralInstrument):
     wavelength_nm: WavelengthGrid | tuple[float, ...] = WavelengthGrid(
         start=300, stop=2490, step=10
     )
-    """vacuum wavelengths (nm), increasing, by default 300 to 2490 in steps of 10"""
+    """vacuum wavelengths (nm), increasing, by default those of `splits.albedo`: from the first of
+    the sky, 300 or 305, in steps of 10 to at most 2495"""
     sky: Annotated[str, AfterValidator(lambda x: check_choice("", x, SKIES))] = CLEAR_SKY
     """sky, see `splits.sky`: `clear`, or one of the skies of SNICAR"""
     bands: Annotated[dict[str, tuple[float, float]] | str | None, AfterValidator(_check_bands)] = (
@@ -37,6 +39,13 @@ class Albedo(SpectralInstrument):
     )
     """limits of bands (nm) by name, or the name of a sensor; the broadband albedo is always
     computed"""
+
+    @model_validator(mode="after")
+    def _choose_wavelengths(self) -> Albedo:
+        if "wavelength_nm" not in self.model_fields_set and self.sky != CLEAR_SKY:
+            wavelengths = choose_wavelengths(None, sky(self.sky), 2)
+            self.__dict__["wavelength_nm"] = tuple(wavelengths.tolist())
+        return self
 
     def check_medium(self, medium: Medium) -> None:
         """Reject a medium other than a file of snowpacks."""

@@ -10,14 +10,13 @@ import xarray as xr
 import splits
 from splits.core.paths import expand_path
 from splits.core.validation import InvalidValue
-from splits.media.snow_pack_files import read_snow_packs
 from splits.plotting import save_figure
 
 NAMES = ["a\0b", "\ud800", "~/a\0b"]
 CALLS = {
     "load": splits.load, "open_table": splits.open_table, "read_caaml": splits.read_caaml,
     "read_crocus": splits.read_crocus,
-    "read_snow_packs": lambda path: read_snow_packs(f"{path}.csv"),
+    "read_snow_packs": lambda path: splits.read_snow_packs(f"{path}.csv"),
     "save": lambda path: splits.save(xr.Dataset(), f"{path}.nc"),
     "ground": lambda path: splits.Snow(ground=f"{path}.csv"),
     "index": lambda path: splits.Snow(refractive_index={"ice": f"{path}.csv"}),

@@ -116,3 +116,13 @@ def test_cached_kernels_are_counted_and_cleared(tmp_path, capsys, monkeypatch):
     assert cli.main(["cache", "--clear"]) == 0
     assert capsys.readouterr().out.endswith("deleted 1\n")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_package_runs_the_same_command():
+    outputs = [
+        subprocess.run(
+            [sys.executable, "-m", name, "run", "--help"], capture_output=True, text=True
+        )
+        for name in ("splits", "splits.cli")
+    ]
+    assert outputs[0].returncode == 0 and outputs[0].stdout == outputs[1].stdout

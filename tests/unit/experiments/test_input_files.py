@@ -17,7 +17,11 @@ from splits.experiments import load_experiment
 from splits.experiments.archive import list_table_files, make_configuration_members
 from splits.experiments.checkpoints import PointCache
 from splits.experiments.config.accuracy import Accuracy
+from splits.experiments.config.albedo_instrument import SKIES, Albedo
 from splits.experiments.config.settings import Settings
+from splits.experiments.config.simulation import SimulationConfig
+from splits.experiments.run_packs import run_packs
+from splits.instruments.sky_mixing import choose_wavelengths
 
 LAYER = "kind: particle_layer, optical_thickness: 4, single_scattering_albedo: 0.9"
 ANGLES = np.linspace(0.0, 180.0, 5)
@@ -243,7 +247,7 @@ def test_place_of_a_season_gives_the_sun(tmp_path, monkeypatch):
     np.testing.assert_allclose(zenith, expected, atol=0.6)
     east = load(latitude_deg=0.0, longitude_deg=90.0).dataset.sun_zenith_deg.values
     np.testing.assert_allclose(np.roll(east, 6), zenith, atol=0.5)
-    with pytest.raises(ConfigError, match=r"medium\.longitude_deg = None: must be in \[-180, 180]"):
+    with pytest.raises(ConfigError, match=r"medium\.longitude_deg = None: must be given \(a pl"):
         load(latitude_deg=45.0)
     with pytest.raises(ConfigError, match=r"medium\.latitude_deg = 95: must be in \[-90, 90] deg"):
         load(latitude_deg=95, longitude_deg=0)
@@ -262,5 +266,37 @@ def test_albedo_under_overcast_skies_needs_no_sun(tmp_path, monkeypatch):
     medium, sky = "{kind: snow_packs, file: season.csv}", "midlatitude_winter_cloudy"
     text = f"medium: {medium}\ninstrument: {{kind: albedo, sky: {sky}}}\n"
     (tmp_path / "mine.yaml").write_text(text, encoding="utf-8")
-    packs = load_experiment("mine.yaml").load_packs()
-    assert np.isfinite(splits.albedo(packs, sky, [500, 900], 0.05, threads=1).albedo).all()
+    experiment = load_experiment("mine.yaml")
+    found = splits.albedo(experiment.load_packs(), sky, max_stderr=0.05, threads=1)
+    assert np.isfinite(found.albedo).all()
+    # The wavelengths are those of the sky in Python, also after the settings are stored.
+    wavelengths = experiment.instrument.get_wavelengths()
+    np.testing.assert_array_equal(wavelengths, found.wavelength)
+    stored = SimulationConfig.model_validate(experiment.dump_simulation()).instrument
+    np.testing.assert_array_equal(stored.get_wavelengths(), found.wavelength)
+
+
+def test_default_wavelengths_of_an_experiment_are_those_of_albedos():
+    for name in SKIES:
+        wavelengths = choose_wavelengths(None, splits.sky(name, 50.0), 2)
+        found = Albedo(kind="albedo", sky=name).get_wavelengths()
+        np.testing.assert_array_equal(found, wavelengths)
+    assert Albedo(kind="albedo", sky=SKIES[1], wavelength_nm=[400, 500]).wavelength_nm == (400, 500)
+
+
+def test_runs_name_the_first_value_out_of_range(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    columns = {"thickness_m": 0.1, "density_kg_m3": 200.0, "specific_surface_area_m2_kg": 20.0}
+    table = pd.DataFrame({"time": pd.date_range("2024", periods=60), "layer": 0, **columns})
+    # The second block of snowpacks has it.
+    table.loc[55, "density_kg_m3"] = 0.2
+    table.to_csv("season.csv", index=False)
+    instrument = "{incidence_deg: diffuse, wavelength_nm: [500]}"
+    text = f"medium: {{kind: snow_packs, file: season.csv}}\ninstrument: {instrument}\n"
+    (tmp_path / "mine.yaml").write_text(text, encoding="utf-8")
+    lines = []
+    accuracy = Accuracy(max_stderr=0.05)
+    found = run_packs(load_experiment("mine.yaml"), accuracy, None, 1, lines.append)
+    comment = "time 2024-02-25 00:00:00: layers.0.density_kg_m3 = 0.2: must be in [10, 916.9) kg/m3"
+    assert comment in found.quality_flag.attrs["comment"] and comment in lines[-1]
+    assert "1 out of range" in lines[-1] and "unsupported" in found.quality_flag.flag_meanings

@@ -12,7 +12,6 @@ import xarray as xr
 
 import splits
 from splits.core.validation import InvalidValue
-from splits.media.snow_pack_files import read_snow_packs
 
 HEADER = "time,layer,thickness_m,density_kg_m3,specific_surface_area_m2_kg"
 ROW = ",0,0.1,200,20"
@@ -28,7 +27,7 @@ def make_frame(labels, name="time"):
 def read_csv(folder, *lines, encoding="utf-8"):
     path = folder / "season.csv"
     path.write_bytes("\n".join([*lines, ""]).encode(encoding))
-    return read_snow_packs(path)
+    return splits.read_snow_packs(path)
 
 
 # --- CSV files ------------------------------------------------------------------------------------
@@ -68,7 +67,8 @@ def test_times_are_in_utc(tmp_path, text, expected):
         ((HEADER, "2024-01-31,0,0.1,200,1 000"), "line 2: specific_surface_area_m2_kg is 1 000"),
         ((HEADER + ",Größe", f"2024-01-31{ROW},1"), "line 1: it is not text in UTF-8"),
         ((HEADER, f"2024-01-31{ROW} # größer"), "line 2: it is not text in UTF-8"),
-        ((HEADER.replace("layer,", ""), "2024-01-31,0.1,200,20"), "no column layer"),
+        ((HEADER.replace("layer,", ""), "2024-01-31,0.1,200,20"), "no column layer; it counts"),
+        ((HEADER.replace("layer", "layers"), f"2024-01-31{ROW}"), "layer; did you mean layers"),
         ((HEADER + ",thickness", f"2024-01-31{ROW},1"), "thickness: unknown key"),
     ],
 )  # fmt: skip
@@ -88,14 +88,14 @@ def test_the_ground_survives_a_table(tmp_path, ground):
     frame = packs.dataset.drop_vars(["quality_flag", "layer_flag"]).to_dataframe()
     assert repr(splits.SnowPacks(frame)) == repr(packs)
     frame.to_csv(tmp_path / "own.csv")
-    assert read_snow_packs(tmp_path / "own.csv").dataset.equals(packs.dataset)
+    assert splits.read_snow_packs(tmp_path / "own.csv").dataset.equals(packs.dataset)
 
 
 def test_points_are_those_of_crocus_only(tmp_path):
     path = tmp_path / "own.nc"
     splits.save(splits.SnowPacks(make_frame([1, 2])).dataset, path)
     with pytest.raises(InvalidValue, match="point = 0: must be left out"):
-        read_snow_packs(path, point=0)
+        splits.read_snow_packs(path, point=0)
 
 
 # --- labels ---------------------------------------------------------------------------------------
@@ -189,6 +189,44 @@ def test_times_with_a_zone_are_taken_everywhere():
     assert packs.make_stack(zoned[0]) == packs.make_stack("2024-01-01T00:00")
     with pytest.raises(InvalidValue, match=r"sun_zenith_deg = .values at"):
         packs.with_sun_zenith(pd.Series([60.0, 50.0], pd.date_range("2024", periods=2, tz=PARIS)))
+
+
+@pytest.mark.parametrize(
+    ("texts", "expected"),
+    [
+        (["2024-01-31", "2024-02-01"], ["2024-01-31T00:00", "2024-02-01T00:00"]),
+        (["2024-01-31T10:00+01:00", "2024-01-31 10:00"], ["2024-01-31T09:00", "2024-01-31T10:00"]),
+        (pd.Categorical(["2024-01-31", "2024-02-01"]), ["2024-01-31T00:00", "2024-02-01T00:00"]),
+    ],
+)
+def test_texts_of_iso_8601_are_times(texts, expected):
+    frame = make_frame(texts)
+    for data in (frame, frame.set_index(["time", "layer"]).to_xarray()):
+        packs = splits.SnowPacks(data)
+        assert (np.sort(packs.dataset.time) == np.array(expected, "datetime64[ns]")).all()
+        angles = packs.with_sun_zenith(pd.Series([1.0, 2.0], texts)).dataset.sun_zenith_deg
+        assert angles.sel(time=expected).values.tolist() == [1.0, 2.0]
+        assert packs.make_stack(texts[0]) == packs.make_stack(pd.Timestamp(expected[0]))
+
+
+@pytest.mark.parametrize("name", ["time", "visit"])
+@pytest.mark.parametrize(
+    "text", ["01.02.2024", "1/2/2024", "20240131", "2024/1/31 10:00", "31 Jan 2024", "2024-02-30",
+             "January 31, 2024", "2024-01-31T25:00", "20240131T1000"],
+)  # fmt: skip
+def test_texts_of_other_dates_are_refused(name, text):
+    for labels in ([text, text + "0"], ["2024-01-30", text]):
+        frame = make_frame(labels, name)
+        for data in (frame, frame.set_index([name, "layer"]).to_xarray()):
+            with pytest.raises(InvalidValue, match=rf"^{name} = .*must be a time of ISO 8601"):
+                splits.SnowPacks(data, name)
+
+
+def test_texts_that_are_no_dates_are_labels():
+    labels = ["1.2.3", "2024", "12345678", "pit 2024-01-31", "2024-01-31.xml", "May 3", "10-20-30"]
+    assert splits.SnowPacks(make_frame(labels)).dataset.time.values.tolist() == labels
+    with pytest.raises(InvalidValue, match="time = 'pit 3': must be a time of ISO 8601"):
+        splits.SnowPacks(make_frame(["2024-01-31", "pit 3"]))
 
 
 # --- layers ---------------------------------------------------------------------------------------

@@ -9,7 +9,6 @@ import xarray as xr
 
 import splits
 from splits.core.validation import InvalidValue
-from splits.media.snow_pack_files import read_snow_packs
 
 NAN = np.nan
 NAMESPACE = "http://caaml.org/Schemas/SnowProfileIACS/v6.0.5"
@@ -297,23 +296,23 @@ def test_files_of_all_formats_are_read(tmp_path):
     ]
     names = [str(one) for one in pits]
     packs = splits.read_caaml(pits).with_ground(0.3)
-    assert read_snow_packs(names, ground=0.3).dataset.equals(packs.dataset)
-    assert read_snow_packs(names[0], 0.3).dataset.equals(packs.dataset.isel(time=[0]))
+    assert splits.read_snow_packs(names, ground=0.3).dataset.equals(packs.dataset)
+    assert splits.read_snow_packs(names[0], 0.3).dataset.equals(packs.dataset.isel(time=[0]))
     splits.save(packs.dataset, tmp_path / "own.nc")
-    assert read_snow_packs(str(tmp_path / "own.nc")).dataset.equals(packs.dataset)
+    assert splits.read_snow_packs(str(tmp_path / "own.nc")).dataset.equals(packs.dataset)
     make_output().to_netcdf(tmp_path / "crocus.nc")
-    crocus = read_snow_packs(str(tmp_path / "crocus.nc"), point=1)
+    crocus = splits.read_snow_packs(str(tmp_path / "crocus.nc"), point=1)
     assert crocus.dataset.equals(splits.read_crocus(make_output(), point=1).dataset)
     table = packs.dataset.drop_vars(["quality_flag", "layer_flag"]).to_dataframe().reset_index()
     table.dropna().to_csv(tmp_path / "own.csv", index=False)
-    dates = read_snow_packs(str(tmp_path / "own.csv")).dataset.time
+    dates = splits.read_snow_packs(str(tmp_path / "own.csv")).dataset.time
     assert dates.equals(packs.dataset.time)
 
 
-@pytest.mark.parametrize("file", ["none.csv", "season.txt", [], ["a.csv", "b.csv"]])
+@pytest.mark.parametrize("file", ["none.csv", "season.txt", [], ["a.csv", "b.csv"], 5, None])
 def test_invalid_files_are_named(file):
     with pytest.raises(InvalidValue, match=r"^file = "):
-        read_snow_packs(file)
+        splits.read_snow_packs(file)
 
 
 @pytest.mark.parametrize(
@@ -347,7 +346,7 @@ def test_files_that_cannot_be_decoded_raise_one_line(tmp_path, unit):
     make_output().assign_coords(time=times).to_netcdf(tmp_path / "bad.nc")
     (tmp_path / "pit.caaml").write_text("<a/>", encoding="utf-8")
     for read, name in (
-        (splits.read_crocus, "bad.nc"), (read_snow_packs, "bad.nc"), (splits.load, "bad.nc"),
+        (splits.read_crocus, "bad.nc"), (splits.read_snow_packs, "bad.nc"), (splits.load, "bad.nc"),
         (splits.open_table, "bad.nc"), (splits.read_crocus, "pit.caaml"),
     ):  # fmt: skip
         with pytest.raises(InvalidValue, match=r"must be a netCDF file that can be read") as error:

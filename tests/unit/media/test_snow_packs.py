@@ -182,6 +182,7 @@ STRUCTURAL_ERRORS = {
     "text": (lambda ds: ds.assign(density_kg_m3=ds.density_kg_m3.astype(str)), "density_kg_m3 = "),
     "empty": (lambda ds: ds.isel(time=[]), "time = 'no values': must be at least one"),
     "array": (lambda ds: ds.thickness_m, "data = 'DataArray': must be an xarray.Dataset or a"),
+    "path": (lambda ds: "a.csv", r"splits.read_snow_packs\('a.csv'\) reads files"),
 }  # fmt: skip
 
 
@@ -197,7 +198,7 @@ def test_structural_errors_raise_one_line(name):
     ("change", "message"),
     [
         (lambda df: pd.concat([df, df[:1]]), "time, layer = '2024-02-01 00:00:00, 0'"),
-        (lambda df: df.drop(columns="layer"), "layer = None: must be a column"),
+        (lambda df: df.drop(columns="layer"), "layer = None: must be a column .it counts"),
         (lambda df: df.drop(columns="time"), "time = None: must be a column"),
         (lambda df: df[:0], "data = 'no rows'"),
         (lambda df: df.assign(time=[pd.NaT, *df.time[1:]]), "time = 'a gap'"),
@@ -406,3 +407,51 @@ def test_input_is_not_modified():
     copy = dataset.copy(deep=True)
     splits.SnowPacks(dataset)
     xr.testing.assert_identical(dataset, copy)
+
+
+SUN_AND_SOOT = {"sun_zenith_deg": ("time", [50.0] * 3), SOOT: [[3.0, 3.0]] * 3}
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("thickness_m", -0.1, "layers.1.thickness_m = -0.1: must be in (0, 10000] m"),
+        ("thickness_m", 20_000, "(in centimetres? write 200;"),
+        (
+            "density_kg_m3",
+            0.3,
+            "density_kg_m3 = 0.3: must be in [10, 916.9) kg/m3 (in g/c",
+        ),
+        (
+            "specific_surface_area_m2_kg",
+            3000,
+            "layers.1.specific_surface_area_m2_kg = 3000.0: ",
+        ),
+        (
+            "temperature_c",
+            270.15,
+            "layers.1.temperature_c = 270.15: must be in [-40, 0] °C (",
+        ),
+        ("liquid_water_content", 2, "layers.1.liquid_water_content = 2.0: must be in [0, 0.6619"),
+        (SOOT, -1, f"layers.1.{SOOT} = -1.0: must be in [0, "),
+        ("sun_zenith_deg", 200, "sun_zenith_deg = 200.0: must be in [0, 180] degrees"),
+        ("ground_albedo", 80, "ground = 80.0: must be in [0, 1] (in per cent? write 0.8)"),
+    ],
+)
+def test_the_first_value_out_of_range_is_named(name, value, message):
+    dataset = make_dataset(**replace("density_kg_m3", (0, 0), NAN)).assign(
+        temperature_c=(("time", "layer"), np.full((3, 2), -1.0)),
+        liquid_water_content=(("time", "layer"), np.zeros((3, 2))),
+        ground_albedo=("time", [0.2] * 3), **make_dataset(**SUN_AND_SOOT)[[*SUN_AND_SOOT]],
+    )  # fmt: skip
+    assert "comment" not in splits.SnowPacks(dataset).dataset.quality_flag.attrs
+    # A missing value of another snowpack comes before, and does not matter.
+    for row in ((0, 1), (1, 1), (2, 1)):
+        dataset[name][row if dataset[name].ndim == 2 else row[0]] = value
+    packs = splits.SnowPacks(dataset)
+    start = "out of range: time 2024-02-02 00:00:00: "
+    comment = packs.dataset.quality_flag.attrs["comment"]
+    assert comment.startswith(start) and message in comment
+    with pytest.raises(InvalidValue, match="quality_flag is out_of_range: ") as error:
+        packs.make_stack(TIMES[1])
+    assert comment.removeprefix(start) in str(error.value)

@@ -58,3 +58,20 @@ def test_names_of_labels_are_plain_text(index):
 def test_many_texts_have_some_ticks():
     ticks = list_ticks(draw_axes("site", [f"site {number}" for number in range(200)]))
     assert len(ticks) <= 24 and ticks[0] == "site 0" and ticks[-1] == "site 199"
+
+
+@pytest.mark.parametrize("is_given", [[False] * 4, [True, False, False, False]])
+@pytest.mark.parametrize(
+    "index",
+    [pd.date_range("2024-02-01", periods=4), [5.0, 6.0, 8.0, 9.0], ["a", "b", "c", "d"],
+     xr.date_range("2024-02-01", periods=4, calendar="noleap", use_cftime=True)],
+)  # fmt: skip
+def test_the_axis_has_all_labels_without_their_results(index, is_given):
+    season = make_season("time", index)
+    full = draw_season(season).axes[0].get_xlim()
+    figure = draw_season(season.where(xr.DataArray(is_given, dims="time")).assign(
+        quality_flag=season.quality_flag
+    ))  # fmt: skip
+    figure.draw_without_rendering()
+    np.testing.assert_allclose(figure.axes[0].get_xlim(), full)
+    assert figure.axes[0].get_ylim()[0] == 0.0

@@ -211,7 +211,7 @@ def test_invalid_input_is_rejected(table, image, name):
         (lambda one: one.where(one.wavelength != W[3]), "without a number at 800 nm.*leave it"),
         (lambda one: one.assign_attrs(units="DN"), "image.units = 'DN': must be one of 1, "),
         (lambda one: one.assign_coords(incidence_deg=60.0), "image.incidence_deg = .*must be 30.0"),
-        (lambda one: one.assign_coords(incidence_deg=("x", [30.0, 30.0, 31.0])), "incidence_deg"),
+        (lambda one: one.assign_coords(incidence_deg=("x", [30.0, 30.0, 31.0])), "parts with"),
         (lambda one: one.assign_coords(wavelength=("wavelength", one.wavelength.values,
                                                    {"units": "um"})), "wavelength.units = 'um'"),
     ],
@@ -248,3 +248,20 @@ def test_images_may_be_in_per_cent_and_in_any_order(table, image):
         xr.testing.assert_allclose(found.drop_vars("incidence_deg", errors="ignore"), expected)
     backwards = image.isel(wavelength=slice(None, None, -1))
     xr.testing.assert_equal(splits.retrieve_map(backwards, noise=noise[::-1], **keywords), expected)
+
+
+@pytest.mark.long
+def test_errors_of_poor_fits_are_those_of_single_retrievals(table):
+    """Errors are increased with and without a prior; without a misfit, both agree as well."""
+    spectrum = evaluate_spectrum(200.0, 50.0)
+    ripples = np.array([0.0, 0.02, 0.05])[:, np.newaxis] * (-1.0) ** np.arange(W.size)
+    image = xr.DataArray(spectrum + ripples, {"wavelength": W}, ("x", "wavelength"))
+    for prior in ({}, {SOOT: (50.0, 10.0)}):
+        keywords = {"fixed": FIXED, "prior": prior}
+        found = splits.retrieve_map(image, table, [SIZE, SOOT], 0.01, **keywords)
+        assert ((found.flags.values & FLAGS["poor_fit"]) > 0).tolist() == [False, True, True]
+        for x in range(3):
+            single = splits.retrieve(image[x], table, [SIZE, SOOT], 0.01, **keywords).dataset
+            assert (single.attrs["error_inflation"] > 1.0) == (x > 0)
+            stderr = [found[f"{name}_stderr"].values[x] for name in (SIZE, SOOT)]
+            np.testing.assert_allclose(stderr, single.value_stderr, rtol=0.25)

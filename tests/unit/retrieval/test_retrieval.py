@@ -283,6 +283,16 @@ INVALID_CALLS = {
     "huge covariance": ({"noise": 10.0 * np.eye(W.size)}, "a variance of 10"),
     "two angles": ({"fixed": {**FIXED, "sza": 20.0}}, "left out, because"),
     "no noise": ({"noise": 0.0}, "no measurement is without noise"),
+    "noise in per cent": ({"noise": 1}, "noise = 1.0: must be standard errors in .0, 1.*per cent"),
+    "noise of counts": ({"noise": np.full(W.size, 300.0)}, "noise = 300.0.*of counts.*0.02 for 2"),
+    "correlated per cent": (
+        {"noise": {"stderr": 2.0, "correlation_nm": 50.0}},
+        "noise.stderr = 2.0.*in per cent",
+    ),
+    "variances in per cent": (
+        {"noise": 4.0 * np.eye(W.size)},
+        "a variance of 4.*per cent",
+    ),
     "noise of wrong length": ({"noise": np.full(W.size - 1, 0.01)}, "one or 11 of them"),
     "unknown": ({"free": ["optical_radius"]}, "did you mean"),
     "scale only": (

@@ -10,7 +10,7 @@ from formula_tables import evaluate_spectrum, make_snowlike_table, make_table
 
 import splits
 from splits.core.validation import InvalidValue
-from splits.illumination.bands import BandMatrix, as_bands, choose_band_wavelengths
+from splits.illumination.bands import SpectralOperator, as_bands, choose_band_wavelengths
 
 SIZE, SOOT = "optical_radius_um", "impurities_ng_g.black_carbon"
 FIXED = {"incidence_deg": 30.0, SOOT: 20.0}
@@ -201,7 +201,7 @@ def test_errors_of_means_cover_curved_spectra(seed):
     def evaluate(w):
         return 0.5 + 0.05 * np.sin(2.0 * np.pi * w[:, np.newaxis] / waves[0] + waves[1]).sum(axis=1)
 
-    matrix = BandMatrix.from_bands(bands, wavelengths)
+    matrix = SpectralOperator.from_bands(bands, wavelengths)
     np.testing.assert_allclose(matrix.weights.sum(axis=1), 1.0)
     np.testing.assert_allclose(matrix.error_weights.sum(axis=2), 0.0, atol=1e-12)
     spectrum = evaluate(wavelengths)

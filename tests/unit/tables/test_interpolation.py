@@ -134,6 +134,14 @@ def test_wavelengths_are_interpolated():
         ({"radius": 100.0}, "radius: unknown key"),
         ({"optical_radius_um": "fine", "incidence_deg": 0.0}, "optical_radius_um = 'fine'"),
         (
+            {"optical_radius_um": 100.0, "incidence_deg": [0.0, 9.0]},
+            "incidence_deg = .*must be",
+        ),
+        (
+            {"optical_radius_um": 100.0, "incidence_deg": xr.DataArray([9.0], dims="pixel")},
+            "incidence_deg = .*must be one number from .*repeat the call",
+        ),
+        (
             {"optical_radius_um": 100.0, "incidence_deg": 0.0, "wavelength": 400.0},
             "wavelength = 40",
         ),

@@ -1,0 +1,7 @@
+"""Command `python -m splits`, the same as `splits`."""
+
+import sys
+
+from splits.cli import main
+
+sys.exit(main())

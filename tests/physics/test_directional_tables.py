@@ -159,7 +159,7 @@ def test_errors_of_interpolation_agree_with_nodes_left_out():
     """Of every second zenith angle, 5° apart, and of every second azimuth, 15° apart."""
     zeniths, wavelengths = np.arange(0.0, 76.0, 5.0), [860.0, 1240.0, 2200.0]
     grid = {
-        "optical_radius_um": SIZES, "incidence_deg": zeniths, "polar_deg": zeniths,
+        "optical_radius_um": SIZES[:1], "incidence_deg": zeniths, "polar_deg": zeniths,
         "azimuth_deg": np.arange(0.0, 181.0, 15.0),
     }  # fmt: skip
 

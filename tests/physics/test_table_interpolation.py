@@ -184,7 +184,8 @@ def test_errors_of_interpolation_alone_are_not_too_large():
             error = found.reflectance_interpolation_error.values
             # Truncation and single precision have errors of 1e-6.
             is_larger = error > 5e-6
-            z.extend(((found.reflectance - exact.reflectance).values / error)[is_larger])
+            difference = (found.reflectance - exact.reflectance).values
+            z.extend(difference[is_larger] / error[is_larger])
     rms = float(np.sqrt(np.mean(np.square(z))))
     print(f"{len(z)} values, rms z {rms:.2f}, largest {np.abs(z).max():.1f}")
     assert np.abs(z).max() < compute_z_bound(len(z))

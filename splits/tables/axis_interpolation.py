@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
+from scipy.ndimage import correlate1d
 
 from splits.core.validation import invalid
 from splits.tables.interpolation import (
@@ -24,7 +25,7 @@ from splits.tables.interpolation import (
     list_coordinates,
     transform_axis,
 )
-from splits.tables.views import POLAR
+from splits.tables.views import ANGLES, POLAR
 
 MIN_COMPARED = 2
 """Smallest number of compared positions in every interval."""
@@ -33,6 +34,13 @@ ROUNDING = 2e-7
 MEAN_SHARE = 0.1
 """Share of the root mean square over the other axes in the error at a position: a difference may
 vanish by chance where it changes its sign."""
+NEIGHBOUR_WEIGHTS = (0.25, 0.5, 0.25)
+"""Weights of squared factors at a node and beside it, of the other angles of a table with
+directions: details such as halos move with all angles, so that a factor may vanish at a node and be
+large beside it.  The whole range of angles would say little about one of them."""
+VARIATION_SHARE = 0.25
+"""Share of the variance of factors at neighbouring nodes in the squared error between them, if they
+are angles of a table with directions, which has many; for other axes, all of it counts."""
 
 REFINEMENT_SHARE, REFINEMENT_TOLERANCE = 0.2, 1e-5
 """Allowed deviation of cubics between added nodes: share of the measured error, and absolute."""
@@ -126,16 +134,30 @@ class AxisInterpolation:
             self._differences = np.abs(differences)
             shape = (len(self.between), *[1] * (differences.ndim - 2), -1)
             factor = differences / products.reshape(shape)
-            # Signed, squared, and the mean square over the other axes.
-            others = tuple(range(1, factor.ndim - 1))
-            self.factors = np.stack([factor, factor**2])
-            self.mean_square = (factor**2).mean(axis=others)
             self.other_axes = {str(n): comparison[n].values for n in comparison.dims[1:-1]}
+            self.factors = np.stack([factor, self._estimate_remainder(factor)])
 
     @property
     def is_measured(self) -> bool:
         """Whether the error was measured between the nodes."""
         return self.comparison is not None
+
+    def _is_dense(self, name: str) -> bool:
+        """Return whether an axis is an angle of a table with directions."""
+        return self.has_direction and name in ANGLES
+
+    def _estimate_remainder(self, factor: np.ndarray) -> np.ndarray:
+        """Return what the squared error at a node has besides the square of its factor."""
+        others = dict(enumerate(self.other_axes, start=1))
+        angles = [axis for axis, name in others.items() if self._is_dense(name)]
+        nearby = factor**2
+        for axis in angles:
+            nearby = correlate1d(nearby, NEIGHBOUR_WEIGHTS, axis, mode="nearest")
+        mean = (factor**2).mean(axis=tuple(others.keys() - angles), keepdims=True)
+        remainder: np.ndarray = (
+            VARIATION_SHARE * np.maximum(nearby - factor**2, 0.0) + MEAN_SHARE**2 * mean
+        )
+        return remainder
 
     def compute_weights(self, value: float, *, with_slopes: bool = False) -> AxisWeights:
         """Return the weights of all nodes at a position within the axis.
@@ -261,24 +283,24 @@ class AxisInterpolation:
             Position on every other axis, a number or a text; or its nodes, over which the error
             is then returned, in the order of the axes.
         """
-        factors, _ = self._interpolate_factors(value, at)
+        signed, squared, _ = self._interpolate_factors(value, at)
         product = weights.product
-        return AxisError(product * factors[0], np.abs(product) * np.sqrt(factors[1]), True)
+        return AxisError(product * signed, np.abs(product) * np.sqrt(squared), True)
 
     def measure_slope_error(
         self, value: float, weights: AxisWeights, at: Mapping[str, Any]
     ) -> np.ndarray:
         """Return the measured error of the derivative at a position, shape (wavelengths,)."""
-        factors, factor_slopes = self._interpolate_factors(value, at)
+        _, squared, factor_slope = self._interpolate_factors(value, at)
         slope: np.ndarray = np.hypot(
-            weights.product_slope * np.sqrt(factors[1]), weights.product * factor_slopes[0]
+            weights.product_slope * np.sqrt(squared), weights.product * factor_slope
         )
         return slope
 
     def _interpolate_factors(
         self, value: float, at: Mapping[str, Any]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the signed and the squared factor at a position, and their derivatives."""
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the signed and the squared factor at a position, and the derivative of it."""
         interval = min(max(int(np.searchsorted(self.nodes, value)) - 1, 0), len(self.nodes) - 2)
         first = self.n_compared * interval
         positions = self.between[first : first + self.n_compared]
@@ -290,27 +312,39 @@ class AxisInterpolation:
         fraction = (x - low) / (high - low)
         inside = min(max(fraction, 0.0), 1.0)
         pair = self.factors[:, left : left + 2]
-        steps = pair[:, 1] - pair[:, 0]
-        both = np.stack([(1.0 - inside) * pair[:, 0] + inside * pair[:, 1],
-                         steps / (self.between[left + 1] - self.between[left])])  # fmt: skip
+        step = pair[0, 1] - pair[0, 0]
+        signed, remainder = self._average(self.name, np.array([1.0 - inside, inside]), pair, 1)
         # Beyond the first and the last position, a trend may go on or not.
-        both[0, 1] += (fraction - inside) ** 2 * steps[0] ** 2
-        low_mean, high_mean = self.mean_square[left : left + 2]
-        mean_square = (1.0 - inside) * low_mean + inside * high_mean
+        remainder += (fraction - inside) ** 2 * step**2
+        rows = np.stack([signed, remainder, step / (self.between[left + 1] - self.between[left])])
         kept = 0
         for name, nodes in self.other_axes.items():
             kind = self.other_transforms.get(name, "identity")
-            # Axes with several targets stay in their order.
-            rows = np.moveaxis(both, 2 + kept, 0)
             target = at[name]
+            # Axes with several targets stay in their order.
             if np.ndim(target) == 0:
-                both = np.tensordot(_interpolate_linearly(kind, nodes, target), rows, 1)
+                weights = _interpolate_linearly(kind, nodes, target)
             else:
-                matrix = np.array([_interpolate_linearly(kind, nodes, one) for one in target])
-                both = np.moveaxis(np.tensordot(matrix, rows, 1), 0, 2 + kept)
-                kept += 1
-        both[0, 1] += MEAN_SHARE**2 * mean_square
-        return both[0], both[1]
+                weights = np.array([_interpolate_linearly(kind, nodes, one) for one in target])
+            rows = self._average(name, weights, rows, 1 + kept)
+            kept += np.ndim(target)
+        signed, remainder, slope = rows
+        return signed, signed**2 + remainder, slope
+
+    def _average(self, name: str, weights: np.ndarray, rows: np.ndarray, axis: int) -> np.ndarray:
+        """Return means over an axis of factors, remainders and others, for rows of weights.
+
+        The variance of the factors is added to their remainder.
+        """
+
+        def average(values: np.ndarray, axis: int) -> np.ndarray:
+            means = np.tensordot(weights, np.moveaxis(values, axis, 0), 1)
+            return np.moveaxis(means, 0, axis) if weights.ndim == 2 else means
+
+        means = average(rows, axis)
+        variance = average(rows[0] ** 2, axis - 1) - means[0] ** 2
+        means[1] += (VARIATION_SHARE if self._is_dense(name) else 1.0) * np.maximum(variance, 0.0)
+        return means
 
 
 def _choose_coordinates(

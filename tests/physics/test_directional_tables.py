@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import xarray as xr
-from chi2 import NEEDS_JIT, judge_z
+from chi2 import NEEDS_JIT, compute_z_bound, judge_z
 
 import splits
 
@@ -157,16 +157,16 @@ def test_errors_of_anisotropy_factors_agree_with_the_scatter_of_seeds():
 @NEEDS_JIT
 def test_errors_of_interpolation_agree_with_nodes_left_out():
     """Of every second zenith angle, 5° apart, and of every second azimuth, 15° apart."""
-    zeniths, wavelengths = np.arange(0.0, 76.0, 5.0), [450.0, 860.0, 1030.0, 1240.0, 1500.0, 2200.0]
+    zeniths, wavelengths = np.arange(0.0, 76.0, 5.0), [860.0, 1240.0, 2200.0]
     grid = {
-        "optical_radius_um": SIZES, "incidence_deg": zeniths, "polar_deg": zeniths,
+        "optical_radius_um": SIZES[:1], "incidence_deg": zeniths, "polar_deg": zeniths,
         "azimuth_deg": np.arange(0.0, 181.0, 15.0),
     }  # fmt: skip
 
     def build(nodes):
         return splits.build_table(
-            make_snow, nodes, wavelengths, max_stderr=0.005, solver="discrete_ordinates"
-        )
+            make_snow, nodes, wavelengths, max_stderr=0.005, solver="discrete_ordinates",
+        )  # fmt: skip
 
     full, random = build(grid), np.random.default_rng(1)
     z: dict[str, list[np.ndarray]] = {name: [] for name in DIRECTIONAL}
@@ -188,6 +188,7 @@ def test_errors_of_interpolation_agree_with_nodes_left_out():
         rms = float(np.sqrt(np.mean(np.square(values))))
         print(f"{name}: {values.size} values, rms z {rms:.2f}, largest {np.abs(values).max():.1f}")
         assert 0.7 < rms < 1.2 and values.size > 100, name
+        assert np.abs(values).max() < compute_z_bound(values.size)
 
 
 @NEEDS_JIT

@@ -8,6 +8,7 @@ import xarray as xr
 
 from splits.core.validation import InvalidValue
 from splits.tables.axes import ParameterGrid
+from splits.tables.axis_interpolation import AxisInterpolation
 from splits.tables.interpolation import (
     N_VALIDATION_NODES,
     apply_axis_transform,
@@ -191,3 +192,23 @@ def test_transforms_of_axes(name, nodes, kind):
 def test_invalid_axes_are_rejected(grid, message):
     with pytest.raises(InvalidValue, match=f"^{message}"):
         ParameterGrid.from_mapping(grid)
+
+
+def test_the_error_in_a_direction_includes_that_at_the_angles_beside_it():
+    """It vanishes at one polar angle, where it changes its sign, and is local."""
+    angles = np.array([0.0, 30.0, 60.0])
+    positions = np.sort([*angles, 7.5, 22.5, 37.5, 52.5])
+    polar = np.arange(0.0, 81.0, 10.0)
+    values = np.zeros((positions.size, polar.size, 1))
+    between = ~np.isin(positions, angles)
+    values[between, 3], values[between, 5] = 0.01, -0.01
+    comparison = xr.DataArray(
+        values, {"incidence_deg": positions, "polar_deg": polar},
+        ("incidence_deg", "polar_deg", "wavelength"),
+    )  # fmt: skip
+    axis = AxisInterpolation("incidence_deg", angles, 1, has_direction=True, comparison=comparison)
+    weights = axis.compute_weights(7.5)
+    errors = {x: axis.measure_error(7.5, weights, {"polar_deg": x}) for x in (30.0, 40.0, 80.0)}
+    assert errors[30.0].magnitude >= abs(errors[30.0].signed) >= 0.0099
+    assert errors[40.0].signed == 0.0 and errors[40.0].magnitude > 0.003
+    assert errors[80.0].magnitude < 0.0012

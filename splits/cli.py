@@ -132,8 +132,8 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
     from splits.core.atomic import check_writable
     from splits.core.interrupts import exit_on_signals
     from splits.core.validation import check_integer, invalid
-    from splits.experiments.config.accuracy import Accuracy
     from splits.experiments.config.load import load_experiment
+    from splits.experiments.config.sections import Accuracy
     from splits.experiments.config.simulation import SimulationConfig
     from splits.experiments.run import write_run
     from splits.experiments.run_fit import run_fit
@@ -200,8 +200,7 @@ def _run_retrieval(
     experiment: ExperimentConfig, path: Path, folder: Path, seed: int, threads: int
 ) -> None:
     """Retrieve medium parameters with a table, and write the results."""
-    from splits.experiments.run_retrieve import write_retrieval
-    from splits.experiments.run_return import write_return_retrieval
+    from splits.experiments.run_retrieve import write_retrieval, write_return_retrieval
 
     section, of_return = experiment.retrieve, experiment.retrieve_return
     outputs = path.with_name(f"{path.stem}_retrieved.csv"), path.with_suffix(".png")

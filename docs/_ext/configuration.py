@@ -12,7 +12,7 @@ from pydantic.fields import FieldInfo
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from splits.experiments.config.instrument_kinds import INSTRUMENT_KINDS
+from splits.experiments.config.instruments import INSTRUMENT_KINDS
 from splits.experiments.config.messages import (
     LIMIT_DESCRIPTIONS,
     describe_limits,

@@ -13,8 +13,8 @@ from typing import Any
 from hypothesis import strategies as st
 
 from splits.experiments.config.figure import KINDS_OF_SETTING, SINGLE_POINT_KINDS
-from splits.experiments.config.grid import make_label
-from splits.experiments.config.instrument_kinds import INSTRUMENT_KINDS
+from splits.experiments.config.instruments import INSTRUMENT_KINDS
+from splits.experiments.config.media import make_label
 
 FIGURE_KINDS = {kind: model.FIGURES for kind, model in INSTRUMENT_KINDS.items()}
 

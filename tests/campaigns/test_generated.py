@@ -29,9 +29,9 @@ from hypothesis import strategies as st
 from shipped import CONFIG
 
 from splits.core.yaml import ConfigError
-from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.load import load_experiment
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run
 from splits.plotting import draw
 

@@ -7,10 +7,9 @@ import pytest
 from chi2 import NEEDS_JIT, compute_z_bound
 
 import splits
-from splits.experiments.config.accuracy import Accuracy
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
-from splits.experiments.run import run
-from splits.experiments.run_points import simulate_points
+from splits.experiments.run import run, simulate_points
 
 pytestmark = NEEDS_JIT
 ERROR = 0.01

@@ -15,14 +15,13 @@ from shipped import CONFIG
 import splits
 from splits.core.yaml import read_yaml
 from splits.experiments import load_settings
-from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.figure import FigureSection
-from splits.experiments.config.instrument import WavelengthGrid
-from splits.experiments.config.instrument_kinds import INSTRUMENT_KINDS, Goniophotometer
-from splits.experiments.config.retrieve import NoiseSection, PriorFromSample, RetrieveSection
-from splits.experiments.config.sections import FitSection
+from splits.experiments.config.instruments import INSTRUMENT_KINDS, Goniophotometer, WavelengthGrid
+from splits.experiments.config.retrieval import NoiseSection, PriorFromSample, RetrieveSection
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.settings import ArchiveAuthor, Settings
+from splits.experiments.config.simulation import FitSection
 from splits.experiments.studies import STUDY_KINDS
 from splits.instruments.pack_run import RESULT_FLAGS
 from splits.simulation.stopping_rule import STOP_REASONS

@@ -13,9 +13,9 @@ from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, mod
 from splits.core.paths import expand_path
 from splits.core.validation import check_choice, invalid, join_names, suggest_name
 from splits.core.yaml import ConfigError
-from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.experiment import OWN_GROUP, ExperimentConfig
 from splits.experiments.config.sections import (
+    Accuracy,
     ConfigSection,
     Label,
     Title,

@@ -9,8 +9,8 @@ from pydantic import Field
 
 from splits.core.provenance import RETRIEVAL_SOURCES, hash_sources
 from splits.core.validation import check_choice, invalid, unknown_key
-from splits.experiments.config.grid import make_label
-from splits.experiments.config.retrieve_checks import check_on_grid
+from splits.experiments.config.media import make_label
+from splits.experiments.config.retrieval import check_on_grid
 from splits.experiments.config.sections import ConfigSection
 from splits.experiments.papers.sensitivity_table import list_published_names
 from splits.experiments.studies.study import (

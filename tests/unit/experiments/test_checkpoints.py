@@ -12,7 +12,7 @@ from chi2 import NEEDS_JIT
 
 import splits
 from splits.experiments import run_points
-from splits.experiments.config.accuracy import Accuracy
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.run import write_run
 from splits.io.netcdf import drop_run_specific_attributes

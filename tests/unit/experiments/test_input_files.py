@@ -16,7 +16,7 @@ from splits.core.yaml import ConfigError
 from splits.experiments import load_experiment
 from splits.experiments.archive import list_table_files, make_configuration_members
 from splits.experiments.checkpoints import PointCache
-from splits.experiments.config.accuracy import Accuracy
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.settings import Settings
 
 LAYER = "kind: particle_layer, optical_thickness: 4, single_scattering_albedo: 0.9"

@@ -11,9 +11,9 @@ import splits
 from splits import cli
 from splits.core.yaml import ConfigError
 from splits.experiments import SimulationConfig, load_experiment
-from splits.experiments.config.accuracy import Accuracy
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run
-from splits.experiments.run_return import (
+from splits.experiments.run_retrieve import (
     retrieve_samples,
     simulate_returns,
     write_return_retrieval,

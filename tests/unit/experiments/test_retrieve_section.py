@@ -13,8 +13,11 @@ import splits
 from splits.core.validation import InvalidValue
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.messages import validate_content
-from splits.experiments.config.retrieve import NoiseSection, RetrieveSection
-from splits.experiments.config.retrieve_checks import check_measured_spectra
+from splits.experiments.config.retrieval import (
+    NoiseSection,
+    RetrieveSection,
+    check_measured_spectra,
+)
 from splits.experiments.run_retrieve import combine_samples, make_retrieval_table, run_retrieve
 from splits.plotting.retrieval import draw_retrievals
 from splits.plotting.style import save_figure

@@ -9,7 +9,7 @@ from chi2 import NEEDS_JIT
 
 from splits.core.yaml import ConfigError
 from splits.experiments import load_experiment
-from splits.experiments.config.accuracy import Accuracy
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run
 from splits.experiments.run_table import prepare_table
 

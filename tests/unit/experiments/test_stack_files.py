@@ -11,9 +11,9 @@ from shipped import CONFIG, ROOT
 import splits
 from splits.core.yaml import ConfigError
 from splits.experiments import load_experiment
-from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.experiment import ExperimentConfig
-from splits.experiments.config.grid import make_grid_coordinates
+from splits.experiments.config.media import make_grid_coordinates
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run
 from splits.io.netcdf import save
 from splits.plotting.style import format_parameter

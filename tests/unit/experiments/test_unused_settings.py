@@ -16,7 +16,7 @@ import splits
 from splits import cli
 from splits.core.yaml import ConfigError
 from splits.experiments import SimulationConfig, load_experiment, load_settings
-from splits.experiments.config.accuracy import Accuracy
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run
 
 ROOT = Path(__file__).parents[3]

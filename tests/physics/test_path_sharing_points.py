@@ -83,17 +83,17 @@ def test_points_agree_with_single_runs(shared_run):
 def test_single_point_equals_the_instrument(shared_run):
     snow = {"kind": "natural_snow", "density_kg_m3": 300, "specific_surface_area_m2_kg": 20}
     config = make_config(medium=snow, grid={"depth_m": [0.02, 0.05]})
-    points = simulate_points(config, ACCURACY, 5, 2, lambda line: None)
+    points, rays = simulate_points(config, ACCURACY, 5, 2, lambda line: None)
     medium = splits.Snow.natural(specific_surface_area_m2_kg=20, density_kg_m3=300, depth_m=0.05)
     reference = splits.spectrophotometer(
         medium, WAVELENGTHS, 0.0, ERROR, seed=5, solver="monte_carlo"
     )
-    np.testing.assert_array_equal(points.datasets[1].reflectance, reference.reflectance)
-    assert points.rays == sum(ds.attrs["rays"] for ds in points.datasets)
+    np.testing.assert_array_equal(points[1].reflectance, reference.reflectance)
+    assert rays == sum(ds.attrs["rays"] for ds in points)
 
 
 def test_datasets_have_equal_structure_with_and_without_sharing(shared_run):
-    shared = simulate_points(make_config(), ACCURACY, 5, 2, lambda line: None).datasets[0]
+    (shared, *_), _ = simulate_points(make_config(), ACCURACY, 5, 2, lambda line: None)
     single = splits.spectrophotometer(
         splits.Snow.natural(specific_surface_area_m2_kg=5, density_kg_m3=300), WAVELENGTHS,
         max_stderr=ERROR, solver="monte_carlo",

@@ -108,11 +108,12 @@ def _expand_delays(value: Any) -> Any:
 BeamAngle = Annotated[Number, Field(ge=0.0, le=89.9999)]
 ErrorScale = Annotated[Number, Field(ge=0.01, le=100.0)]
 Rays = Annotated[
-    Whole | None, Field(ge=1, lt=2**63, description="number of rays, instead of a target error")
+    Annotated[Whole, Field(ge=1, lt=2**63)] | None,
+    Field(description="number of rays, instead of a target error"),
 ]
 Seed = Annotated[
-    Whole | None,
-    Field(ge=0, lt=2**63, description="seed of this experiment; by default that of the main file"),
+    Annotated[Whole, Field(ge=0, lt=2**63)] | None,
+    Field(description="seed of this experiment; by default that of the main file"),
 ]
 PolarAngles = Annotated[
     tuple[Number, ...],

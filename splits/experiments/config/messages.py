@@ -52,9 +52,9 @@ def validate_content(model: type[SectionType], content: Any) -> SectionType:
 def _make_message(error: ValidationError, content: Any) -> ValueError:
     """Return the error of the deepest key, for which the branches of a union are joined."""
     errors = [(_locate(one["loc"], one["type"], content), one) for one in error.errors()]
-    location, first = max(
-        errors, key=lambda one: (len(one[0]), one[1]["type"] in ("value_error", "missing"))
-    )
+    location, _ = max(errors, key=lambda one: (len(one[0]), one[1]["type"] != "missing"))
+    branches = [one for other, one in errors if other == location]
+    first = next((one for one in branches if one["type"] == "value_error"), branches[0])
     key = _join_keys(location)
     kind, value = first["type"], first["input"]
     if kind == "value_error":
@@ -70,7 +70,6 @@ def _make_message(error: ValidationError, content: Any) -> ValueError:
         tags = re.findall("'(.*?)'", first["ctx"]["expected_tags"])
         given = value["kind"]
         return invalid(f"{key}.kind", given, f"one of {', '.join(tags)}", suggest_name(given, tags))
-    branches = [one for other, one in errors if other == location]
     allowed = " or ".join(dict.fromkeys(map(_describe, branches)))
     return invalid(key, value, allowed, _suggest(key, value, branches))
 
@@ -94,13 +93,10 @@ def _locate(location: Sequence[Any], kind: str, content: Any) -> tuple[Any, ...]
 
 
 def _join_keys(location: Sequence[Any]) -> str:
-    text = ""
-    for part in location:
-        if part == "[key]":
-            text = f"{text.rpartition('.')[0]} (key)"
-        else:
-            text += f"[{part}]" if isinstance(part, int) and text else f".{format_key(part)}"
-    return text.removeprefix(".")
+    # A key that is itself invalid is the value of the error.
+    keys, mark = (location[:-2], " (key)") if "[key]" in location else (location, "")
+    parts = [f"[{one}]" if isinstance(one, int) else f".{format_key(one)}" for one in keys]
+    return "".join(parts).removeprefix(".") + mark
 
 
 def _add_section(location: str, error: Exception) -> ValueError:

@@ -98,7 +98,7 @@ def _reject_switch(value: Any) -> Any:
 # Validators raise errors with a key relative to their section, or without one for their own field;
 # `splits.experiments.config.messages` prefixes the rest.
 Number = Annotated[float, Strict()]
-Whole = Annotated[int, BeforeValidator(_reject_switch, json_schema_input_type=int)]
+Whole = Annotated[int, BeforeValidator(_reject_switch)]
 Label = Annotated[str, AfterValidator(lambda text: check_text("", text, MAX_LABEL_CHARS))]
 Title = Annotated[
     str,
@@ -159,6 +159,6 @@ class Accuracy(ConfigSection):
     """largest standard error of a hemispherical quantity"""
     relative_stderr: Number = Field(0.02, ge=1e-4, le=0.5)
     """largest relative standard error of a value by direction or position"""
-    max_rays: Whole | None = Field(None, ge=1, lt=2**63)
+    max_rays: Annotated[Whole, Field(ge=1, lt=2**63)] | None = None
     """largest number of rays per spectrum, or per set of spectra that share paths, even if the
     target error is not reached; by default that of the instrument"""

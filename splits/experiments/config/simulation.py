@@ -16,9 +16,10 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, WithJsonSchema, field_validator, model_validator
 
+from splits.core.keywords import list_keywords
 from splits.core.parameter_names import parse_impurity_parameter
 from splits.core.paths import expand_path
-from splits.core.validation import InvalidValue, check_choice, invalid
+from splits.core.validation import InvalidValue, UnknownKey, check_choice, invalid, unknown_key
 from splits.experiments.config.instruments import (
     USE_GRID_HINT,
     AnyInstrument,
@@ -44,7 +45,7 @@ from splits.media.medium import Medium
 from splits.media.snow_packs import SnowPacks
 from splits.retrieval.sand_parameters import resolve_ranges
 from splits.simulation.arguments import check_incidence
-from splits.tables.axes import ParameterGrid
+from splits.tables.axes import INCIDENCE, ParameterGrid
 
 NAME_PATTERN = re.compile(r"(?!(con|prn|aux|nul|com\d|lpt\d)$)[a-z][a-z0-9_]{0,63}")
 NAME_RULE = (
@@ -231,6 +232,9 @@ class SimulationConfig(ConfigSection):
             else:
                 prefix = "fit" if key in FitSection.model_fields else "medium"
             error.key = error.key.removeprefix("medium.")
+            if prefix == "grid" and isinstance(error, UnknownKey) and key in self.grid:
+                keywords = list_keywords(MEDIUM_CLASSES[get_kind(self.medium)])
+                raise unknown_key(f"grid.{key}", [*keywords, INCIDENCE, SAMPLE_KEY]) from None
             has_several = prefix == "medium" and self._has_several_values(key)
             raise error.add_prefix(prefix, USE_GRID_HINT if has_several else "") from None
 

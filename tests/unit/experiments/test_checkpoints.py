@@ -11,7 +11,7 @@ import xarray as xr
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.experiments import run_points
+from splits.experiments import run as run_points
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.run import write_run
@@ -36,7 +36,7 @@ PATH_SHARING_POINTS = {
 LAST_POINT = """
 import signal
 from splits import cli
-from splits.experiments import run_points
+from splits.experiments import run as run_points
 
 signal.signal(signal.SIGINT, signal.SIG_DFL)
 signal.signal(signal.SIGINT, signal.default_int_handler)

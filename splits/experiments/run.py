@@ -303,7 +303,9 @@ def _group_by_shared_paths(
     for beam in dict.fromkeys(incidence for *_, incidence in points):
         same_beam = [index for index in traced if points[index][-1] == beam]
         media = [points[index][1] for index in same_beam]
-        for members in group_by_shared_paths(media, wavelengths):
+        with experiment.locate_errors(points[0][0]):
+            shared = group_by_shared_paths(media, wavelengths)
+        for members in shared:
             indices = [same_beam[index] for index in members.positions]
             groups.append((indices, members if len(indices) > 1 else None))
     return sorted(groups, key=lambda group: min(group[0]))

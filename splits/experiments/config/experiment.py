@@ -76,7 +76,10 @@ class ExperimentConfig(SimulationConfig):
             if section:
                 check_retrieval(self, section, name)
             if section and self.figure.model_fields_set:
-                given, hint = sorted(self.figure.model_fields_set), "it shows what is retrieved"
+                given, hint = (
+                    sorted(self.figure.model_fields_set),
+                    "the figure shows the retrieved parameters",
+                )
                 raise invalid("figure", given, f"left out with a section {name}", hint)
         self.resolve_figure()
         return self

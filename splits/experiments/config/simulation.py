@@ -235,6 +235,8 @@ class SimulationConfig(ConfigSection):
             if prefix == "grid" and isinstance(error, UnknownKey) and key in self.grid:
                 keywords = list_keywords(MEDIUM_CLASSES[get_kind(self.medium)])
                 raise unknown_key(f"grid.{key}", [*keywords, INCIDENCE, SAMPLE_KEY]) from None
+            if error.key == SAMPLE_KEY:
+                raise
             has_several = prefix == "medium" and self._has_several_values(key)
             raise error.add_prefix(prefix, USE_GRID_HINT if has_several else "") from None
 

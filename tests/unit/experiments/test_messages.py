@@ -210,7 +210,7 @@ MISTAKES_OF_RUNS = [
     ({**ROUGH, "instrument": {"kind": "lens", "radius_m": 1, "screen_depth_m": [1]}},
      "instrument.half_width_m = None: must be given"),
     ({"instrument": {"wavelength_nm": [500]}, "grid": {"saturation": [0, 0.1], "depth_m":
-      [1, 3e-4]}}, "grid.depth_m = 0.0003: must be more than the largest grain"),
+      [3e-4, 1]}}, "grid.depth_m = 0.0003: must be more than the largest grain"),
     ({"medium": {"kind": "sand"}, "instrument": {"kind": "lens", "radius_m": 1,
       "screen_depth_m": [1], "centre_on": "origin"}}, "medium = 'sand': must be"),
     ({"instrument": {"kind": "spectrophotometer", "solver": "discrete_ordinates",

@@ -253,9 +253,11 @@ RETRIEVAL_ERRORS = {
     "no name": ({"Unnamed: 0": 0.5}, {}, "without a name"),
     "too few for unknown noise": ({"some": 0.5}, {"noise": None},
                                   r"^retrieve \(some\)\.noise = None: must be given"),
-    "fixed and free": ({"some": 0.5}, {"fixed": {SIZE: 50}}, rf"retrieve \(some\)\.fixed\.{SIZE}"),
+    "fixed and free": ({"some": 0.5}, {"fixed": {SIZE: 50, "incidence_deg": 30}},
+                       rf"retrieve \(some\)\.fixed\.{SIZE}"),
     "not fixed": ({"some": 0.5}, {"free": [SIZE]}, rf"retrieve \(some\)\.fixed\.{SOOT} = None"),
-    "scale only": ({"some": 0.5}, {"free": ["scale"], "fixed": {SIZE: 100, SOOT: 0}},
+    "scale only": ({"some": 0.5},
+                   {"free": ["scale"], "fixed": {SIZE: 100, SOOT: 0, "incidence_deg": 30}},
                    r"free = .*at least one axis"),
     "prior outside": ({"some": 0.5}, {"prior": {SIZE: [1e6, 1.0]}}, rf"prior\.{SIZE}"),
     "first outside": ({"some": 0.5, "other": 0.5},
@@ -269,7 +271,8 @@ RETRIEVAL_ERRORS = {
 @pytest.mark.parametrize("name", RETRIEVAL_ERRORS)
 def test_retrievals_reject_what_the_table_does_not_allow(name):
     samples, changes, message = RETRIEVAL_ERRORS[name]
-    section = RetrieveSection.model_validate(SECTION | changes)
+    fixed = {"fixed": {"incidence_deg": 30}}
+    section = RetrieveSection.model_validate(SECTION | fixed | changes)
     table = pd.DataFrame({"wavelength_nm": [500.0, 900.0], **samples})
     with pytest.raises(InvalidValue, match=message):
         run_retrieve(section, make_snowlike_table(), table)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -46,15 +46,21 @@ def load_experiment(
     ConfigError
         One line that names the file, the key, the value and the allowed values.
     """
-    file = Path(path)
-    try:
+    with locate_errors(Path(path)):
         file, media = expand_path(path), expand_path(media_folder, "media_folder")
         measured = expand_path(measured_folder or media.parent / "measured", "measured_folder")
         return _parse_experiment(file, media, measured)
+
+
+@contextmanager
+def locate_errors(path: Path) -> Iterator[None]:
+    """Add the file, and the line of the key, to the errors of what an experiment file describes."""
+    try:
+        yield
     except ConfigError:
         raise
     except (TypeError, ValueError) as error:
-        raise ConfigError(locate_message(file, _to_single_line(str(error)))) from None
+        raise ConfigError(locate_message(path, _to_single_line(str(error)))) from None
 
 
 def _to_single_line(text: str) -> str:

@@ -34,6 +34,7 @@ from splits.instruments import (
 from splits.instruments.solver import DISCRETE_ORDINATES
 from splits.instruments.spectral_run import SpectralRequest, simulate_spectra
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
+from splits.media.checks import check_medium
 from splits.media.medium import Medium
 from splits.simulation.arguments import MAX_DATASET_VALUES
 from splits.simulation.path_reuse import MediaGroup, group_by_shared_paths
@@ -277,7 +278,8 @@ def simulate_points(
         results |= dict(zip(indices, datasets, strict=True))
         rays += int(datasets[0].attrs["rays"])
         _log_result(prefix, datasets, log)
-        size = len(points) * sum(one.size for one in datasets[0].data_vars.values())
+        quantities = [v for v in datasets[0].data_vars.values() if "batch" not in v.dims]
+        size = len(points) * max(one.size for one in quantities)
         if size > MAX_DATASET_VALUES:
             given, allowed = f"{size} values", f"at most {MAX_DATASET_VALUES} values in all"
             raise invalid("grid", given, allowed, "split it into several experiments")
@@ -296,6 +298,7 @@ def _group_by_shared_paths(
     for index, (labels, medium, _) in enumerate(points):
         max_stderr = instrument.select_point(index).scale_stderr(accuracy.max_stderr)
         with experiment.locate_errors(labels):
+            check_medium(medium, allow_semi_infinite=True)
             if instrument.choose_solver(medium, max_stderr) == DISCRETE_ORDINATES:
                 solved.append(index)
     groups: list[tuple[list[int], MediaGroup | None]] = [([index], None) for index in solved]

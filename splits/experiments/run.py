@@ -37,6 +37,7 @@ from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
 from splits.simulation.arguments import MAX_DATASET_VALUES
+from splits.simulation.incident_light import check_stokes
 from splits.simulation.path_reuse import MediaGroup, group_by_shared_paths
 from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 from splits.simulation.stopping_rule import STOP_REASONS
@@ -267,7 +268,7 @@ def simulate_points(
         run = RunOptions.from_arguments(seed, threads, progress=progress)
         members = [points[index] for index in indices]
         with nest_runs(), experiment.locate_errors(members[0][0]):
-            if group is None:
+            if group is None or not isinstance(instrument, Spectrophotometer):
                 one = instrument.select_point(indices[0])
                 datasets = [simulate_point(one, members[0], accuracy, run)]
             else:
@@ -315,7 +316,7 @@ def _group_by_shared_paths(
 
 
 def _simulate_group(
-    instrument: Instrument,
+    instrument: Spectrophotometer,
     points: Sequence[Point],
     group: MediaGroup,
     error: float,
@@ -327,8 +328,9 @@ def _simulate_group(
     The points are in the order of the group's media.
     """
     rays = accuracy.max_rays or MAX_RAYS
-    wavelengths, (_, _, beam) = instrument.get_wavelengths(), points[0]
+    wavelengths, (_, medium, beam) = instrument.get_wavelengths(), points[0]
     request = SpectralRequest.from_arguments(wavelengths, beam, error, rays, run)
+    request = request._replace(polarization=check_stokes(instrument.stokes, medium, beam))
     spectra = simulate_spectra(group.path_sharing, request)
     pairs = zip(group.media_indices, points, strict=True)
     return [_relabel_spectrum(spectra[index], medium) for index, (_, medium, _) in pairs]

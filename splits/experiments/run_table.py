@@ -68,14 +68,16 @@ def prepare_table(
     has_covariance = instrument.covariance == "keep"
     views = ViewGrid.from_grid(axes)
     quantities = check_quantities(instrument.quantities, views, has_covariance)
-    plan = TablePlan.from_grid(
-        experiment.make_medium, drop_view_axes(axes), wavelengths, incidence,
-        has_views=views is not None, with_diffuse=has_diffuse(quantities),
-    )  # fmt: skip
+    with experiment.locate_errors({}):
+        plan = TablePlan.from_grid(
+            experiment.make_medium, drop_view_axes(axes), wavelengths, incidence,
+            has_views=views is not None, with_diffuse=has_diffuse(quantities),
+        )  # fmt: skip
     error, rays = instrument.scale_stderr(accuracy.max_stderr), accuracy.max_rays or MAX_RAYS
     run = RunOptions.from_arguments(instrument.get_seed(seed), threads)
     request = SpectralRequest.from_arguments(wavelengths, 0.0, error, rays, run)
-    solver = instrument.choose_solver(plan.list_media(), error)
+    with experiment.locate_errors({}):
+        solver = instrument.choose_solver(plan.list_media(), error)
     return plan, TableRequest(request, quantities, has_covariance, solver, views)
 
 

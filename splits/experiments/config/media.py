@@ -25,6 +25,7 @@ from splits.core.validation import (
     invalid,
     key_prefix,
     suggest_name,
+    unknown_key,
 )
 from splits.experiments.config.sections import MAX_LABEL_CHARS, check_text
 from splits.materials.csv_table import is_csv_path
@@ -55,8 +56,10 @@ def apply_paths(settings: dict[str, Any], values: Mapping[str, Any]) -> dict[str
     paths = {name: parse_layer_parameter(name) for name in values}
     merged = override_keywords(settings, {k: v for k, v in values.items() if paths[k] is None})
     if any(paths.values()):
-        given = settings.get(LAYERS_KEY) if LAYERS_KEY not in values else values[LAYERS_KEY]
-        merged[LAYERS_KEY] = [dict(one) for _, one in iter_layers(LAYERS_KEY, given)]
+        if LAYERS_KEY not in merged:
+            raise unknown_key(next(name for name, path in paths.items() if path), settings)
+        given = iter_layers(LAYERS_KEY, merged[LAYERS_KEY])
+        merged[LAYERS_KEY] = [dict(layer) for _, layer in given]
     for parameter, path in paths.items():
         if path is None:
             continue

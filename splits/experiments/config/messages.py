@@ -66,6 +66,8 @@ def _make_message(error: ValidationError, content: Any) -> ValueError:
         )
     if kind == "missing":
         return invalid(key, None, "given")
+    if kind == "union_tag_not_found" and isinstance(value, Mapping):
+        return invalid(f"{key}.kind", None, "given")
     if kind == "union_tag_invalid" and isinstance(value, Mapping):
         tags = re.findall("'(.*?)'", first["ctx"]["expected_tags"])
         given = value["kind"]

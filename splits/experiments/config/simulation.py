@@ -39,7 +39,7 @@ from splits.experiments.config.media import (
     replace_table_paths,
 )
 from splits.experiments.config.sections import ConfigSection, MeasuredFile, Number, match_pattern
-from splits.media.kinds import MEDIUM_CLASSES, get_kind, make_medium
+from splits.media.kinds import LAYERS_KEY, MEDIUM_CLASSES, get_kind, make_medium
 from splits.media.measured_inputs import override_keywords
 from splits.media.medium import Medium
 from splits.media.snow_packs import SnowPacks
@@ -222,9 +222,11 @@ class SimulationConfig(ConfigSection):
         except InvalidValue as error:
             path = error.key.removeprefix("medium.").split(" ", 1)[0]
             key = path if path in self.grid else re.split(r"\W", path, maxsplit=1)[0]
-            sample = self.grid[SAMPLE_KEY][labels[SAMPLE_KEY]] if SAMPLE_KEY in self.grid else {}
+            sample = self.grid.get(SAMPLE_KEY, {}).get(labels.get(SAMPLE_KEY, ""), {})
             if key in self.grid:
                 prefix = "grid"
+                if key == LAYERS_KEY != path and labels:
+                    prefix = f"grid.{LAYERS_KEY}.{labels[LAYERS_KEY]}"
             elif key in sample:
                 prefix = f"grid.{SAMPLE_KEY}.{labels[SAMPLE_KEY]}"
             elif key in type(self.instrument).model_fields:

@@ -30,10 +30,10 @@ ALLOWED = {
     "bool_type": "true or false",
     "tuple_type": "a list",
     "too_long": "a list of {max_length} values",
-    "greater_than": "above {gt:g}",
-    "greater_than_equal": "at least {ge:g}",
-    "less_than": "below {lt:g}",
-    "less_than_equal": "at most {le:g}",
+    "greater_than": "above {gt}",
+    "greater_than_equal": "at least {ge}",
+    "less_than": "below {lt}",
+    "less_than_equal": "at most {le}",
     "missing": "given",
 }
 """What is allowed, by the type of an error of pydantic; others are of mappings."""
@@ -120,7 +120,9 @@ def _describe(error: Any) -> str:
     if error["type"] == "literal_error":
         names = re.findall("'(.*?)'", error["ctx"]["expected"])
         return f"one of {', '.join(names)}" if len(names) > 1 else f'"{names[0]}"'
-    return ALLOWED.get(error["type"], MAPPING).format(**error.get("ctx", {}))
+    context = error.get("ctx", {}).items()
+    limits = {key: f"{limit:g}" if isinstance(limit, float) else limit for key, limit in context}
+    return ALLOWED.get(error["type"], MAPPING).format(**limits)
 
 
 def _suggest(key: str, value: Any, errors: Sequence[Any]) -> str:

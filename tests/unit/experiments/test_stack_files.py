@@ -106,7 +106,7 @@ def test_grid_paths_set_parameters_of_layers(tmp_path):
         ),
         (
             "medium: {kind: stack, layers: [{ground: 1}]}",
-            r"layers.0..ground = .*: must be left out",
+            r"layers.0..ground = .*must be left",
         ),
         ("medium: {kind: stack, layers: [{base: non}]}", "medium.layers.0.base = 'non'"),
         ("medium: {kind: stack, layers: [{depth_m: 1e-5}]}", "more than the largest grain"),

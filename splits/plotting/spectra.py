@@ -98,7 +98,7 @@ def draw_spectra(
             allowed = f"with some of the wavelengths from {x[0]:g} to {x[-1]:g} nm"
             raise invalid("figure.wavelength_nm", [*wavelength_nm], allowed)
     if measured is not None:
-        _check_measured(measured, quantity)
+        check_measured(measured, quantity)
     dims = [str(d) for d in dataset[quantity[0]].dims if d != "wavelength"]
     note = describe_conditions(dataset, select)
     if panel_dims := choose_panel_parameters(
@@ -133,7 +133,7 @@ def draw_spectra(
         return annotate_figure(figure, panels.flat, note, make_nodes_note(nodes))
 
 
-def _check_measured(measured: pd.DataFrame, quantity: Sequence[str]) -> None:
+def check_measured(measured: pd.DataFrame, quantity: Sequence[str]) -> None:
     """Reject measured values in per cent, and those without the quantities of the figure."""
     key = "figure.measured"
     shown = [name for name in quantity if name in measured and measured[name].count()]

@@ -204,6 +204,10 @@ class Instrument(FiniteSection):
         if "incidence_deg" in grid and "incidence_deg" not in type(self).model_fields:
             given, allowed = [*grid["incidence_deg"].values()], f"left out for {self.kind}"
             raise invalid("grid.incidence_deg", given, allowed)
+        beam = self.get_incidence()
+        if "incidence_deg" in grid and beam != 0.0:
+            allowed = "left out, because grid.incidence_deg sets it"
+            raise invalid("instrument.incidence_deg", beam, allowed)
         scales, n_points = (
             getattr(self, "point_stderr_scale", None),
             math.prod(map(len, grid.values())),

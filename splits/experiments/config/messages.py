@@ -83,10 +83,8 @@ def _locate(location: Sequence[Any], kind: str, content: Any) -> tuple[Any, ...]
     """
     keys = []
     for part in location:
-        keys_of_content = content if isinstance(content, Mapping) else ()
-        if isinstance(content, list | tuple):
-            keys_of_content = range(len(content))
-        if part in keys_of_content:
+        known = range(len(content)) if isinstance(content, list | tuple) else content
+        if isinstance(known, Mapping | range) and part in known:
             content = content[part]
         elif part != "[key]" and (kind != "missing" or part != location[-1]):
             continue

@@ -138,7 +138,7 @@ WRONG_DATA = {
     "no numbers": ({"kind": "range_bias"}, xr.Dataset({"mean_delay": ("a", [1.0])}, {"a": ["x"]}),
                    None, "a parameter with several numbers"),
     "no map": ({"kind": "hemisphere"}, make_directions(1, (0, 180)), None, "8 azimuths"),
-    "colours": ({"kind": "swatches"}, ONE.isel(wavelength=slice(4, None)), None, "over 400 to 780 nm"),
+    "colours": ({"kind": "swatches"}, ONE.isel(wavelength=slice(4, None)), None, "400 to 780 nm"),
     "no parameter": ({"kind": "swatches"}, make_dataset({}), None, "one or two parameters"),
     "no plane": ({"kind": "principal_plane"}, make_directions(1, (0, 90)), None, "0 and 180"),
     "no bins": ({"kind": "bins"}, make_directions(1), None, "'expansion': must be bins"),

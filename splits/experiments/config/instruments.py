@@ -22,7 +22,13 @@ from pydantic import (
 
 from splits.core.validation import check_choice, invalid
 from splits.experiments.config.media import expand_spacing, make_even_spacing
-from splits.experiments.config.sections import FiniteSection, Number, Whole, check_different
+from splits.experiments.config.sections import (
+    NO_SWITCH,
+    FiniteSection,
+    Number,
+    Whole,
+    check_different,
+)
 from splits.illumination.bands import as_bands
 from splits.illumination.sky_spectra import CLEAR_SKY, list_sky_names
 from splits.instruments.lens import DEFAULT_RAYS, check_ring_radius, check_screen_depths
@@ -108,11 +114,11 @@ def _expand_delays(value: Any) -> Any:
 BeamAngle = Annotated[Number, Field(ge=0.0, le=89.9999)]
 ErrorScale = Annotated[Number, Field(ge=0.01, le=100.0)]
 Rays = Annotated[
-    Annotated[Whole, Field(ge=1, lt=2**63)] | None,
+    Annotated[int, Field(ge=1, lt=2**63), NO_SWITCH] | None,
     Field(description="number of rays, instead of a target error"),
 ]
 Seed = Annotated[
-    Annotated[Whole, Field(ge=0, lt=2**63)] | None,
+    Annotated[int, Field(ge=0, lt=2**63), NO_SWITCH] | None,
     Field(description="seed of this experiment; by default that of the main file"),
 ]
 PolarAngles = Annotated[

@@ -98,7 +98,8 @@ def _reject_switch(value: Any) -> Any:
 # Validators raise errors with a key relative to their section, or without one for their own field;
 # `splits.experiments.config.messages` prefixes the rest.
 Number = Annotated[float, Strict()]
-Whole = Annotated[int, BeforeValidator(_reject_switch)]
+NO_SWITCH = BeforeValidator(_reject_switch)
+Whole = Annotated[int, NO_SWITCH]
 Label = Annotated[str, AfterValidator(lambda text: check_text("", text, MAX_LABEL_CHARS))]
 Title = Annotated[
     str,
@@ -159,6 +160,6 @@ class Accuracy(ConfigSection):
     """largest standard error of a hemispherical quantity"""
     relative_stderr: Number = Field(0.02, ge=1e-4, le=0.5)
     """largest relative standard error of a value by direction or position"""
-    max_rays: Annotated[Whole, Field(ge=1, lt=2**63)] | None = None
+    max_rays: Annotated[int, Field(ge=1, lt=2**63), NO_SWITCH] | None = None
     """largest number of rays per spectrum, or per set of spectra that share paths, even if the
     target error is not reached; by default that of the instrument"""

@@ -58,9 +58,10 @@ def _simulate_return(
     **receiver: Any,
 ) -> xr.Dataset:
     """Return the table of returns of one medium."""
-    scene = wavelength_nm, incidence_deg, rays, seed
-    run = {"threads": threads, "progress": progress}
-    table = build_return_table(lambda point: medium, {"point": [0.0]}, *scene, **run, **receiver)
+    table = build_return_table(
+        lambda point: medium, {"point": [0.0]}, wavelength_nm, incidence_deg, rays, seed,
+        threads=threads, progress=progress, **receiver,
+    )  # fmt: skip
     return table.isel(point=0, drop=True)
 
 

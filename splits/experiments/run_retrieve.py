@@ -82,7 +82,9 @@ def run_retrieve(
     if n_used < n_all:
         log(f"{n_all - n_used} of {n_all} wavelengths are excluded or outside the table")
     axis, law = section.model_axis, section.compare_with
-    models = {OWN_MODEL if law else SINGLE_MODEL: (table, {})}
+    models: dict[str, tuple[Table, dict[str, Any]]] = {
+        OWN_MODEL if law else SINGLE_MODEL: (table, {})
+    }
     if axis:
         models = {str(model): (table, {axis: model}) for model in table.dataset[axis].values}
     if law:

@@ -225,6 +225,10 @@ def check_retrieval(
     if section.model_axis is not None and section.model_axis not in texts:
         allowed = f"one of {', '.join(texts)}" if texts else "left out: no axis is of texts"
         raise invalid("retrieve.model_axis", section.model_axis, allowed, "an axis of the grid")
+    for key in ("fixed", "free", "reference_values"):
+        if section.model_axis in getattr(section, key):
+            where = f"retrieve.{key}.{section.model_axis}"
+            raise invalid(where, "given", "left out", "it is model_axis")
     if section.compare_with:
         _check_law(section.compare_with, experiment.medium)
 

@@ -165,6 +165,17 @@ EXPERIMENT_ERRORS = {
         {"retrieve": {**SECTION, "model_axis": SIZE}},
         r"retrieve\.model_axis = .*no axis",
     ),
+    "models and fixed": (
+        {
+            "grid": NAMED_INTERPRETATIONS,
+            "retrieve": {
+                **SECTION,
+                "model_axis": "interpretation",
+                "fixed": {"interpretation": "one"},
+            },
+        },
+        r"retrieve\.fixed\.interpretation",
+    ),
     "no such model axis": (
         {"grid": NAMED_INTERPRETATIONS, "retrieve": {**SECTION, "model_axis": "reading"}},
         "one of interpretation",

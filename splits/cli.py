@@ -132,8 +132,8 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
     from splits.core.atomic import check_writable
     from splits.core.interrupts import exit_on_signals
     from splits.core.validation import check_integer, invalid
-    from splits.experiments.config.accuracy import Accuracy
-    from splits.experiments.config.load import load_experiment
+    from splits.experiments.config.load import load_experiment, locate_errors
+    from splits.experiments.config.sections import Accuracy
     from splits.experiments.config.simulation import SimulationConfig
     from splits.experiments.run import write_run
     from splits.experiments.run_fit import run_fit
@@ -165,24 +165,25 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
     command = shlex.join(["splits", *map(str, arguments.words)])
     exit_on_signals("splits run", f"to resume, type: {command}")
     simulation = SimulationConfig.model_validate(experiment.dump_simulation())
-    if experiment.fit:
-        table = read_spectra(measured / experiment.fit.measured, "fit.measured")
-        save(run_fit(simulation, accuracy, table, seed, threads, _log), target)
-    else:
-        block_folder = arguments.output / "blocks" / experiment.name
-        write_run(simulation, accuracy, seed, block_folder, target, threads, _log)
-    _print_line(target)
-    if experiment.retrieval:
-        _run_retrieval(experiment, target, measured, seed, threads)
-        return
-    if experiment.fit:
-        _write_fitted_parameters(target)
-    if has_figure:
-        from splits.plotting import draw, save_figure
+    with locate_errors(arguments.file):
+        if experiment.fit:
+            table = read_spectra(measured / experiment.fit.measured, "fit.measured")
+            save(run_fit(simulation, accuracy, table, seed, threads, _log), target)
+        else:
+            block_folder = arguments.output / "blocks" / experiment.name
+            write_run(simulation, accuracy, seed, block_folder, target, threads, _log)
+        _print_line(target)
+        if experiment.retrieval:
+            _run_retrieval(experiment, target, measured, seed, threads)
+            return
+        if experiment.fit:
+            _write_fitted_parameters(target)
+        if has_figure:
+            from splits.plotting import draw, save_figure
 
-        figure = draw(load(target), experiment.resolve_figure(), *measured_spectra)
-        save_figure(figure, target.with_suffix(""))
-        _print_line(target.with_suffix(".png"))
+            figure = draw(load(target), experiment.resolve_figure(), *measured_spectra)
+            save_figure(figure, target.with_suffix(""))
+            _print_line(target.with_suffix(".png"))
 
 
 def _write_fitted_parameters(path: Path) -> None:
@@ -200,8 +201,7 @@ def _run_retrieval(
     experiment: ExperimentConfig, path: Path, folder: Path, seed: int, threads: int
 ) -> None:
     """Retrieve medium parameters with a table, and write the results."""
-    from splits.experiments.run_retrieve import write_retrieval
-    from splits.experiments.run_return import write_return_retrieval
+    from splits.experiments.run_retrieve import write_retrieval, write_return_retrieval
 
     section, of_return = experiment.retrieve, experiment.retrieve_return
     outputs = path.with_name(f"{path.stem}_retrieved.csv"), path.with_suffix(".png")

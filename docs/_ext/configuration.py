@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from importlib import import_module
-from typing import ClassVar
+from typing import Any, ClassVar, get_args
 
 from docutils import nodes
 from pydantic import BaseModel
@@ -12,13 +12,7 @@ from pydantic.fields import FieldInfo
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from splits.experiments.config.instrument_kinds import INSTRUMENT_KINDS
-from splits.experiments.config.messages import (
-    LIMIT_DESCRIPTIONS,
-    describe_limits,
-    describe_type,
-    list_tags,
-)
+from splits.experiments.config.instruments import INSTRUMENT_KINDS
 from splits.experiments.studies import STUDY_KINDS
 
 
@@ -28,16 +22,69 @@ def table(head: list[str], rows: list[list[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def allowed(field: FieldInfo) -> str:
-    """Return the allowed values of a field: its type and limits, except that of all integers."""
-    limits = {
-        key: getattr(constraint, key)
-        for constraint in field.metadata
-        for key in LIMIT_DESCRIPTIONS
-        if getattr(constraint, key, 2**63) != 2**63
-    }
-    described = describe_type(field.annotation, "`"), describe_limits(limits)
-    return ", ".join(part for part in described if part)
+TYPES = {
+    "integer": ("a whole number", "whole numbers"), "number": ("a number", "numbers"),
+    "string": ("text", "names"), "boolean": ("true or false", ""),
+    "object": ("a mapping of keys to values", "mappings"), "array": ("a list", "lists"),
+}  # fmt: skip
+"""Descriptions of a value of a type of JSON schemas, and of a list of such values."""
+LIMITS = {
+    "exclusiveMinimum": "above", "minimum": "at least", "exclusiveMaximum": "below",
+    "maximum": "at most",
+}  # fmt: skip
+
+
+def allowed(schema: dict[str, Any], definitions: dict[str, Any]) -> str:
+    """Return the allowed values that a schema describes: their types and limits."""
+    if "$ref" in schema:
+        return allowed(definitions[schema["$ref"].rpartition("/")[2]], definitions)
+    options = schema.get("anyOf") or schema.get("oneOf") or schema.get("allOf")
+    if options:
+        others = [one for one in options if one.get("type") != "null"]
+        return " or ".join(dict.fromkeys(allowed(one, definitions) for one in others))
+    names = [f"`{name}`" for name in schema.get("enum", [schema.get("const")]) if name is not None]
+    if names:
+        return f"one of {', '.join(names)}" if len(names) > 1 else names[0]
+    kind = schema.get("type", "object")
+    if kind == "array":
+        items, count = schema.get("items"), ""
+        if "prefixItems" in schema:
+            items, count = schema["prefixItems"][0], f"{len(schema['prefixItems'])} "
+        described = allowed(items or {}, definitions)
+        if described.startswith("one of "):
+            return f"a list of {described.removeprefix('one of ')}"
+        described = described.partition(", ")[0]
+        plurals = dict(TYPES.values())
+        return f"a list of {count}{plurals.get(described, described.replace('a list', 'lists'))}"
+    if kind == "object" and schema.get("required") and "kind" not in schema["properties"]:
+        return f"a mapping with {', '.join(f'`{key}`' for key in schema['required'])}"
+    # Limits of all integers and of labels are not stated.
+    limits = [
+        f"{word} {schema[key]:g}"
+        for key, word in LIMITS.items()
+        if key in schema and schema[key] != 2**63
+    ]
+    return ", ".join([TYPES[kind][0], *limits])
+
+
+def list_rows(model: type[BaseModel]) -> list[tuple[str, str, str, str]]:
+    """Return key, meaning, allowed values and default of each key of a model."""
+    schema = model.model_json_schema()
+    definitions = schema.get("$defs", {})
+    return [
+        (
+            f"`{key}`",
+            meaning(field),
+            allowed(schema["properties"][key], definitions),
+            default(field),
+        )
+        for key, field in model.model_fields.items()
+    ]
+
+
+def get_kind(model: type[BaseModel]) -> str:
+    """Return the value of the key `kind` of a section."""
+    return str(get_args(model.model_fields["kind"].annotation)[0])
 
 
 def meaning(field: FieldInfo) -> str:
@@ -63,10 +110,7 @@ class Keys(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """Return the table."""
         module, name = self.arguments[0].rsplit(".", 1)
-        rows = [
-            [f"`{key}`", meaning(field), allowed(field), default(field)]
-            for key, field in getattr(import_module(module), name).model_fields.items()
-        ]
+        rows = [list(row) for row in list_rows(getattr(import_module(module), name))]
         return self.parse_text_to_nodes(table(["key", "meaning", "allowed", "default"], rows))
 
 
@@ -98,7 +142,7 @@ class Studies(SphinxDirective):
         for study in STUDY_KINDS.values():
             columns = study.INPUTS, study.FILES, study.PRODUCTS
             cells = [", ".join(f"`{key}`" for key in column) or "—" for column in columns]
-            rows.append([f"`{list_tags(study)[0]}`", describe(study), *cells])
+            rows.append([f"`{get_kind(study)}`", describe(study), *cells])
         head = ["kind", "description", "`inputs`", "`files`", "`outputs`"]
         return self.parse_text_to_nodes(table(head, rows))
 
@@ -107,9 +151,8 @@ def list_union_keys(models: dict[str, type[BaseModel]]) -> list[list[str]]:
     """Return a row for each key of the models of a union, with the kinds that have it."""
     kinds: dict[tuple[str, ...], list[str]] = {}
     for kind, model in models.items():
-        for key, field in model.model_fields.items():
-            row = (f"`{key}`", meaning(field), allowed(field), default(field))
-            if key != "kind":
+        for row in list_rows(model):
+            if row[0] != "`kind`":
                 kinds.setdefault(row, []).append(f"`{kind}`")
     rows = [
         [key, meaning, "all" if len(owners) == len(models) else ", ".join(owners), *others]
@@ -132,7 +175,7 @@ class InstrumentKeys(SphinxDirective):
 class StudyKeys(InstrumentKeys):
     """``{study-keys}``: a row for each key of studies, with the kinds that have it."""
 
-    models: ClassVar = {list_tags(study)[0]: study for study in STUDY_KINDS.values()}
+    models: ClassVar = {get_kind(study): study for study in STUDY_KINDS.values()}
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

@@ -13,7 +13,7 @@ import xarray as xr
 from splits.core.arrays import read_columns
 from splits.core.optional import import_optional
 from splits.core.uncertainty import compute_error_parts
-from splits.core.validation import ROUNDING_TOLERANCE, snap_to_limits
+from splits.core.validation import ROUNDING_TOLERANCE, invalid, snap_to_limits
 
 STANDARD_OBSERVER = "CIE 1931 2 Degree Standard Observer"
 STANDARD_ILLUMINANT = "D65"
@@ -61,10 +61,9 @@ def compute_tristimulus(wavelength_nm: np.ndarray, reflectance: np.ndarray) -> n
     wavelength, reflectance = read_columns("spectrum", columns)
     low, high = VISIBLE_RANGE_NM
     if not covers_visible(wavelength):
-        raise ValueError(
-            f"wavelength_nm: must cover {low:g} to {high:g} nm in steps of at most 10 nm to have "
-            "a colour"
-        )
+        allowed = f"over {low:g} to {high:g} nm in steps of at most {MAX_STEP_NM:g} nm"
+        given = [float(wavelength[0]), float(wavelength[-1])]
+        raise invalid("wavelength_nm", given, allowed, "others have no colour")
     observer = colour.MSDS_CMFS[STANDARD_OBSERVER]
     grid = observer.wavelengths
     spectrum = colour.SpectralDistribution(

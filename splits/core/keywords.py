@@ -134,4 +134,4 @@ def _check_keywords(keywords: Mapping[str, Any], names: list[str] | None) -> Non
     """Check that keywords are known; None allows all."""
     for key in keywords:
         if names is not None and key not in names:
-            raise TypeError(str(unknown_key(key, names)))
+            raise unknown_key(key, names)

@@ -17,7 +17,7 @@ from typing import Any, TextIO
 from tqdm import tqdm
 
 from splits.core.compile_notice import listeners
-from splits.core.validation import invalid
+from splits.core.validation import InvalidValue, invalid
 
 LogCallback = Callable[[str], None]
 """Function that receives lines of progress."""
@@ -258,7 +258,8 @@ def write_line(line: str, stream: TextIO | None) -> None:
 def open_progress_log(path: str | Path) -> Iterator[Callable[[str], None]]:
     """Yield a function that writes a line to the terminal and to a log file.
 
-    Each is written even if the other fails.
+    Each is written even if the other fails.  An invalid value in the block ends the process with
+    one line that names the log file, which is named after the experiment.
 
     Parameters
     ----------
@@ -271,4 +272,9 @@ def open_progress_log(path: str | Path) -> Iterator[Callable[[str], None]]:
             write_line(line, sys.stderr)
             write_line(line, log)
 
-        yield log_line
+        try:
+            yield log_line
+        except InvalidValue as error:
+            # A value of the user, for whom a traceback explains nothing.
+            log_line(f"{Path(path).stem}: {error}")
+            raise SystemExit(1) from None

@@ -24,9 +24,8 @@ SIMULATION_SOURCES = (
     "core/uncertainty.py", "core/parameter_names.py",
     "tables/axes.py", "tables/block.py", "tables/ordinates.py", "tables/plan.py",
     "tables/return_table.py",
-    "experiments/config/grid.py", "experiments/config/medium.py",
-    "experiments/config/simulation.py", "experiments/run.py", "experiments/run_packs.py",
-    "experiments/run_points.py",
+    "experiments/config/instruments.py", "experiments/config/media.py",
+    "experiments/config/simulation.py", "experiments/run.py", "experiments/run_table.py",
 )  # fmt: skip
 """Folders and files, relative to the package, that determine every simulation."""
 FIT_SOURCES = (
@@ -42,7 +41,7 @@ FIT_SOURCES = (
 """Additional files that determine a fit."""
 RETRIEVAL_SOURCES = (
     "analysis/theory/kokhanovsky_zege.py",
-    "experiments/config/retrieve.py", "experiments/run_retrieve.py",
+    "experiments/config/retrieval.py", "experiments/run_retrieve.py",
     "tables/interpolation.py", "tables/axis_interpolation.py", "tables/comparison.py",
     "tables/axis_order.py", "tables/table.py", "tables/table_interpolation.py",
     "materials/impurities.csv", "materials/impurities.py", "media/measured_inputs.py",
@@ -57,15 +56,13 @@ RETRIEVAL_SOURCES = (
 """Files that determine retrievals from a table."""
 RETURN_SOURCES = (
     *RETRIEVAL_SOURCES,
-    "experiments/config/measured_return.py",
-    "experiments/run_return.py",
     "retrieval/retrieve_return.py",
     "retrieval/return_model.py",
 )
 """Files that determine retrievals from a table of returns."""
 TABLE_SOURCES = (
     "tables/assembly.py", "tables/build.py", "tables/comparison.py", "tables/axis_interpolation.py",
-    "tables/interpolation.py", "tables/table_interpolation.py", "experiments/run_table.py",
+    "tables/interpolation.py", "tables/table_interpolation.py",
 )  # fmt: skip
 """Files that determine how a table is made from its simulated parts."""
 FIGURE_SOURCES = ("plotting/*.py", "plotting/*.mplstyle")

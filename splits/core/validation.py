@@ -109,8 +109,11 @@ class InvalidValue(ValueError):
         return type(self)(key, self.value, self.allowed, hint)
 
 
-class UnknownKey(InvalidValue):
-    """Unknown key; `value` is None, and `allowed` names the known keys."""
+class UnknownKey(InvalidValue, TypeError):
+    """Unknown key; `value` is None, and `allowed` names the known keys.
+
+    In Python it is a keyword, for which a `TypeError` is expected.
+    """
 
     def format_message(self) -> str:
         """Return the message without the hint."""

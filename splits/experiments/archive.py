@@ -21,7 +21,7 @@ from splits.core.paths import expand_path
 from splits.core.validation import invalid
 from splits.core.yaml import dump_yaml, read_yaml
 from splits.experiments.config.load import list_media_files
-from splits.experiments.config.medium import list_table_paths
+from splits.experiments.config.media import list_table_paths
 from splits.experiments.config.settings import DEFAULT_LICENCE, FOLDER_KEYS, Settings
 from splits.io.citation import CITATION_FILE, LICENCE_FILE, make_software_info, read_software_files
 from splits.io.member_names import FOLDER_SUFFIXES, find_name_collision, find_name_problem

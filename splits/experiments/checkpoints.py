@@ -11,8 +11,8 @@ from pathlib import Path
 import xarray as xr
 
 from splits.core.provenance import hash_physics_sources
-from splits.experiments.config.accuracy import Accuracy
-from splits.experiments.config.medium import identify_by_content, replace_table_paths
+from splits.experiments.config.media import identify_by_content, replace_table_paths
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.io.netcdf import load, save
 

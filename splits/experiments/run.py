@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Callable, Sequence
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -10,22 +13,68 @@ import numpy as np
 import xarray as xr
 
 from splits.core.atomic import check_writable
-from splits.core.convergence import REACHED_ATTRIBUTES, log_missed_error
-from splits.core.progress import LogCallback
+from splits.core.convergence import REACHED_ATTRIBUTES, log_missed_error, nest_runs
+from splits.core.progress import LogCallback, Progress
 from splits.core.provenance import hash_physics_sources
 from splits.core.validation import invalid
 from splits.experiments.checkpoints import PointCache
-from splits.experiments.config.accuracy import Accuracy
-from splits.experiments.config.beam_instruments import ReturnTable
-from splits.experiments.config.grid import make_grid_coordinates
-from splits.experiments.config.simulation import SimulationConfig
-from splits.experiments.run_points import SimulatedPoints, simulate_points
-from splits.experiments.run_table import run_table, write_table
+from splits.experiments.config.instruments import Instrument, Spectrophotometer
+from splits.experiments.config.media import make_grid_coordinates
+from splits.experiments.config.sections import Accuracy
+from splits.experiments.config.simulation import Point, SimulationConfig
+from splits.experiments.run_table import MAX_RAYS, run_table, write_table
+from splits.instruments import (
+    beam_spread,
+    goniophotometer,
+    lens,
+    spectrophotometer,
+    surface_map,
+    time_of_flight,
+)
+from splits.instruments.solver import DISCRETE_ORDINATES
+from splits.instruments.spectral_run import SpectralRequest, simulate_spectra
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
-from splits.simulation.run_options import make_wavelength_coordinate
+from splits.media.checks import check_medium
+from splits.media.medium import Medium
+from splits.simulation.arguments import MAX_DATASET_VALUES
+from splits.simulation.incident_light import check_stokes
+from splits.simulation.path_reuse import MediaGroup, group_by_shared_paths
+from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 from splits.simulation.stopping_rule import STOP_REASONS
-from splits.tables.return_table import TITLE
+from splits.tables.return_table import TITLE, build_return_table
 
+N_BEAM_RAYS = 200_000
+"""Number of rays of a beam at a relative standard error of 0.02."""
+
+
+def _simulate_return(
+    medium: Medium,
+    wavelength_nm: Any,
+    incidence_deg: Any,
+    rays: int,
+    seed: int,
+    threads: int | None = None,
+    progress: Any = None,
+    **receiver: Any,
+) -> xr.Dataset:
+    """Return the table of returns of one medium."""
+    table = build_return_table(
+        lambda point: medium, {"point": [0.0]}, wavelength_nm, incidence_deg, rays, seed,
+        threads=threads, progress=progress, **receiver,
+    )  # fmt: skip
+    return table.isel(point=0, drop=True)
+
+
+MEASURE: dict[str, Callable[..., xr.Dataset]] = {
+    "spectrophotometer": spectrophotometer,
+    "goniophotometer": goniophotometer,
+    "beam_spread": beam_spread,
+    "time_of_flight": time_of_flight,
+    "return_table": _simulate_return,
+    "surface_map": surface_map,
+    "lens": lens,
+}
+"""Functions of the instruments that measure the points of a grid."""
 POINT_VARIABLES = {
     "rays": ("rays", "number of rays traced", "1"),
     "max_stderr_reached": ("max_stderr_reached", "largest standard error reached", "1"),
@@ -79,8 +128,8 @@ def run(
     if experiment.instrument.kind == "refractive_index":
         return compute_refractive_indices(experiment)
     start_time = time.perf_counter()
-    results = simulate_points(experiment, accuracy, seed, threads, log, cache)
-    dataset = _stack_points(experiment, results, time.perf_counter() - start_time)
+    results, rays = simulate_points(experiment, accuracy, seed, threads, log, cache)
+    dataset = _stack_points(experiment, results, rays, time.perf_counter() - start_time)
     log_missed_error(log, experiment.name, dataset)
     return dataset
 
@@ -115,10 +164,9 @@ def write_run(
 
 
 def _stack_points(
-    experiment: SimulationConfig, points: SimulatedPoints, seconds: float
+    experiment: SimulationConfig, results: list[xr.Dataset], rays: int, seconds: float
 ) -> xr.Dataset:
     """Return the dataset of a grid from its points."""
-    results = points.datasets
     shape = tuple(len(values) for values in experiment.grid.values())
     dims = tuple(experiment.grid)
     first = results[0]
@@ -141,13 +189,14 @@ def _stack_points(
         if key not in varying
         and all(key in r.attrs and np.array_equal(r.attrs[key], value) for r in results)
     }
-    is_return_table = isinstance(experiment.instrument, ReturnTable)
     attributes = {
         **constant,
-        "title": TITLE if is_return_table else f"Experiment {experiment.name}",
+        "title": TITLE
+        if experiment.instrument.kind == "return_table"
+        else f"Experiment {experiment.name}",
         "experiment": experiment.name,
         "configuration": experiment.dump_configuration(),
-        "rays": points.rays,
+        "rays": rays,
         **{
             key: max(float(r.attrs[key]) for r in results)
             for key in REACHED_ATTRIBUTES
@@ -186,3 +235,175 @@ def compute_refractive_indices(experiment: SimulationConfig) -> xr.Dataset:
         **make_provenance(f"experiment {experiment.name}"),
     }
     return xr.Dataset(variables, coordinates, to_netcdf_attributes(attributes))
+
+
+def simulate_points(
+    experiment: SimulationConfig,
+    accuracy: Accuracy,
+    seed: int,
+    threads: int | None,
+    log: LogCallback,
+    cache: PointCache | None = None,
+) -> tuple[list[xr.Dataset], int]:
+    """Return the results of all points of an experiment in their order, and the number of rays.
+
+    Points that the cache has are not simulated again.  Paths are reused between points that differ
+    only in absorption, in the albedo of a ground, or in a common scale of all lengths.
+    """
+    instrument, points = experiment.instrument, list(experiment.iter_points())
+    seed = instrument.get_seed(seed)
+    results: dict[int, xr.Dataset] = {}
+    rays = 0
+    groups = _group_by_shared_paths(experiment, points, accuracy)
+    if len(groups) < len(points):
+        log(f"{experiment.name}: {len(groups)} sets of paths for {len(points)} points")
+    for indices, group in groups:
+        prefix = _format_prefix(experiment.name, points, indices)
+        cached = cache.load(indices) if cache else None
+        if cached:
+            log(f"{prefix}: kept from an earlier run")
+            results |= dict(zip(indices, cached, strict=True))
+            rays += int(cached[0].attrs["rays"])
+            continue
+        progress = _make_progress_callback(prefix, log)
+        run = RunOptions.from_arguments(seed, threads, progress=progress)
+        members = [points[index] for index in indices]
+        with nest_runs(), experiment.locate_errors(members[0][0]):
+            if group is None or not isinstance(instrument, Spectrophotometer):
+                one = instrument.select_point(indices[0])
+                datasets = [simulate_point(one, members[0], accuracy, run)]
+            else:
+                instruments = [instrument.select_point(index) for index in indices]
+                error = min(one.scale_stderr(accuracy.max_stderr) for one in instruments)
+                datasets = _simulate_group(instrument, members, group, error, accuracy, run)
+        datasets = cache.save(indices, datasets) if cache else datasets
+        results |= dict(zip(indices, datasets, strict=True))
+        rays += int(datasets[0].attrs["rays"])
+        _log_result(prefix, datasets, log)
+        quantities = [v for v in datasets[0].data_vars.values() if "batch" not in v.dims]
+        size = len(points) * max(one.size for one in quantities)
+        if size > MAX_DATASET_VALUES:
+            given, allowed = f"{size} values", f"at most {MAX_DATASET_VALUES} values in all"
+            raise invalid("grid", given, allowed, "split it into several experiments")
+    return [results[index] for index in range(len(points))], rays
+
+
+def _group_by_shared_paths(
+    experiment: SimulationConfig, points: Sequence[Point], accuracy: Accuracy
+) -> list[tuple[list[int], MediaGroup | None]]:
+    """Return the indices of points that share paths, with their group (None for single points)."""
+    instrument = experiment.instrument
+    if not isinstance(instrument, Spectrophotometer) or instrument.estimator == "analog":
+        return [([index], None) for index in range(len(points))]
+    wavelengths = np.asarray(instrument.get_wavelengths(), dtype=float)
+    solved = []
+    for index, (labels, medium, _) in enumerate(points):
+        max_stderr = instrument.select_point(index).scale_stderr(accuracy.max_stderr)
+        with experiment.locate_errors(labels):
+            check_medium(medium, allow_semi_infinite=True)
+            if instrument.choose_solver(medium, max_stderr) == DISCRETE_ORDINATES:
+                solved.append(index)
+    groups: list[tuple[list[int], MediaGroup | None]] = [([index], None) for index in solved]
+    traced = [index for index in range(len(points)) if index not in set(solved)]
+    for beam in dict.fromkeys(incidence for *_, incidence in points):
+        same_beam = [index for index in traced if points[index][-1] == beam]
+        media = [points[index][1] for index in same_beam]
+        with experiment.locate_errors(points[0][0]):
+            shared = group_by_shared_paths(media, wavelengths)
+        for members in shared:
+            indices = [same_beam[index] for index in members.positions]
+            groups.append((indices, members if len(indices) > 1 else None))
+    return sorted(groups, key=lambda group: min(group[0]))
+
+
+def _simulate_group(
+    instrument: Spectrophotometer,
+    points: Sequence[Point],
+    group: MediaGroup,
+    error: float,
+    accuracy: Accuracy,
+    run: RunOptions,
+) -> list[xr.Dataset]:
+    """Simulate points that share paths to the smallest of their target errors.
+
+    The points are in the order of the group's media.
+    """
+    rays = accuracy.max_rays or MAX_RAYS
+    wavelengths, (_, medium, beam) = instrument.get_wavelengths(), points[0]
+    request = SpectralRequest.from_arguments(wavelengths, beam, error, rays, run)
+    request = request._replace(polarization=check_stokes(instrument.stokes, medium, beam))
+    spectra = simulate_spectra(group.path_sharing, request)
+    pairs = zip(group.media_indices, points, strict=True)
+    return [_relabel_spectrum(spectra[index], medium) for index, (_, medium, _) in pairs]
+
+
+def _relabel_spectrum(spectrum: xr.Dataset, medium: Medium) -> xr.Dataset:
+    """Return a spectrum with the attributes of an optically equivalent medium."""
+    prefix = f"{medium.kind}_"
+    attributes = {f"{prefix}{key}": value for key, value in medium.describe().items()}
+    others = {key: value for key, value in spectrum.attrs.items() if not key.startswith(prefix)}
+    return xr.Dataset(
+        spectrum.data_vars, spectrum.coords, to_netcdf_attributes(others | attributes)
+    )
+
+
+def _format_prefix(name: str, points: Sequence[Point], indices: Sequence[int]) -> str:
+    """Return the prefix of log lines on some points."""
+    if len(indices) > 1:
+        return f"{name} {len(indices)} of {len(points)} together, from {min(indices) + 1}"
+    (index,) = indices
+    point_labels = " ".join(f"{p}={label}" for p, label in points[index][0].items())
+    return f"{name} {index + 1}/{len(points)} {point_labels}".rstrip()
+
+
+def _make_progress_callback(prefix: str, log: LogCallback) -> Callable[[Progress], None]:
+    """Return a callback that logs progress."""
+
+    def show(progress: Progress) -> None:
+        if math.isinf(progress.stderr):
+            log(f"{prefix}: first round, {progress.rays} rays")
+            return
+        log(
+            f"{prefix}: {progress.rays} rays this round, error {progress.stderr:.4f} so far "
+            f"(target {progress.target:g}), about {progress.seconds_left:.0f} s left here"
+        )
+
+    return show
+
+
+def _log_result(prefix: str, datasets: Sequence[xr.Dataset], log: LogCallback) -> None:
+    """Log the result of some points."""
+    attributes = datasets[0].attrs
+    reached = [
+        f", error {max(dataset.attrs[key] for dataset in datasets):.4f}"
+        for key in REACHED_ATTRIBUTES
+        if key in attributes
+    ]
+    is_solved = attributes.get("solver") == DISCRETE_ORDINATES
+    effort = "discrete ordinates" if is_solved else f"{attributes['rays']} rays"
+    log(f"{prefix}: done, {effort}{''.join(reached)}, {attributes['wall_time_s']:.1f} s")
+
+
+def simulate_point(
+    instrument: Instrument, point: Point, accuracy: Accuracy, run: RunOptions
+) -> xr.Dataset:
+    """Simulate one point of a grid, see `run`."""
+    _, medium, incidence = point
+    measure = MEASURE[instrument.kind]
+    settings: dict[str, Any] = {
+        "wavelength_nm": instrument.get_wavelengths(),
+        "incidence_deg": incidence,
+        "max_stderr": instrument.scale_stderr(accuracy.max_stderr),
+        "relative_stderr": instrument.scale_stderr(accuracy.relative_stderr),
+        "max_rays": accuracy.max_rays,
+        "seed": run.seed,
+        "threads": run.threads,
+        "progress": run.progress,
+    }
+    takes = signature(measure).parameters
+    if "relative_stderr" not in takes:
+        # The error of a beam follows from the number of its rays.
+        effort = (0.02 / (getattr(instrument, "stderr_scale", 1.0) * accuracy.relative_stderr)) ** 2
+        settings["rays"] = int(np.ceil(N_BEAM_RAYS * effort))
+    settings = {key: value for key, value in settings.items() if key in takes and value is not None}
+    return measure(medium, **settings | instrument.list_arguments())

@@ -14,10 +14,10 @@ from splits.core.progress import LogCallback
 from splits.core.provenance import hash_physics_sources
 from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import check_range, invalid, key_prefix
-from splits.experiments.config.accuracy import Accuracy
-from splits.experiments.config.grid import make_grid_coordinates
-from splits.experiments.config.sections import list_samples
+from splits.experiments.config.media import make_grid_coordinates
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
+from splits.experiments.run_retrieve import list_samples
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.retrieval.residual_covariance import MIN_RESIDUAL_DOF
 from splits.retrieval.sand_fit import FitResult, fit

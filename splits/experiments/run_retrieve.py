@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,18 +12,46 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.analysis.measured import read_spectra
+from splits.analysis.measured import WAVELENGTH_COLUMN, read_spectra
+from splits.core.keywords import list_keywords
 from splits.core.parameter_names import describe_parameter
 from splits.core.progress import LogCallback
-from splits.core.validation import key_prefix
-from splits.experiments.config.retrieve import RetrieveSection
+from splits.core.validation import (
+    check_choice,
+    check_range,
+    format_key,
+    invalid,
+    key_prefix,
+    snap_to_limits,
+    unknown_key,
+)
+from splits.experiments.config.instruments import ReturnTable, dump_pulse
+from splits.experiments.config.retrieval import (
+    RetrieveReturnSection,
+    RetrieveSection,
+    check_on_grid,
+)
+from splits.experiments.config.simulation import SimulationConfig
+from splits.instruments.time_of_flight import time_of_flight
 from splits.io.data_frame import write_data_frame
-from splits.io.netcdf import make_provenance, to_netcdf_attributes
+from splits.io.netcdf import load, make_provenance, to_netcdf_attributes
+from splits.materials.csv_table import read_numeric_csv
+from splits.media.kinds import MEDIUM_CLASSES, get_kind
+from splits.media.medium import Medium
 from splits.retrieval.result import RetrievalResult
 from splits.retrieval.retrieve import retrieve
+from splits.retrieval.retrieve_return import retrieve_return
 from splits.retrieval.state_vector import SCALE
+from splits.tables.axes import INCIDENCE
 from splits.tables.table import Table, open_table
 
+BIN_COLUMNS = (WAVELENGTH_COLUMN, "delay_start_s", "delay_end_s")
+"""Columns of a measured return that describe its bins."""
+STDERR_SUFFIX = "_stderr"
+DELAY_TOLERANCE = 1e-6
+"""Largest difference between delays that are equal, relative to the width of a bin."""
+ANGLE_SEPARATOR = "@"
+"""Separator between the name of a sample and its angle of incidence."""
 SINGLE_MODEL, OWN_MODEL = "", "splits"
 """Names of our model: where it is the only one, and in a comparison with a law."""
 
@@ -47,91 +77,81 @@ def run_retrieve(
     log: LogCallback = lambda line: None,
 ) -> list[SampleRetrieval]:
     """Return the retrievals of all samples with all models; errors name the key of the section."""
-    with key_prefix("retrieve"):
-        spectra = section.select_spectra(measured, table.dataset.wavelength.values)
+    spectra = select_spectra(section, measured, table.dataset.wavelength.values)
     n_used, n_all = len(next(iter(spectra.values()))), len(measured)
     if n_used < n_all:
         log(f"{n_all - n_used} of {n_all} wavelengths are excluded or outside the table")
     axis, law = section.model_axis, section.compare_with
-    single_model = OWN_MODEL if law else SINGLE_MODEL
-    names = [str(v) for v in table.dataset[axis].values] if axis else [single_model]
-    retrievals = []
-    for model in names:
-        fixed = {axis: model} if axis else {}
-        retrievals += _RetrievalTask(section, table, spectra, model, fixed, seed).retrieve_all(log)
+    models: dict[str, tuple[Table, dict[str, Any]]] = {
+        OWN_MODEL if law else SINGLE_MODEL: (table, {})
+    }
+    if axis:
+        models = {str(model): (table, {axis: model}) for model in table.dataset[axis].values}
     if law:
         # Imports snowoptics, which no other part of a retrieval needs.
         from splits.analysis.theory.kokhanovsky_zege import make_law_table
 
-        law_table = make_law_table(table, law, axis)
-        retrievals += _RetrievalTask(section, law_table, spectra, law, {}, seed).retrieve_all(log)
-    return retrievals
+        models[law] = make_law_table(table, law, axis), {}
+    return [
+        retrieval
+        for model, (own_table, fixed) in models.items()
+        for retrieval in _retrieve_with_model(section, own_table, spectra, model, fixed, seed, log)
+    ]
 
 
-class _RetrievalTask(NamedTuple):
-    """Retrieval of spectra with one model: a table at fixed nodes."""
+def _retrieve_with_model(
+    section: RetrieveSection,
+    table: Table,
+    spectra: Mapping[str, pd.Series],
+    model: str,
+    fixed_nodes: Mapping[str, Any],
+    seed: int,
+    log: LogCallback,
+) -> list[SampleRetrieval]:
+    """Return and log the retrievals of all samples with a table at fixed nodes."""
+    known = (*table.axes, SCALE)
 
-    section: RetrieveSection
-    table: Table
-    spectra: Mapping[str, pd.Series]
-    model: str
-    fixed: Mapping[str, Any]
-    seed: int
-
-    def retrieve_all(self, log: LogCallback) -> list[SampleRetrieval]:
-        """Return and log the retrievals of all samples."""
-        sources = {source.sample: source for source in self.section.prior_from}
-        prior_results = {
-            sample: self._retrieve(sample, self.section.prior, source.fixed)
-            for sample, source in sources.items()
-        }
-        retrievals = []
-        for name in self.spectra:
-            is_first = name in sources
-            prior = self._make_prior(prior_results, name)
-            result = prior_results[name] if is_first else self._retrieve(name, prior, {})
-            chi2 = np.nan if is_first else self._compute_reference_chi2(name, prior)
-            retrievals.append(SampleRetrieval(self.model, name, result, chi2, is_first))
-            label = f"{name} ({self.model})" if self.model else name
-            for line in repr(result).splitlines():
-                log(f"{label}: {line}")
-        return retrievals
-
-    def _retrieve(
-        self, name: str, prior: Mapping[str, Any], fixed: Mapping[str, Any]
+    def retrieve_sample(
+        name: str, prior: Mapping[str, Any], known_values: Mapping[str, Any]
     ) -> RetrievalResult:
-        """Return the retrieval of one sample with some parameters fixed."""
-        axes = self.table.axes
-        names = [n for n in self.section.free if n not in fixed and n in (*axes, SCALE)]
-        free_section: Any = self.section.free
-        free = {n: free_section[n] for n in names} if isinstance(free_section, Mapping) else names
-        spectrum = self.spectra[name]
-        fixed_values = {**self.section.get_fixed_values(name, axes), **self.fixed, **fixed}
+        names = [n for n in section.free if n not in known_values and n in known]
+        ranges: Any = section.free
+        free = {n: ranges[n] for n in names} if isinstance(ranges, Mapping) else names
+        spectrum = spectra[name]
+        noise = section.noise.evaluate(spectrum.to_numpy()) if section.noise else None
+        fixed = {**get_fixed_values(section, name, table), **fixed_nodes, **known_values}
         with key_prefix(f"retrieve ({name})"):
             return retrieve(
-                spectrum, self.table, free, self.section.compute_noise(spectrum.to_numpy()),
-                fixed={n: value for n, value in fixed_values.items() if n in (*axes, SCALE)},
-                prior={n: pair for n, pair in prior.items() if n in free} or None, seed=self.seed,
-                quantity=self.section.quantity,
+                spectrum, table, free, noise, seed=seed, quantity=section.quantity,
+                fixed={n: value for n, value in fixed.items() if n in known},
+                prior={n: pair for n, pair in prior.items() if n in free} or None,
             )  # fmt: skip
 
-    def _compute_reference_chi2(self, name: str, prior: Mapping[str, Any]) -> float:
-        """Return χ² with the known parameters fixed at their reference values."""
-        by_parameter = self.section.reference_values.items()
-        references = {key: values[name] for key, values in by_parameter if name in values}
-        others = {*self.section.free} - {*references, SCALE}
-        if not references or not others or SCALE in references or self.section.noise is None:
-            return np.nan
-        return float(self._retrieve(name, prior, references).dataset.attrs["chi2"])
-
-    def _make_prior(self, first: Mapping[str, RetrievalResult], name: str) -> dict[str, Any]:
-        """Return the prior of a sample, including posteriors of samples retrieved first."""
-        prior: dict[str, Any] = dict(self.section.prior)
-        for source in self.section.prior_from:
+    first_results = {
+        source.sample: retrieve_sample(source.sample, section.prior, source.fixed)
+        for source in section.prior_from
+    }
+    retrievals = []
+    for name in spectra:
+        is_first, chi2 = name in first_results, np.nan
+        prior: dict[str, Any] = dict(section.prior)
+        for source in section.prior_from:
             if name.startswith(source.applies_to):
-                result = first[source.sample]
-                prior |= {key: (value, result.stderr[key]) for key, value in result.values.items()}
-        return prior
+                first = first_results[source.sample]
+                prior |= {key: (value, first.stderr[key]) for key, value in first.values.items()}
+        result = first_results[name] if is_first else retrieve_sample(name, prior, {})
+        # The known parameters, fixed at their reference values.
+        by_parameter = section.reference_values.items()
+        references = {key: values[name] for key, values in by_parameter if name in values}
+        others = {*section.free} - {*references, SCALE}
+        is_compared = references and others and SCALE not in references and section.noise
+        if is_compared and not is_first:
+            chi2 = float(retrieve_sample(name, prior, references).dataset.attrs["chi2"])
+        retrievals.append(SampleRetrieval(model, name, result, chi2, is_first))
+        label = f"{name} ({model})" if model else name
+        for line in repr(result).splitlines():
+            log(f"{label}: {line}")
+    return retrievals
 
 
 def make_retrieval_table(
@@ -221,8 +241,9 @@ def write_retrieval(
     """
     spectra = read_spectra(Path(measured), "retrieve.measured")
     results = run_retrieve(section, open_table(table), spectra, seed, log)
-    name, prefixes = Path(table).stem, section.list_sample_prefixes()
-    write_samples(results, name, section.reference_values, prefixes, outputs)
+    # Figures show together the samples of a prefix.
+    prefixes = [first.applies_to for first in section.prior_from] or [""]
+    write_samples(results, Path(table).stem, section.reference_values, prefixes, outputs)
 
 
 def write_samples(
@@ -239,3 +260,275 @@ def write_samples(
     write_data_frame(make_retrieval_table(results, references), outputs[0])
     figure = draw_retrievals(combine_samples(results, experiment), references, prefixes)
     save_figure(figure, Path(outputs[1]).with_suffix(""))
+
+
+def select_spectra(
+    section: RetrieveSection, measured: pd.DataFrame, wavelengths: np.ndarray
+) -> dict[str, pd.Series]:
+    """Return the spectra by sample, at the measured wavelengths that are used.
+
+    Unknown samples, and tables that do not match the section, are rejected.
+    """
+    names = list_samples("retrieve", measured, section.samples)
+    wavelength = measured[WAVELENGTH_COLUMN].to_numpy(dtype=float)
+    snapped = snap_to_limits(wavelength, wavelengths[0], wavelengths[-1])
+    inside = (snapped >= wavelengths[0]) & (snapped <= wavelengths[-1])
+    for low, high in section.exclude_nm:
+        inside &= (wavelength < low) | (wavelength > high)
+    if not inside.any():
+        given = f"{wavelength.min():g} to {wavelength.max():g} nm"
+        allowed = f"{wavelengths[0]:g} to {wavelengths[-1]:g} nm, the range of the table"
+        raise invalid("retrieve.measured", given, allowed)
+    key = "retrieve.prior_from.sample"
+    first_samples = [check_choice(key, first.sample, names) for first in section.prior_from]
+    other_samples = [name for name in names if name not in first_samples]
+    if len(set(first_samples)) < len(first_samples):
+        raise invalid(key, first_samples, "different samples")
+    if not other_samples:
+        hint = "all samples are retrieved first"
+        raise invalid("retrieve.samples", names, "others than those of prior_from", hint)
+    for first in section.prior_from:
+        if not any(name.startswith(first.applies_to) for name in other_samples):
+            allowed = f"the beginning of the name of another sample: {', '.join(other_samples)}"
+            raise invalid("retrieve.prior_from.applies_to", first.applies_to, allowed)
+    for parameter, values in section.reference_values.items():
+        for sample in values:
+            check_choice(f"retrieve.reference_values.{parameter}", sample, names)
+    used = measured[inside]
+    return {n: pd.Series(used[n].to_numpy(dtype=float), wavelength[inside]) for n in names}
+
+
+def get_fixed_values(section: RetrieveSection, sample: str, table: Table) -> dict[str, float | str]:
+    """Return the fixed values of a sample: `fixed`, and the angle in its name."""
+    fixed = dict(section.fixed)
+    if ANGLE_SEPARATOR not in sample:
+        return fixed
+    angle = parse_incidence_deg(sample)
+    if INCIDENCE not in table.axes:
+        own = table.dataset.attrs.get(INCIDENCE, angle)
+        if angle is not None and angle != own:
+            allowed, hint = f"of incidence {own}, the only one of the table", "or give grid."
+            raise invalid("retrieve.samples", sample, allowed, hint + INCIDENCE)
+        return fixed
+    is_known = INCIDENCE in fixed or INCIDENCE in section.free
+    if angle is None and not is_known:
+        raise invalid("retrieve.samples", sample, f"an angle after {ANGLE_SEPARATOR}")
+    if angle is not None and (INCIDENCE in section.free or fixed.get(INCIDENCE, angle) != angle):
+        key = f"retrieve.fixed.{INCIDENCE}" if INCIDENCE in fixed else "retrieve.free"
+        hint = f"the name {format_key(sample)} contains the angle"
+        raise invalid(key, fixed.get(INCIDENCE, INCIDENCE), "left out", hint)
+    return fixed if angle is None else {**fixed, INCIDENCE: angle}
+
+
+def parse_incidence_deg(sample: str) -> float | None:
+    """Return the angle of incidence at the end of a sample's name, or None."""
+    _, separator, angle = sample.rpartition(ANGLE_SEPARATOR)
+    return float(angle) if separator and re.fullmatch(r"[0-9]+(\.[0-9]+)?", angle) else None
+
+
+def list_samples(section: str, measured: pd.DataFrame, names: Sequence[str]) -> list[str]:
+    """Return the samples of a measured table that a section names, by default all.
+
+    Unknown samples, and tables without wavelengths or names of columns, are rejected.
+    """
+    key = f"{section}.measured"
+    if WAVELENGTH_COLUMN not in measured:
+        raise invalid(key, list(measured.columns), f"a table with column {WAVELENGTH_COLUMN}")
+    available = [str(name) for name in measured.columns if name != WAVELENGTH_COLUMN]
+    if any(name.startswith("Unnamed") for name in available):
+        hint = "a column of row numbers? write the table with index=False"
+        raise invalid(key, "a column without a name", "names for all", hint)
+    return [check_choice(f"{section}.samples", name, available) for name in names] or available
+
+
+class MeasuredReturn(NamedTuple):
+    """Arguments of `splits.retrieve_return` for a sample.
+
+    Attributes
+    ----------
+    edges : float, shape (bins + 1,)
+        Delays between bins (s).
+    rates : float, shape (wavelengths, bins)
+        Light per time (s⁻¹), relative to the incident light.
+    noise : float, shape (wavelengths, bins), or mapping
+        Standard errors (s⁻¹), or the number of photons of the pulse.
+    """
+
+    edges: np.ndarray
+    rates: np.ndarray
+    noise: Any
+
+
+def select_returns(
+    section: RetrieveReturnSection, measured: pd.DataFrame, wavelengths: np.ndarray
+) -> dict[str, MeasuredReturn]:
+    """Return the samples of a file; reject other wavelengths than those of the table."""
+    key = "retrieve_return.measured"
+    edges = _read_bins(key, measured, wavelengths)
+    is_error = {name for name in measured if str(name).endswith(STDERR_SUFFIX)}
+    available = [str(name) for name in measured if name not in {*BIN_COLUMNS, *is_error}]
+    if not available:
+        allowed = f"a table with a column per sample besides {', '.join(BIN_COLUMNS)}"
+        raise invalid(key, list(measured), allowed)
+    names = [check_choice("retrieve_return.samples", name, available) for name in section.samples]
+    shape = wavelengths.size, edges.size - 1
+    returns = {}
+    for name in names or available:
+        values = measured[name].to_numpy(dtype=float).reshape(shape)
+        if section.photons is not None:
+            returns[name] = scale_counts(values, edges, section.photons)
+            continue
+        if name + STDERR_SUFFIX not in measured:
+            allowed = f"with a column {name}{STDERR_SUFFIX}"
+            raise invalid(key, section.measured, allowed, "or give photons for counted photons")
+        stderr = measured[name + STDERR_SUFFIX].to_numpy(dtype=float).reshape(shape)
+        returns[name] = MeasuredReturn(edges, values, stderr)
+    for parameter, references in section.reference_values.items():
+        for sample in references:
+            check_choice(f"retrieve_return.reference_values.{parameter}", sample, [*returns])
+    return returns
+
+
+def scale_counts(counts: np.ndarray, edges: np.ndarray, photons: float) -> MeasuredReturn:
+    """Return counted photons of a pulse as light per time."""
+    rates = counts / (photons * np.diff(edges))
+    return MeasuredReturn(edges, rates, {"photons": photons})
+
+
+def _read_bins(key: str, measured: Mapping[str, Any], wavelengths: np.ndarray) -> np.ndarray:
+    """Return the delays between the bins of a file, which are the same at all wavelengths."""
+    for name in BIN_COLUMNS:
+        if name not in measured:
+            raise invalid(key, list(measured), f"a table with column {name}")
+    given, start, end = (np.asarray(measured[name], dtype=float) for name in BIN_COLUMNS)
+    n_bins = given.size // wavelengths.size
+    if given.size % wavelengths.size or not np.allclose(given, np.repeat(wavelengths, n_bins)):
+        allowed = f"as many bins at each wavelength of the table, {wavelengths.tolist()} nm"
+        hint = "all delays of the first wavelength, then those of the next"
+        raise invalid(f"{key} ({WAVELENGTH_COLUMN})", np.unique(given).tolist(), allowed, hint)
+    start, end = start.reshape(-1, n_bins), end.reshape(-1, n_bins)
+    width = end - start
+    if not (width > 0.0).all():
+        hint = "delays are in seconds"
+        raise invalid(f"{key} (delay_end_s)", float(end[width <= 0.0][0]), "above its start", hint)
+    tolerance = DELAY_TOLERANCE * width.min()
+    edges = np.append(start[0], end[0, -1])
+    if np.abs(start - edges[:-1]).max() > tolerance or np.abs(end - edges[1:]).max() > tolerance:
+        allowed = "bins that follow each other, the same at all wavelengths"
+        raise invalid(f"{key} (delay_start_s)", "with gaps or overlaps", allowed)
+    return edges
+
+
+def make_true_medium(
+    experiment: SimulationConfig, section: RetrieveReturnSection, sample: str
+) -> tuple[Medium, float | str]:
+    """Return a known medium and the incidence angle of its light, within the table."""
+    assert section.synthetic is not None
+    truth, key = dict(section.synthetic.truth[sample]), f"retrieve_return.synthetic.truth.{sample}"
+    rows = dict(zip(*experiment.make_axes(), strict=True))
+    keywords = list_keywords(MEDIUM_CLASSES[get_kind(experiment.medium)])
+    for name in section.free:
+        if name != SCALE and name not in truth:
+            raise invalid(f"{key}.{name}", None, "given", "it is free")
+    for name, value in truth.items():
+        if name not in rows and name.partition(".")[0] not in (*keywords, SCALE):
+            raise unknown_key(f"{key}.{name}", dict.fromkeys([*rows, *keywords, SCALE]))
+        check_on_grid(f"{key}.{name}", value, rows.get(name))
+    check_range(f"{key}.{SCALE}", truth.pop(SCALE, 1.0), 0.0, math.inf, open_low=True)
+    single = {name: row[0] for name, row in rows.items() if len(row) == 1}
+    values = {**single, **section.fixed, **truth}
+    incidence = values.pop(INCIDENCE, experiment.instrument.get_incidence())
+    with key_prefix(key):
+        return experiment.make_medium(**values), incidence
+
+
+def simulate_returns(
+    experiment: SimulationConfig,
+    section: RetrieveReturnSection,
+    seed: int,
+    threads: int | None = None,
+    log: LogCallback = lambda line: None,
+) -> dict[str, MeasuredReturn]:
+    """Return synthetic returns of known media, from other paths than those of the table.
+
+    Parameters
+    ----------
+    experiment : SimulationConfig
+        With an instrument `return_table`.
+    section : RetrieveReturnSection
+        With `synthetic`.
+    seed : int
+        Default seed of the experiment.
+    threads : int, optional
+    log : callable
+        Receives lines of progress.
+    """
+    synthetic, instrument, photons = section.synthetic, experiment.instrument, section.photons
+    assert synthetic is not None and photons is not None and isinstance(instrument, ReturnTable)
+    seed = instrument.get_seed(seed) + synthetic.seed_offset
+    edges = np.array(synthetic.delay_s)
+    returns = {}
+    for number, (sample, truth) in enumerate(synthetic.truth.items()):
+        log(f"{sample}: simulating a return")
+        medium, incidence = make_true_medium(experiment, section, sample)
+        light = time_of_flight(
+            medium, instrument.get_wavelengths(), incidence, synthetic.rays, seed, delay_s=edges,
+            pulse=dump_pulse(section.pulse), acceptance_deg=instrument.acceptance_deg,
+            footprint_radius_m=instrument.footprint_radius_m, threads=threads,
+        )  # fmt: skip
+        one_photon = scale_counts(np.ones(edges.size - 1), edges, photons).rates
+        rates = light.return_rate.sel(side="reflected").transpose("wavelength", "delay").values
+        expected = truth.get(SCALE, 1.0) * rates / one_photon
+        counts = np.random.default_rng([seed, number]).poisson(expected)
+        returns[sample] = scale_counts(counts, edges, photons)
+    return returns
+
+
+def retrieve_samples(
+    section: RetrieveReturnSection,
+    table: xr.Dataset,
+    returns: dict[str, MeasuredReturn],
+    seed: int = 1,
+    log: LogCallback = lambda line: None,
+) -> list[SampleRetrieval]:
+    """Return the retrievals of all samples, and log them beside known values."""
+    references, retrievals = section.list_references(), []
+    for sample, (edges, rates, noise) in returns.items():
+        with key_prefix(f"retrieve_return ({sample})"):
+            result = retrieve_return(
+                (edges, rates), table, section.free, noise, pulse=dump_pulse(section.pulse),
+                fixed=section.fixed or None, prior=section.prior or None, seed=seed,
+            )  # fmt: skip
+        retrievals.append(SampleRetrieval(SINGLE_MODEL, sample, result, np.nan, False))
+        for line in repr(result).splitlines():
+            log(f"{sample}: {line}")
+        for name, values in references.items():
+            if sample in values:
+                found = f"{result.values[name]:.4g} ± {result.stderr[name]:.2g}"
+                log(f"{sample}: {name} {found}, reference {values[sample]:g}")
+    return retrievals
+
+
+def write_return_retrieval(
+    experiment: SimulationConfig,
+    section: RetrieveReturnSection,
+    files: tuple[str | Path, str | Path | None],
+    seed: int,
+    outputs: tuple[str | Path, str | Path],
+    threads: int | None = None,
+    log: LogCallback = lambda line: None,
+) -> None:
+    """Retrieve parameters from returns of a pulse, and write them as a table and as a figure.
+
+    `files` are the dataset of the table and the CSV file of measured returns, None for synthetic
+    ones; for `outputs` and `log`, see `splits.experiments.run_retrieve.write_retrieval`.
+    """
+    table_path, measured_path = files
+    table = load(table_path)
+    if measured_path is None:
+        returns = simulate_returns(experiment, section, seed, threads, log)
+    else:
+        measured = read_numeric_csv("retrieve_return.measured", measured_path, BIN_COLUMNS)
+        returns = select_returns(section, measured, table.wavelength.values)
+    retrievals = retrieve_samples(section, table, returns, seed, log)
+    write_samples(retrievals, experiment.name, section.list_references(), [""], outputs)

@@ -1,4 +1,4 @@
-"""Execution of tables: simulation of some of their path groups, and assembly of all."""
+"""Execution in parts: tables from the blocks of their path groups, and the snowpacks of files."""
 
 from __future__ import annotations
 
@@ -12,19 +12,23 @@ from pathlib import Path
 import xarray as xr
 
 from splits.core.atomic import atomic_write
-from splits.core.convergence import log_missed_error
+from splits.core.convergence import log_missed_error, nest_runs
 from splits.core.progress import LogCallback, Progress
-from splits.experiments.config.accuracy import Accuracy
-from splits.experiments.config.instrument_kinds import TableInstrument
+from splits.core.provenance import hash_physics_sources
+from splits.experiments.config.instruments import Albedo, TableInstrument
+from splits.experiments.config.media import PACKS_PER_BLOCK, count_pack_parts
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
-from splits.experiments.config.snow_packs import count_pack_parts
-from splits.experiments.run_packs import run_pack_part, run_packs
-from splits.experiments.run_points import MAX_RAYS
+from splits.instruments import albedo, spectrophotometer
 from splits.instruments.spectral_run import SpectralRequest
-from splits.io.netcdf import save
+from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
+from splits.media.snow_pack_input import FLAG_NAME
+from splits.media.snow_pack_quality import count_missing_results
+from splits.media.snow_packs import SnowPacks
 from splits.simulation.run_options import RunOptions
+from splits.simulation.stopping_rule import STOP_REASONS
 from splits.tables.assembly import allocate_arrays, assemble_dataset, insert_block
-from splits.tables.block import TableRequest, make_block_path
+from splits.tables.block import DIGEST_ATTRIBUTE, TableRequest, load_block, make_block_path
 from splits.tables.build import (
     compute_block_digest,
     compute_table,
@@ -35,6 +39,9 @@ from splits.tables.comparison import add_comparisons
 from splits.tables.plan import PathGroup, TablePlan
 from splits.tables.storage import MAX_BYTES_IN_MEMORY, compute_table_bytes, write_table_blockwise
 from splits.tables.views import ViewGrid, check_quantities, drop_view_axes, has_diffuse
+
+MAX_RAYS = 20_000_000
+"""Largest number of rays of a spectrum, or of a set of spectra that share paths."""
 
 
 def count_parts(experiment: SimulationConfig) -> int:
@@ -62,14 +69,16 @@ def prepare_table(
     has_covariance = instrument.covariance == "keep"
     views = ViewGrid.from_grid(axes)
     quantities = check_quantities(instrument.quantities, views, has_covariance)
-    plan = TablePlan.from_grid(
-        experiment.make_medium, drop_view_axes(axes), wavelengths, incidence,
-        has_views=views is not None, with_diffuse=has_diffuse(quantities),
-    )  # fmt: skip
+    with experiment.locate_errors({}):
+        plan = TablePlan.from_grid(
+            experiment.make_medium, drop_view_axes(axes), wavelengths, incidence,
+            has_views=views is not None, with_diffuse=has_diffuse(quantities),
+        )  # fmt: skip
     error, rays = instrument.scale_stderr(accuracy.max_stderr), accuracy.max_rays or MAX_RAYS
     run = RunOptions.from_arguments(instrument.get_seed(seed), threads)
     request = SpectralRequest.from_arguments(wavelengths, 0.0, error, rays, run)
-    solver = instrument.choose_solver(plan.list_media(), error)
+    with experiment.locate_errors({}):
+        solver = instrument.choose_solver(plan.list_media(), error)
     return plan, TableRequest(request, quantities, has_covariance, solver, views)
 
 
@@ -215,3 +224,129 @@ def delete_unused_blocks(manifests: Sequence[Path]) -> None:
     for file in manifests[0].parent.glob("block_*.nc"):
         if file.name not in names:
             file.unlink(missing_ok=True)
+
+
+LARGEST_ATTRIBUTES = ("max_stderr_reached", "streams", "truncation_error", "optics_error")
+"""Attributes that are the largest of all blocks."""
+
+
+def run_pack_part(
+    experiment: SimulationConfig,
+    accuracy: Accuracy,
+    folder: Path,
+    part: int,
+    threads: int | None,
+    log: LogCallback,
+) -> list[Path]:
+    """Simulate the blocks of one part that the folder lacks, and return the files of all of them.
+
+    For the arguments, see `splits.experiments.run_table.run_part`.
+    """
+    packs = experiment.load_packs()
+    blocks = _divide(packs)[part :: count_pack_parts(packs)]
+    return [
+        make_block_path(folder, number, str(block.attrs[DIGEST_ATTRIBUTE]))
+        for number, block in _iterate_blocks(experiment, accuracy, blocks, folder, threads, log)
+    ]
+
+
+def run_packs(
+    experiment: SimulationConfig,
+    accuracy: Accuracy,
+    folder: Path | None,
+    threads: int | None,
+    log: LogCallback,
+) -> xr.Dataset:
+    """Return the spectra or albedos of all snowpacks, as `splits.spectrophotometer` does.
+
+    Blocks in the folder are kept; missing ones are simulated.
+    """
+    start_time = time.perf_counter()
+    packs = experiment.load_packs()
+    found = _iterate_blocks(experiment, accuracy, _divide(packs), folder, threads, log)
+    blocks = [block for _, block in found]
+    dataset = xr.concat(
+        blocks, packs.label, data_vars="minimal", coords="minimal", compat="override",
+        combine_attrs="override",
+    )  # fmt: skip
+    del dataset.attrs[DIGEST_ATTRIBUTE]
+    attributes = {
+        **{key: max(block.attrs[key] for block in blocks) for key in LARGEST_ATTRIBUTES},
+        "stop_reason": max(
+            (block.attrs["stop_reason"] for block in blocks), key=STOP_REASONS.index
+        ),
+        **{f"{packs.kind}_{key}": value for key, value in packs.describe().items()},
+        "title": f"Experiment {experiment.name}",
+        "experiment": experiment.name,
+        "configuration": experiment.dump_configuration(),
+        "wall_time_s": round(time.perf_counter() - start_time, 3),
+        **make_provenance(f"experiment {experiment.name}"),
+    }
+    dataset = dataset.assign_attrs(to_netcdf_attributes(attributes))
+    log_missed_error(log, experiment.name, dataset)
+    flag = packs.dataset[FLAG_NAME]
+    # Blocks state their own first values.
+    dataset[FLAG_NAME].attrs = {**flag.attrs, **dataset[FLAG_NAME].attrs}
+    if missing := count_missing_results(dataset):
+        first = f"; {flag.attrs['comment']}" if "comment" in flag.attrs else ""
+        log(f"{experiment.name}: of {len(packs)} snowpacks, some have no result: {missing}{first}")
+    return dataset
+
+
+def _divide(packs: SnowPacks) -> list[tuple[int, SnowPacks]]:
+    """Return the blocks of snowpacks with their numbers."""
+    starts = range(0, len(packs), PACKS_PER_BLOCK)
+    slices = [{packs.label: slice(start, start + PACKS_PER_BLOCK)} for start in starts]
+    return [
+        (number, SnowPacks(packs.dataset.isel(rows), packs.label))
+        for number, rows in enumerate(slices)
+    ]
+
+
+def _iterate_blocks(
+    experiment: SimulationConfig,
+    accuracy: Accuracy,
+    blocks: Sequence[tuple[int, SnowPacks]],
+    folder: Path | None,
+    threads: int | None,
+    log: LogCallback,
+) -> Iterator[tuple[int, xr.Dataset]]:
+    """Yield the results of blocks with their numbers, loaded from a folder or stored there."""
+    for done, (number, packs) in enumerate(blocks, start=1):
+        digest = _compute_digest(experiment, accuracy, packs)
+        result = None if folder is None else load_block(folder, number, digest)
+        if result is None:
+            with nest_runs(), experiment.locate_errors({}):
+                result = _measure(experiment, accuracy, packs, threads)
+            result = result.assign_attrs({DIGEST_ATTRIBUTE: digest})
+            if folder is not None:
+                save(result, make_block_path(folder, number, digest))
+        log(f"{experiment.name}: {done} of {len(blocks)} blocks done, from {number}")
+        yield number, result
+
+
+def _measure(
+    experiment: SimulationConfig, accuracy: Accuracy, packs: SnowPacks, threads: int | None
+) -> xr.Dataset:
+    """Return the spectra or albedos of snowpacks."""
+    instrument = experiment.instrument
+    error, wavelengths = instrument.scale_stderr(accuracy.max_stderr), instrument.get_wavelengths()
+    if isinstance(instrument, Albedo):
+        return albedo(
+            packs, instrument.sky, wavelengths, error, bands=instrument.bands, threads=threads
+        )
+    settings = {key: getattr(instrument, key) for key in ("solver", "estimator", "stokes")}
+    return spectrophotometer(
+        packs, wavelengths, instrument.get_incidence(), error, threads=threads, **settings
+    )
+
+
+def _compute_digest(experiment: SimulationConfig, accuracy: Accuracy, packs: SnowPacks) -> str:
+    """Return the SHA-256 of all inputs that determine the values of a block."""
+    instrument = experiment.instrument
+    error = instrument.scale_stderr(accuracy.max_stderr)
+    inputs = [hash_physics_sources(), instrument.model_dump(mode="json"), error]
+    digest = hashlib.sha256(json.dumps(inputs, sort_keys=True).encode())
+    table = packs.dataset.to_dict()
+    digest.update(json.dumps(table, sort_keys=True, default=str).encode())
+    return digest.hexdigest()

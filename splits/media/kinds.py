@@ -71,6 +71,9 @@ def _make_stack(keywords: Mapping[str, Any]) -> Stack:
         with key_prefix(key):
             kind = check_choice("kind", get_kind(layer), LAYER_CLASSES)
             settings = {name: value for name, value in layer.items() if name != "kind"}
+            if "bottom_albedo" in settings:
+                given, hint = settings["bottom_albedo"], "give ground to the stack"
+                raise invalid("bottom_albedo", given, "left out in a stack", hint)
             # Below all layers is the stack's ground.
             bottom = {"bottom_albedo": None} if kind == "particle_layer" else {}
             media.append(MEDIUM_FACTORIES[kind](**settings, **bottom))

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from splits.io.netcdf import select_points
 from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.lines import MAX_INSET_ENTRIES, place_legend_beside
+from splits.plotting.panels import MAX_LINES, check_count
 from splits.plotting.style import (
     BAND_SIGMA,
     TWO_COLUMNS_INCHES,
@@ -37,6 +38,7 @@ def draw_beam_spread(
         Grid labels to select.
     """
     dataset = select_points(dataset, select or {})
+    check_count("maps", dataset.sizes["wavelength"], MAX_LINES // 2, select)
     with use_style():
         figure, (left, right) = make_subplots(
             1, 2, width=TWO_COLUMNS_INCHES, height=2.8, width_ratios=(1.15, 1.0)

@@ -9,8 +9,10 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from splits.analysis.colour import make_colour_table
+from splits.core.validation import invalid
 from splits.io.netcdf import select_points
 from splits.plotting.annotations import annotate_figure, describe_conditions
+from splits.plotting.panels import MAX_COLUMNS, MAX_ROWS, check_count
 from splits.plotting.style import (
     ONE_COLUMN_INCHES,
     SMALL_FONT_PT,
@@ -45,10 +47,12 @@ def draw_swatches(dataset: xr.Dataset, select: Mapping[str, float | str] | None 
     dataset = select_points(dataset, select or {})
     dims = [str(d) for d in dataset.reflectance.dims if d != "wavelength"]
     if not 1 <= len(dims) <= 2:
-        raise ValueError(f"figure.kind = 'swatches': must have one or two parameters, not {dims}")
-    table = make_colour_table(dataset)
+        raise invalid("grid", dims, "one or two parameters for figure.kind = 'swatches'")
     columns = dataset.sizes[dims[0]]
     rows = dataset.sizes[dims[1]] if len(dims) == 2 else 1
+    check_count("columns of colours", columns, MAX_COLUMNS, select)
+    check_count("rows of colours", rows, MAX_ROWS, select)
+    table = make_colour_table(dataset)
     # The grid's first parameter varies slowest in the table.
     patches = table[["red", "green", "blue"]].to_numpy().reshape(columns, rows, 3)
     light = table["L"].to_numpy().reshape(columns, rows)

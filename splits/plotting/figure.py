@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import pandas as pd
@@ -16,6 +17,7 @@ from splits.plotting.colour import draw_swatches
 from splits.plotting.direction_axes import QUANTITY_LABELS
 from splits.plotting.hemispheres import draw_hemispheres
 from splits.plotting.lobes import draw_lobes
+from splits.plotting.panels import FIGURE_SETTINGS, check_settings
 from splits.plotting.points import draw_points, draw_summary
 from splits.plotting.polarization import draw_polarization
 from splits.plotting.principal_plane import draw_bin_sizes, draw_principal_planes
@@ -26,25 +28,29 @@ from splits.plotting.spectra import draw_refractive_indices, draw_spectra
 from splits.plotting.style import use_style
 from splits.plotting.time_of_flight import draw_range_bias, draw_returns
 
-SINGLE_POINT_FUNCTIONS = {
+FUNCTIONS: dict[str, Callable[..., Figure]] = {
+    "spectra": draw_spectra,
+    "points": draw_points,
+    "summary": draw_summary,
+    "hemisphere": draw_hemispheres,
+    "principal_plane": draw_principal_planes,
+    "polarization": draw_polarization,
     "lobes": draw_lobes,
     "bins": draw_bin_sizes,
     "spread": draw_beam_spread,
     "surface": draw_surface,
     "lens": draw_lens,
+    "return": draw_returns,
+    "range_bias": draw_range_bias,
+    "refractive_index": draw_refractive_indices,
+    "swatches": draw_swatches,
+    "season": draw_season,
+    "fit": draw_fits,
 }
-"""Functions that draw the kinds of figures of a single point of a grid."""
-QUANTITY_KINDS = ("spectra", "points", "summary")
-"""Kinds of figures of any quantities of the dataset."""
-KINDS = (
-    *QUANTITY_KINDS, *SINGLE_POINT_FUNCTIONS, "refractive_index", "fit", "return", "range_bias",
-    "season", "swatches", "hemisphere", "principal_plane", "polarization",
-)  # fmt: skip
-DEFAULTS: dict[str, Any] = {
-    "kind": "spectra", "quantity": ("reflectance",), "select": {}, "wavelength_nm": None,
-    "legend": None, "ylim": None, "note": None,
-}  # fmt: skip
-"""Settings that are left out."""
+"""Functions that draw the kinds of figures; their arguments are `FIGURE_SETTINGS`."""
+POINT_KINDS = ("lobes", "bins", "spread", "surface", "lens")
+"""Kinds of figures of one point of a grid; for lobes, one parameter may vary."""
+OTHER_SETTINGS = ("kind", "note", "measured")
 
 
 def draw(
@@ -69,60 +75,35 @@ def draw(
         raise invalid("dataset", type(dataset).__name__, "an xarray.Dataset")
     if not isinstance(section, Mapping):
         raise invalid("figure", section, "a mapping of settings")
+    known = dict.fromkeys(name for names in FIGURE_SETTINGS.values() for name in names)
     for key in section:
-        if key not in (*DEFAULTS, "measured"):
-            raise unknown_key(f"figure.{key}", [*DEFAULTS])
-    section = {**DEFAULTS, **{key: value for key, value in section.items() if value is not None}}
-    if isinstance(section["quantity"], str):
-        section["quantity"] = (section["quantity"],)
-    check_choice("figure.kind", section["kind"], KINDS)
-    if section["kind"] in QUANTITY_KINDS:
-        names = [str(name) for name in dataset.data_vars]
-        for name in section["quantity"]:
-            check_choice("figure.quantity", name, names)
-    figure = _draw_kind(dataset, section, measured)
+        if key not in (*known, *OTHER_SETTINGS):
+            raise unknown_key(f"figure.{key}", [*known, *OTHER_SETTINGS])
+    kind = section.get("kind") or "spectra"
+    check_choice("figure.kind", kind, FUNCTIONS)
+    check_settings(kind, section)
+    settings = {key: value for key, value in section.items() if value and key not in OTHER_SETTINGS}
+    if isinstance(settings.get("quantity"), str):
+        settings["quantity"] = (settings["quantity"],)
+    of_directions = kind in ("hemisphere", "principal_plane")
+    names = [str(name) for name in dataset if name in QUANTITY_LABELS or not of_directions]
+    for name in settings.get("quantity", ()) if "band_albedo" not in names else ():
+        check_choice("figure.quantity", name, names)
+    if kind in POINT_KINDS:
+        _check_point(kind, dataset, settings.get("select", {}))
+    if measured is not None:
+        settings["measured"] = measured
+    figure = FUNCTIONS[kind](dataset, **settings)
     with use_style():
         add_notes(figure, section.get("note") or "")
     return figure
 
 
-def _draw_kind(
-    dataset: xr.Dataset, section: Mapping[str, Any], measured: pd.DataFrame | None
-) -> Figure:
-    """Draw a dataset; see `draw`."""
-    if section["kind"] == "refractive_index":
-        return draw_refractive_indices(dataset)
-    if section["kind"] == "points":
-        return draw_points(dataset, section["quantity"], section["select"], section["legend"])
-    if section["kind"] == "summary":
-        return draw_summary(dataset, section["quantity"], section["select"], section["legend"])
-    if section["kind"] == "fit":
-        return draw_fits(dataset, section["select"], section["legend"])
-    if section["kind"] == "return":
-        return draw_returns(dataset, section["select"], section["legend"])
-    if section["kind"] == "range_bias":
-        return draw_range_bias(dataset, section["select"], section["legend"])
-    if section["kind"] == "season":
-        return draw_season(dataset, section["quantity"])
-    if section["kind"] == "swatches":
-        return draw_swatches(dataset, section["select"])
-    quantity = [name for name in section["quantity"] if name in QUANTITY_LABELS] or ["brdf"]
-    if section["kind"] == "hemisphere":
-        return draw_hemispheres(dataset, quantity, section["select"], section["legend"])
-    if section["kind"] == "principal_plane":
-        return draw_principal_planes(
-            dataset, quantity, section["select"], section["legend"], section["ylim"]
-        )
-    if section["kind"] == "polarization":
-        return draw_polarization(dataset, section["select"], section["legend"])
-    if section["kind"] in SINGLE_POINT_FUNCTIONS:
-        return SINGLE_POINT_FUNCTIONS[section["kind"]](dataset, section["select"])
-    return draw_spectra(
-        dataset,
-        section["quantity"],
-        section["wavelength_nm"],
-        section["select"],
-        measured,
-        section["legend"],
-        section["ylim"],
-    )
+def _check_point(kind: str, dataset: xr.Dataset, select: Mapping[str, Any]) -> None:
+    """Reject the points of a grid for a figure that shows a single one."""
+    grid = json.loads(dataset.attrs.get("configuration", "{}")).get("grid", {})
+    free = [name for name in grid if name in dataset.dims and name not in select]
+    if len(free) > (kind == "lobes"):
+        allowed = f"with a value of {', '.join(free)} for a figure of kind {kind}"
+        hint = "it shows one point of the grid; the dataset holds all"
+        raise invalid("figure.select", dict(select), allowed, hint)

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 from matplotlib.ticker import LogLocator
 
+from splits.core.validation import invalid
 from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.direction_axes import (
     MAX_POLAR_DEG,
@@ -21,6 +22,14 @@ from splits.plotting.direction_axes import (
     make_lines,
     select_line,
     select_point,
+)
+from splits.plotting.panels import (
+    MAX_AZIMUTH_GAP_DEG,
+    MAX_PANELS,
+    MIN_AZIMUTHS,
+    MIN_POLAR_ANGLES,
+    can_map_hemisphere,
+    check_count,
 )
 from splits.plotting.style import (
     ONE_COLUMN_INCHES,
@@ -73,7 +82,14 @@ def draw_hemispheres(
         Name of a single varying parameter; that of the parameter by default.
     """
     dataset = select_point(dataset, select)
+    if not can_map_hemisphere(dataset.polar.values, dataset.azimuth.values):
+        allowed = (
+            f"at least {MIN_POLAR_ANGLES} polar angles and {MIN_AZIMUTHS} azimuths at most "
+            f"{MAX_AZIMUTH_GAP_DEG:g} degrees apart, all around"
+        )
+        raise invalid("azimuth_deg", dataset.azimuth.values.tolist(), allowed)
     count = len(make_lines(dataset, quantity[0]).lines)
+    check_count("maps", count * len(quantity), MAX_PANELS, select)
     columns = min(MAX_MAP_COLUMNS, count)
     rows = -(-count // columns)
     with use_style():

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 
-from splits.plotting.panels import DEFAULT_LABEL
+from splits.plotting.panels import DEFAULT_LABEL, MAX_LINES, check_count
 from splits.plotting.style import (
     NOMINAL_PARAMETERS,
     TWO_COLUMNS_INCHES,
@@ -75,6 +75,7 @@ class PlotLines:
         self._values = {d: dataset[d].values for d in dims}
         sizes = {d: dataset.sizes[d] for d in dims}
         n_lines = math.prod(sizes.values())
+        check_count("lines", n_lines, MAX_LINES)
         varying = [d for d in dims if sizes[d] > 1]
         # A dimension with a default has colours.
         with_default = [d for d in varying if DEFAULT_LABEL in map(str, self._values[d])]

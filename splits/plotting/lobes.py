@@ -22,6 +22,7 @@ from splits.plotting.direction_axes import (
     select_point,
     to_plot_angle,
 )
+from splits.plotting.panels import MAX_PANELS, check_count
 from splits.plotting.style import (
     BAND_SIGMA,
     ONE_COLUMN_INCHES,
@@ -60,6 +61,7 @@ def draw_lobes(dataset: xr.Dataset, select: Mapping[str, float | str] | None = N
     azimuth = np.radians(np.append(dataset.azimuth.values, dataset.azimuth.values[0] + 360.0))
     plane = extract_plane(dataset)
     lines = make_lines(plane, "brdf").lines
+    check_count("surfaces", len(lines), MAX_PANELS, select)
     # Axes need a finite range even for a BRDF of 0.
     top = 1.05 * float(dataset.brdf.max()) or 1.0
     columns = min(MAX_LOBE_COLUMNS, len(lines))

@@ -1,7 +1,4 @@
-"""Limits on the number of lines, rows and panels of a figure.
-
-They are checked when the configuration is read, and when a figure is drawn.
-"""
+"""Kinds of figures with their settings, and limits on the numbers of lines, rows and panels."""
 
 from __future__ import annotations
 
@@ -11,6 +8,19 @@ from collections.abc import Mapping
 import numpy as np
 
 from splits.core.validation import invalid
+
+FIGURE_SETTINGS: dict[str, tuple[str, ...]] = {
+    "spectra": ("quantity", "select", "wavelength_nm", "measured", "legend", "ylim"),
+    "points": ("quantity", "select", "legend"),
+    "summary": ("quantity", "select", "legend"),
+    "hemisphere": ("quantity", "select", "legend"),
+    "principal_plane": ("quantity", "select", "legend", "ylim"),
+    "season": ("quantity",),
+    **dict.fromkeys(("fit", "return", "range_bias", "polarization"), ("select", "legend")),
+    **dict.fromkeys(("lobes", "bins", "spread", "surface", "lens", "swatches"), ("select",)),
+    "refractive_index": (),
+}
+"""Settings of each kind of figure, the arguments of the function that draws it."""
 
 DEFAULT_LABEL = "default"
 """Label of the reference value of a parameter, whose line is black and on top."""
@@ -27,6 +37,15 @@ MIN_AZIMUTHS, MIN_POLAR_ANGLES, MAX_AZIMUTH_GAP_DEG = 8, 3, 60.0
 REDUCTION_HINT = "the dataset holds all; or use figure: none"
 
 
+def check_settings(kind: str, section: Mapping[str, object]) -> None:
+    """Reject given settings of a figure that its kind, or a figure left out, does not have."""
+    for key, value in section.items():
+        if value and key not in ("kind", "note", *FIGURE_SETTINGS.get(kind, ())):
+            owners = [one for one, settings in FIGURE_SETTINGS.items() if key in settings]
+            allowed, hint = f"left out for kind {kind}", f"it belongs to {', '.join(owners)}"
+            raise invalid(f"figure.{key}", value, allowed, hint)
+
+
 def make_limit_error(items: str, count: int, limit: int, selection: object) -> ValueError:
     """Return the error for a figure that exceeds a limit, with the remedy."""
     allowed = f"with values of enough parameters to leave at most {limit} {items} of {count}"
@@ -38,7 +57,9 @@ def make_limit_error(items: str, count: int, limit: int, selection: object) -> V
     )
 
 
-def check_count(items: str, count: int, limit: int, selection: Mapping[str, object]) -> None:
+def check_count(
+    items: str, count: int, limit: int, selection: Mapping[str, object] | None = None
+) -> None:
     """Reject a figure with more items than a limit.
 
     Raises
@@ -47,7 +68,7 @@ def check_count(items: str, count: int, limit: int, selection: Mapping[str, obje
         The message names the remedy.
     """
     if count > limit:
-        raise make_limit_error(items, count, limit, selection)
+        raise make_limit_error(items, count, limit, selection or {})
 
 
 def choose_panel_parameters(

@@ -21,7 +21,7 @@ from splits.plotting.interpretation_shifts import (
     find_default_dim,
 )
 from splits.plotting.lines import PlotLines, place_legend_beside
-from splits.plotting.panels import DEFAULT_LABEL
+from splits.plotting.panels import DEFAULT_LABEL, MAX_ROWS, check_count
 from splits.plotting.principal_plane import draw_principal_planes
 from splits.plotting.small_multiples import draw_small_multiples
 from splits.plotting.spectra import draw_spectra
@@ -73,6 +73,7 @@ def draw_points(
         " · ".join(format_value(v, d) for d, v in zip(dims, values, strict=True))
         for values in combinations
     ]
+    check_count("points", len(names), MAX_ROWS, select)
     dim = find_default_dim(dataset, dims)
     series = PlotLines(dataset, ["wavelength"])
     with use_style():
@@ -164,8 +165,8 @@ MAX_SUMMARY_PANELS = (3, 4)
 
 def draw_summary(
     dataset: xr.Dataset,
-    quantity: Sequence[str],
-    select: Mapping[str, Any],
+    quantity: Sequence[str] = ("reflectance",),
+    select: Mapping[str, Any] | None = None,
     legend: str | None = None,
 ) -> Figure:
     """Draw spectra of a table: lines along its longest axis, panels along the next two.
@@ -185,6 +186,7 @@ def draw_summary(
     legend : str, optional
         Title of the legend.
     """
+    select = select or {}
     largest = max((dataset[name] for name in quantity), key=lambda one: one.ndim)
     axes = [str(d) for d in largest.dims if d != "wavelength"]
     part = dataset[[f"{name}{suffix}" for name in quantity for suffix in ("", "_stderr")]]

@@ -9,6 +9,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from splits.core.incident_stokes import get_incident_stokes
+from splits.core.validation import invalid
 from splits.io.netcdf import select_points
 from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.direction_axes import (
@@ -49,6 +50,9 @@ def draw_polarization(
         Title of the legend; by default the parameters of the grid.
     """
     dataset = select_points(dataset, select or {})
+    if "brdf_dolp" not in dataset:
+        hint = "stokes, and polarized layers of particles, with next_event or bins"
+        raise invalid("figure.kind", "polarization", "left out without polarization", hint)
     plane = extract_plane(dataset)
     lines = make_lines(plane, "brdf")
     is_symmetric = not any(get_incident_stokes(dataset.attrs)[2:])

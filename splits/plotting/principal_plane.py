@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from splits.analysis.directions import merge_angular_bins, select_principal_plane
+from splits.core.validation import invalid
 from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.direction_axes import (
     MAX_INSET_LINES,
@@ -205,6 +206,8 @@ def draw_bin_sizes(dataset: xr.Dataset, select: Mapping[str, float | str] | None
     """
     dataset = select_point(dataset, select)
     note = describe_conditions(dataset, select)
+    if dataset.attrs.get("estimator") != "bins":
+        raise invalid("estimator", dataset.attrs.get("estimator"), "bins for figure.kind = 'bins'")
     dataset = dataset.isel(wavelength=0)
     n_bins = dataset.sizes["polar"], dataset.sizes["azimuth"]
     factors = [

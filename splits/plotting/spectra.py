@@ -11,13 +11,15 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from splits.analysis.measured import WAVELENGTH_COLUMN
 from splits.core.escaping import escape_mathtext
+from splits.core.validation import invalid
 from splits.io.netcdf import select_points
 from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.interpretation_shifts import draw_shifts, find_default_dim
 from splits.plotting.lines import PlotLines, place_legend_above
 from splits.plotting.nodes import draw_node_ticks, find_coarse_nodes, make_nodes_note
-from splits.plotting.panels import choose_panel_parameters
+from splits.plotting.panels import MAX_LINES, choose_panel_parameters
 from splits.plotting.small_multiples import draw_small_multiples
 from splits.plotting.style import (
     BAND_SIGMA,
@@ -28,6 +30,7 @@ from splits.plotting.style import (
     start_at_zero,
     use_style,
 )
+from splits.retrieval.measurement import MAX_REFLECTANCE
 
 MATERIAL_COLOURS = {
     "ice": "#1f6fb4",
@@ -83,13 +86,27 @@ def draw_spectra(
         For too many lines, see `splits.plotting.panels.choose_panel_parameters`.
     """
     dataset = select_points(dataset, select or {})
+    for name in quantity:
+        if "wavelength" not in dataset[name].dims:
+            raise invalid(
+                "figure.quantity", name, "one over wavelength for figure.kind = 'spectra'"
+            )
     if wavelength_nm:
+        x = dataset.wavelength.values
         dataset = dataset.sel(wavelength=slice(*wavelength_nm))
+        if not dataset.wavelength.size:
+            allowed = f"with some of the wavelengths from {x[0]:g} to {x[-1]:g} nm"
+            raise invalid("figure.wavelength_nm", [*wavelength_nm], allowed)
+    if measured is not None:
+        check_measured(measured, quantity)
     dims = [str(d) for d in dataset[quantity[0]].dims if d != "wavelength"]
     note = describe_conditions(dataset, select)
     if panel_dims := choose_panel_parameters(
         {d: dataset.sizes[d] for d in dims}, len(quantity), select
     ):
+        if measured is not None:
+            allowed = f"left out for a figure of more than {MAX_LINES} lines"
+            raise invalid("figure.measured", "given", allowed, "or fix more with figure.select")
         return draw_small_multiples(dataset, quantity, panel_dims, legend, ylim, note)
     dim = None if measured is not None else find_default_dim(dataset, dims)
     if dim:
@@ -114,6 +131,26 @@ def draw_spectra(
         panels[-1, 0].set_xlabel("wavelength (nm)")
         lines.add_legend(figure, list(panels[:, 0]), legend, extra_handles=measured_handles)
         return annotate_figure(figure, panels.flat, note, make_nodes_note(nodes))
+
+
+def check_measured(measured: pd.DataFrame, quantity: Sequence[str]) -> None:
+    """Reject measured values in per cent, and those without the quantities of the figure."""
+    key = "figure.measured"
+    shown = [name for name in quantity if name in measured and measured[name].count()]
+    if not shown:
+        columns = f"{WAVELENGTH_COLUMN} and {' or '.join(quantity)}"
+        raise invalid(key, list(measured), f"a table with columns {columns}")
+    for name in shown:
+        low, high = f"{name}_min", f"{name}_max"
+        if (low in measured) != (high in measured):
+            raise invalid(key, list(measured), f"with both {low} and {high}")
+        rows = measured[[low, name, high] if low in measured else [name]].to_numpy()
+        largest = float(np.nanmax(np.abs(rows), initial=0.0))
+        if largest > MAX_REFLECTANCE:
+            allowed, hint = f"at most {MAX_REFLECTANCE:g}", "fractions, not per cent"
+            raise invalid(f"{key} ({name})", largest, allowed, hint)
+        if (np.diff(rows, axis=1) < 0.0).any():
+            raise invalid(key, name, f"with {low} <= {name} <= {high}")
 
 
 def _draw_lines(axes: Axes, dataset: xr.Dataset, name: str, lines: PlotLines) -> None:

@@ -8,11 +8,13 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
+from splits.core.validation import invalid
 from splits.instruments.delay_record import SPEED_OF_LIGHT
 from splits.io.netcdf import select_points
 from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.beam_spread import MAX_RELATIVE_ERROR
 from splits.plotting.lines import PlotLines
+from splits.plotting.panels import MAX_ROWS, check_count
 from splits.plotting.style import (
     BAND_SIGMA,
     ONE_COLUMN_INCHES,
@@ -103,7 +105,11 @@ def draw_range_bias(
     dataset = _select_reflected(dataset, select)
     dims = [str(d) for d in dataset.mean_delay.dims if d != "wavelength"]
     numeric = [d for d in dims if np.issubdtype(dataset[d].dtype, np.number)]
-    axis = max(numeric, key=lambda name: dataset.sizes[name])
+    axis = max(numeric, key=lambda name: dataset.sizes[name], default="")
+    if dataset.sizes.get(axis, 0) < 2:
+        allowed = "a parameter with several numbers for figure.kind = 'range_bias'"
+        raise invalid("grid", dims, allowed)
+    check_count("points", dataset.sizes[axis], MAX_ROWS, select)
     lines = PlotLines(dataset, [*(d for d in dims if d != axis), "wavelength"])
     x = dataset[axis].values.astype(float)
     with use_style():

@@ -12,9 +12,10 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from splits.experiments.config.figure import KINDS_OF_SETTING, SINGLE_POINT_KINDS
-from splits.experiments.config.grid import make_label
-from splits.experiments.config.instrument_kinds import INSTRUMENT_KINDS
+from splits.experiments.config.instruments import INSTRUMENT_KINDS
+from splits.experiments.config.media import make_label
+from splits.plotting.figure import POINT_KINDS
+from splits.plotting.panels import FIGURE_SETTINGS
 
 FIGURE_KINDS = {kind: model.FIGURES for kind, model in INSTRUMENT_KINDS.items()}
 
@@ -336,12 +337,12 @@ def figures(draw, kind: str, grid: dict[str, Any]) -> dict[str, Any]:
         several = st.lists(st.sampled_from(QUANTITIES[kind]), min_size=1, max_size=3, unique=True)
         figure["quantity"] = draw(several | several.map(lambda names: names[0]))
     for parameter, given in grid.items():
-        if shown in SINGLE_POINT_KINDS or draw(RARELY):
+        if shown in POINT_KINDS or draw(RARELY):
             labels = [make_label(parameter, v) for v in given] if isinstance(given, list) else given
             figure.setdefault("select", {})[parameter] = draw(st.sampled_from(list(labels)))
-    if shown in KINDS_OF_SETTING["legend"] and grid and draw(RARELY):
+    if "legend" in FIGURE_SETTINGS[shown] and grid and draw(RARELY):
         figure["legend"] = draw(LABELS)
-    if shown in KINDS_OF_SETTING["ylim"] and draw(RARELY):
+    if "ylim" in FIGURE_SETTINGS[shown] and draw(RARELY):
         figure["ylim"] = draw(increasing_numbers(0.0, 2.0))
     if shown == "spectra" and draw(RARELY):
         figure["wavelength_nm"] = draw(increasing_numbers(300.0, 2500.0))

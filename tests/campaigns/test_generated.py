@@ -28,10 +28,11 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 from shipped import CONFIG
 
+from splits.core.validation import InvalidValue
 from splits.core.yaml import ConfigError
-from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.load import load_experiment
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run
 from splits.plotting import draw
 
@@ -219,6 +220,9 @@ def make_running_judge(folder: Path) -> Callable[[str], str]:
                 figure = draw(dataset, experiment.resolve_figure())
                 figure.canvas.draw()
                 figure.clear()
+        except InvalidValue as error:
+            # Instruments and figures check what they are given.
+            return "rejected" if len(str(error).splitlines()) == 1 else "not one line"
         except Exception as error:
             if "missing from font" not in str(error):
                 return f"{locate_error(error)}: {error}"

@@ -7,10 +7,9 @@ import pytest
 from chi2 import NEEDS_JIT, compute_z_bound
 
 import splits
-from splits.experiments.config.accuracy import Accuracy
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
-from splits.experiments.run import run
-from splits.experiments.run_points import simulate_points
+from splits.experiments.run import run, simulate_points
 
 pytestmark = NEEDS_JIT
 ERROR = 0.01
@@ -84,17 +83,17 @@ def test_points_agree_with_single_runs(shared_run):
 def test_single_point_equals_the_instrument(shared_run):
     snow = {"kind": "natural_snow", "density_kg_m3": 300, "specific_surface_area_m2_kg": 20}
     config = make_config(medium=snow, grid={"depth_m": [0.02, 0.05]})
-    points = simulate_points(config, ACCURACY, 5, 2, lambda line: None)
+    points, rays = simulate_points(config, ACCURACY, 5, 2, lambda line: None)
     medium = splits.Snow.natural(specific_surface_area_m2_kg=20, density_kg_m3=300, depth_m=0.05)
     reference = splits.spectrophotometer(
         medium, WAVELENGTHS, 0.0, ERROR, seed=5, solver="monte_carlo"
     )
-    np.testing.assert_array_equal(points.datasets[1].reflectance, reference.reflectance)
-    assert points.rays == sum(ds.attrs["rays"] for ds in points.datasets)
+    np.testing.assert_array_equal(points[1].reflectance, reference.reflectance)
+    assert rays == sum(ds.attrs["rays"] for ds in points)
 
 
 def test_datasets_have_equal_structure_with_and_without_sharing(shared_run):
-    shared = simulate_points(make_config(), ACCURACY, 5, 2, lambda line: None).datasets[0]
+    (shared, *_), _ = simulate_points(make_config(), ACCURACY, 5, 2, lambda line: None)
     single = splits.spectrophotometer(
         splits.Snow.natural(specific_surface_area_m2_kg=5, density_kg_m3=300), WAVELENGTHS,
         max_stderr=ERROR, solver="monte_carlo",
@@ -116,3 +115,18 @@ def test_optically_equal_points_keep_their_attributes():
     dataset = run(make_config(medium=snow, grid={"medium": equal}), ACCURACY, seed=5, threads=2)
     assert dataset.attrs["snow_specific_surface_area_m2_kg"] == pytest.approx(20.0)
     np.testing.assert_array_equal(dataset.reflectance[0], dataset.reflectance[1])
+
+
+def test_polarization_is_traced_along_shared_paths():
+    """It changes the path of light, and the incident light of each point has a Stokes vector."""
+    snow = {"kind": "natural_snow", "density_kg_m3": 300}
+    spectra = []
+    for stokes in (False, True):
+        instrument = {"wavelength_nm": [1310], "solver": "monte_carlo", "stokes": stokes}
+        grid = {"specific_surface_area_m2_kg": [10, 20]}
+        config = make_config(medium=snow, grid=grid, instrument=instrument)
+        points, rays = simulate_points(config, ACCURACY, 5, 2, lambda line: None)
+        assert rays == points[0].attrs["rays"] == points[1].attrs["rays"]
+        assert all(("incident_stokes" in point.attrs) == stokes for point in points)
+        spectra.append([float(point.reflectance[0]) for point in points])
+    assert (np.diff(spectra, axis=0) != 0.0).all()

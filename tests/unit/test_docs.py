@@ -15,14 +15,13 @@ from shipped import CONFIG
 import splits
 from splits.core.yaml import read_yaml
 from splits.experiments import load_settings
-from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.figure import FigureSection
-from splits.experiments.config.instrument import WavelengthGrid
-from splits.experiments.config.instrument_kinds import INSTRUMENT_KINDS, Goniophotometer
-from splits.experiments.config.retrieve import NoiseSection, PriorFromSample, RetrieveSection
-from splits.experiments.config.sections import FitSection
+from splits.experiments.config.instruments import INSTRUMENT_KINDS, Goniophotometer, WavelengthGrid
+from splits.experiments.config.retrieval import NoiseSection, PriorFromSample, RetrieveSection
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.settings import ArchiveAuthor, Settings
+from splits.experiments.config.simulation import FitSection
 from splits.experiments.studies import STUDY_KINDS
 from splits.instruments.pack_run import RESULT_FLAGS
 from splits.simulation.stopping_rule import STOP_REASONS
@@ -94,16 +93,15 @@ def test_reasons_of_stopping_and_flags_of_snowpacks_are_listed_in_their_order():
 
 
 def test_documented_limits_and_defaults_match_the_models():
-    fields = Goniophotometer.model_fields
-    assert configuration.allowed(fields["target"]) == "one of `brdf`, `btdf`"
-    assert configuration.allowed(fields["rays"]) == "a whole number, at least 1"
-    assert configuration.allowed(fields["n_bins"]) == "a list of 2 whole numbers"
-    assert configuration.default(fields["target"]) == "`brdf`"
-    assert configuration.default(fields["stderr_scale"]) == "`1.0`"
-    assert configuration.default(fields["rays"]) == "—"
-    limits = Accuracy.model_fields["relative_stderr"]
-    assert configuration.allowed(limits) == "a number, at least 0.0001, at most 0.5"
-    assert configuration.default(Accuracy.model_fields["max_stderr"]) == "required"
+    rows = {key: others for key, _, *others in configuration.list_rows(Goniophotometer)}
+    assert rows["`target`"] == ["one of `brdf`, `btdf`", "`brdf`"]
+    assert rows["`rays`"] == ["a whole number, at least 1", "—"]
+    assert rows["`n_bins`"] == ["a list of 2 whole numbers", "—"]
+    assert rows["`stderr_scale`"] == ["a number, at least 0.01, at most 100", "`1.0`"]
+    assert rows["`wavelength_nm`"][0].startswith("a mapping with `start`, `stop`, `step` or a list")
+    rows = {key: others for key, _, *others in configuration.list_rows(Accuracy)}
+    assert rows["`relative_stderr`"][0] == "a number, at least 0.0001, at most 0.5"
+    assert rows["`max_stderr`"][1] == "required"
 
 
 # --- gallery --------------------------------------------------------------------------------------

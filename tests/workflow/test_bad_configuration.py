@@ -75,6 +75,16 @@ def test_invalid_experiments_are_rejected_before_any_job(rejected_run, case):
     check_nothing_ran(run, project)
 
 
+def test_values_that_an_instrument_rejects_stop_its_job_in_one_line(project):
+    project.put("beach", "medium: {kind: sand}\ninstrument: {wavelength_nm: [2500]}\n")
+    run = project.snakemake("--cores", 1)
+    message = "beach: instrument.wavelength_nm = 2500.0: must be in [198, 2053.1] nm"
+    assert run.code != 0 and "Traceback" not in run.text
+    assert any(line.startswith(message) for line in run.text.splitlines()), run.text
+    (log,) = project.folder.glob("results/**/logs/simulate/beach.log")
+    assert log.read_text("utf-8").startswith(message)
+
+
 @pytest.mark.parametrize("case", ["misspelt key", "not YAML"])
 def test_one_invalid_experiment_stops_all_jobs(project, case):
     text, key, allowed = INVALID[case]

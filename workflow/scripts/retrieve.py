@@ -1,7 +1,7 @@
 """Retrieve parameters from measured spectra with a table (snakemake script)."""
 
 from splits.core.progress import open_progress_log
-from splits.experiments.config.retrieve import RetrieveSection
+from splits.experiments.config.retrieval import RetrieveSection
 from splits.experiments.run_retrieve import write_retrieval
 
 with open_progress_log(snakemake.log[0]) as log:

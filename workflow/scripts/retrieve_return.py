@@ -1,9 +1,9 @@
 """Retrieve parameters from returns of a pulse with a table (snakemake script)."""
 
 from splits.core.progress import open_progress_log
-from splits.experiments.config.measured_return import RetrieveReturnSection
+from splits.experiments.config.retrieval import RetrieveReturnSection
 from splits.experiments.config.simulation import SimulationConfig
-from splits.experiments.run_return import write_return_retrieval
+from splits.experiments.run_retrieve import write_return_retrieval
 
 with open_progress_log(snakemake.log[0]) as log:
     write_return_retrieval(

@@ -12,7 +12,7 @@ from pathlib import Path
 from splits import save
 from splits.analysis.measured import read_spectra
 from splits.core.progress import open_progress_log
-from splits.experiments.config.accuracy import Accuracy
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.run import write_run
 from splits.experiments.run_fit import run_fit

@@ -7,7 +7,7 @@ from splits.core.interrupts import exit_on_signals
 exit_on_signals(snakemake.wildcards.experiment)
 
 from splits.core.progress import open_progress_log
-from splits.experiments.config.accuracy import Accuracy
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.run_table import run_part, write_part_manifest
 

@@ -10,12 +10,13 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, mo
 
 from splits.core.paths import expand_path
 from splits.core.validation import invalid
-from splits.experiments.config.figure import FigureSection, check_figure, resolve_figure
-from splits.experiments.config.measured_return import RetrieveReturnSection
+from splits.experiments.config.figure import FigureSection, resolve_figure
 from splits.experiments.config.reproduces import ReproducesSection
-from splits.experiments.config.retrieve import RetrieveSection
-from splits.experiments.config.retrieve_checks import check_retrieve_section
-from splits.experiments.config.return_checks import check_return_section
+from splits.experiments.config.retrieval import (
+    RetrieveReturnSection,
+    RetrieveSection,
+    check_retrieval,
+)
 from splits.experiments.config.sections import FIGURE_SUFFIXES, Caption, Title
 from splits.experiments.config.simulation import Name, SimulationConfig
 
@@ -69,18 +70,18 @@ class ExperimentConfig(SimulationConfig):
 
     @model_validator(mode="after")
     def _check_sections(self) -> ExperimentConfig:
-        if self.retrieve:
-            check_retrieve_section(self, self.retrieve)
-        if self.retrieve_return:
-            check_return_section(self, self.retrieve_return)
-        else:
-            check_figure(self, self.figure)
-        if self.retrieval:
-            settings = sorted(self.figure.model_fields_set)
-            if settings:
-                hint = "the figure shows the retrieved parameters"
-                name = "retrieve" if self.retrieve else "retrieve_return"
-                raise invalid("figure", settings, f"left out with a section {name}", hint)
+        """Reject a figure or a retrieval of what the experiment does not have."""
+        for name in ("retrieve", "retrieve_return"):
+            section = getattr(self, name)
+            if section:
+                check_retrieval(self, section, name)
+            if section and self.figure.model_fields_set:
+                given, hint = (
+                    sorted(self.figure.model_fields_set),
+                    "the figure shows the retrieved parameters",
+                )
+                raise invalid("figure", given, f"left out with a section {name}", hint)
+        self.resolve_figure()
         return self
 
     @property

@@ -2,34 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pandas as pd
-
-from splits.analysis.measured import WAVELENGTH_COLUMN, read_spectra
 from splits.core.paths import expand_path
 from splits.core.validation import check_choice, invalid
 from splits.core.yaml import ConfigError, find_key, locate_message, read_yaml
 from splits.experiments.config.experiment import ExperimentConfig
-from splits.experiments.config.measured_return import BIN_COLUMNS
-from splits.experiments.config.medium import SAMPLE_KEY
+from splits.experiments.config.media import MERGED_KEYWORDS, SAMPLE_KEY
 from splits.experiments.config.messages import suggest_mapping, validate_content
-from splits.experiments.config.retrieve_checks import check_measured_spectra
-from splits.experiments.config.return_checks import SECTION, check_measured_returns
 from splits.experiments.config.sections import check_path
 from splits.experiments.config.settings import Settings
 from splits.experiments.config.simulation import SimulationConfig
-from splits.experiments.config.unused_settings import check_replaced_settings, check_unused_keywords
-from splits.experiments.run_fit import check_fit
-from splits.materials.csv_table import read_numeric_csv
 from splits.media.kinds import LAYERS_KEY, get_kind, iter_layers
-from splits.media.measured_inputs import override_keywords
+from splits.media.measured_inputs import REPLACED_FIELDS, override_keywords
 from splits.media.named_media import NAMED_MEDIA, read_named_medium
-from splits.retrieval.measurement import MAX_REFLECTANCE
 
 MAX_MESSAGE_CHARS = 450
 """Largest number of characters of a message, without the name of its file."""
@@ -57,15 +46,21 @@ def load_experiment(
     ConfigError
         One line that names the file, the key, the value and the allowed values.
     """
-    file = Path(path)
-    try:
+    with locate_errors(Path(path)):
         file, media = expand_path(path), expand_path(media_folder, "media_folder")
         measured = expand_path(measured_folder or media.parent / "measured", "measured_folder")
         return _parse_experiment(file, media, measured)
+
+
+@contextmanager
+def locate_errors(path: Path) -> Iterator[None]:
+    """Add the file, and the line of the key, to the errors of what an experiment file describes."""
+    try:
+        yield
     except ConfigError:
         raise
     except (TypeError, ValueError) as error:
-        raise ConfigError(locate_message(file, _to_single_line(str(error)))) from None
+        raise ConfigError(locate_message(path, _to_single_line(str(error)))) from None
 
 
 def _to_single_line(text: str) -> str:
@@ -78,7 +73,7 @@ def _parse_experiment(path: Path, media: Path, measured: Path) -> ExperimentConf
     """Return the experiment of a file; errors need not name the file."""
     given = read_yaml(path)
     content = {"name": path.stem, **given}
-    check_replaced_settings(given)
+    _check_replaced(given)
     medium, grid = content.get("medium", {}), content.get("grid")
     if not isinstance(medium, dict):
         hint = suggest_mapping("medium", medium, ())
@@ -88,55 +83,33 @@ def _parse_experiment(path: Path, media: Path, measured: Path) -> ExperimentConf
     if isinstance(grid, dict):
         content["grid"] = _apply_grid_bases(grid, media)
     experiment = validate_content(ExperimentConfig, content)
-    check_unused_keywords(experiment, given)
-    if experiment.fit and experiment.figure.kind not in ("fit", "none"):
-        raise invalid("figure.kind", experiment.figure.kind, "'fit' beside a section fit")
-    for section, check in TABLE_CHECKS.items():
+    for section in ("figure", "retrieve", "retrieve_return", "fit"):
         name = getattr(getattr(experiment, section), "measured", None)
-        if name:
-            check(experiment, _read_measured(f"{section}.measured", measured, name))
+        if name and not (measured / name).is_file():
+            available = [path.name for path in measured.glob("*.csv")]
+            check_choice(f"{section}.measured", name, available or [f"a CSV file in {measured}"])
     return experiment
 
 
-def _read_measured(key: str, folder: Path, name: str) -> pd.DataFrame:
-    """Return a measured table; reject an unknown name or an invalid file."""
-    if not (folder / name).is_file():
-        available = [p.name for p in folder.glob("*.csv")]
-        if not available:
-            raise invalid(key, name, f"a CSV file in {folder}", "there is none")
-        check_choice(key, name, available)
-    if key.startswith(f"{SECTION}."):
-        return read_numeric_csv(key, folder / name, BIN_COLUMNS)
-    return read_spectra(folder / name, key)
+def _check_replaced(content: Mapping[str, Any]) -> None:
+    """Reject values of the medium and the instrument that the grid replaces at every point.
 
-
-def _check_figure_table(experiment: ExperimentConfig, measured: pd.DataFrame) -> None:
-    """Reject a measured table without the quantity of the figure, or with values in per cent."""
-    key, file, quantity = "figure.measured", experiment.figure.measured, experiment.figure.quantity
-    shown = [name for name in quantity if name in measured and measured[name].count()]
-    if not shown:
-        columns = f"{WAVELENGTH_COLUMN} and {' or '.join(quantity)}"
-        raise invalid(key, file, f"a table with columns {columns}")
-    for name in shown:
-        low, high = f"{name}_min", f"{name}_max"
-        if (low in measured) != (high in measured):
-            raise invalid(key, file, f"with both {low} and {high}")
-        rows = measured[[low, name, high] if low in measured else [name]].to_numpy()
-        largest = float(np.nanmax(np.abs(rows), initial=0.0))
-        if largest > MAX_REFLECTANCE:
-            allowed, hint = f"at most {MAX_REFLECTANCE:g}", "fractions, not per cent"
-            raise invalid(f"{key} ({name})", largest, allowed, hint)
-        if (np.diff(rows, axis=1) < 0.0).any():
-            raise invalid(key, file, f"with {low} <= {name} <= {high}")
-
-
-TABLE_CHECKS: dict[str, Callable[[Any, pd.DataFrame], object]] = {
-    "figure": _check_figure_table,
-    "retrieve": lambda one, table: check_measured_spectra(one, one.retrieve, table),
-    SECTION: lambda one, table: check_measured_returns(one, one.retrieve_return, table),
-    "fit": check_fit,
-}
-"""Functions that check the measured table of a section against the experiment."""
+    Those of a base serve other experiments as well.
+    """
+    grid = content.get("grid")
+    grid = grid if isinstance(grid, Mapping) else {}
+    samples = grid.get(SAMPLE_KEY)
+    sections = {key: content.get(key) for key in ("medium", "instrument")}
+    for label, settings in samples.items() if isinstance(samples, Mapping) else ():
+        sections[f"grid.{SAMPLE_KEY}.{label}"] = settings
+    replacements = {REPLACED_FIELDS.get(key, key): key for key in grid}
+    for section, settings in sections.items():
+        for key, value in settings.items() if isinstance(settings, Mapping) else ():
+            parameter = replacements.get(REPLACED_FIELDS.get(key, key))
+            # Layers are given completely while a grid varies some settings; mappings are merged.
+            if parameter and key not in (*MERGED_KEYWORDS, LAYERS_KEY, SAMPLE_KEY):
+                hint = f"grid.{parameter} has its values"
+                raise invalid(f"{section}.{key}", value, "left out", hint)
 
 
 def _apply_grid_bases(grid: dict[str, Any], folder: Path) -> dict[str, Any]:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from types import UnionType
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -16,19 +15,28 @@ from splits.core.validation import (
     short_repr,
     suggest_name,
     suggest_number,
-    unknown_key,
 )
 from splits.media.kinds import MEDIUM_CLASSES
 from splits.media.suggestions import NAMED_MEDIA
 
-TYPE_DESCRIPTIONS = {
-    int: ("a whole number", "whole numbers"),
-    float: ("a number", "numbers"),
-    str: ("text", "names"),
+MAPPING = "a mapping of keys to values"
+ALLOWED = {
+    "int_type": "a whole number",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "string_type": "text",
+    "bool_type": "true or false",
+    "tuple_type": "a list",
+    "too_long": "a list of {max_length} values",
+    "greater_than": "above {gt}",
+    "greater_than_equal": "at least {ge}",
+    "less_than": "below {lt}",
+    "less_than_equal": "at most {le}",
+    "missing": "given",
 }
-"""Descriptions of a value of a type, and of a list of such values."""
-LIMIT_DESCRIPTIONS = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
-
+"""What is allowed, by the type of an error of pydantic; others are of mappings."""
 
 SectionType = TypeVar("SectionType", bound=BaseModel)
 
@@ -38,194 +46,106 @@ def validate_content(model: type[SectionType], content: Any) -> SectionType:
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        raise ValueError(format_validation_error(model, error)) from None
+        raise _make_message(error, content) from None
 
 
-def format_validation_error(model: type[BaseModel], error: ValidationError) -> str:
-    """Return the first validation error as one line: key, value, allowed values and a hint."""
-    # Unknown keys come first, since a misspelt key also causes a missing one.  Of the branches of
-    # a union, the deepest error belongs to the branch that was meant.
-    errors: list[Any] = error.errors(include_url=False)
-    first = max(
-        errors,
-        key=lambda e: (e["type"] == "extra_forbidden", len(e["loc"]), e["type"] != "missing"),
-    )
-    location, error_type, value = first["loc"], first["type"], first["input"]
-    if error_type in ("extra_forbidden", "invalid_key"):
-        return str(_make_key_error(model, location, value))
-    of_list = error_type == "missing" and isinstance(location[-1], int)
-    key, kind = _resolve_location(model, location[:-1] if of_list else location)
-    if error_type == "value_error":
-        return _prefix_message(key, first["ctx"]["error"])
-    if error_type in ("union_tag_invalid", "union_tag_not_found"):
-        tags = [tag for option in list_options(kind) for tag in list_tags(option)]
-        if not isinstance(value, Mapping):
-            hint = suggest_mapping(key, value, tags)
-            return str(invalid(key, value, "a mapping of keys to values", hint))
-        if "kind" not in value:
-            return f"{key}.kind: missing, must be one of {', '.join(tags)}"
-        hint = suggest_name(value["kind"], tags)
-        return str(invalid(f"{key}.kind", value["kind"], f"one of {', '.join(tags)}", hint))
-    if error_type == "missing" and not of_list:
-        return f"{key}: missing, must be {describe_type(kind)}"
-    limits = describe_limits(first.get("ctx", {}))
-    finite = "finite " if error_type == "finite_number" else ""
-    allowed = limits or describe_type(kind).replace("a number", f"a {finite}number")
-    if error_type == "literal_error" and len(_list_alternatives(model, location)) > 1:
-        allowed += f" for {location[-2]}"
-    return str(invalid(key, value, allowed, _suggest_value(key, kind, value)))
+def _make_message(error: ValidationError, content: Any) -> ValueError:
+    """Return the error of the deepest key, for which the branches of a union are joined."""
+    errors = [(_locate(one["loc"], one["type"], content), one) for one in error.errors()]
+    location, _ = max(errors, key=lambda one: (len(one[0]), one[1]["type"] != "missing"))
+    branches = [one for other, one in errors if other == location]
+    first = next((one for one in branches if one["type"] == "value_error"), branches[0])
+    key = _join_keys(location)
+    kind, value = first["type"], first["input"]
+    if kind == "value_error":
+        return _add_section(key, first["ctx"]["error"])
+    if kind == "missing" and isinstance(location[-1], int):
+        # A list of a certain number of values has too few.
+        return invalid(
+            _join_keys(location[:-1]), value, f"a list of {len(errors) + len(value)} values"
+        )
+    if kind == "missing":
+        return invalid(key, None, "given")
+    if kind == "union_tag_not_found" and isinstance(value, Mapping):
+        return invalid(f"{key}.kind", None, "given")
+    if kind == "union_tag_invalid" and isinstance(value, Mapping):
+        tags = re.findall("'(.*?)'", first["ctx"]["expected_tags"])
+        given = value["kind"]
+        return invalid(f"{key}.kind", given, f"one of {', '.join(tags)}", suggest_name(given, tags))
+    allowed = " or ".join(dict.fromkeys(map(_describe, branches)))
+    return invalid(key, value, allowed, _suggest(key, value, branches))
 
 
-def _make_key_error(model: type[BaseModel], location: Sequence[Any], value: Any) -> InvalidValue:
-    """Return the error for a key that its section does not have, but perhaps another kind of it."""
-    name = location[-1]
-    section, kind = _resolve_location(model, location[:-1])
-    key, option = f"{section}.{name}".lstrip("."), next(filter(is_section, list_options(kind)))
-    union = _list_alternatives(model, location)
-    owners = [tag for one in union if name in one.model_fields for tag in list_tags(one)]
-    if owners:
-        hint = f"it belongs to {', '.join(owners)}"
-        return invalid(key, value, f"left out for {location[-2]}", hint)
-    return unknown_key(key, option.model_fields)
+def _locate(location: Sequence[Any], kind: str, content: Any) -> tuple[Any, ...]:
+    """Return the keys in the location of an error, without the branches of unions.
+
+    They are those that the content has, and the last one if it is missing.
+    """
+    keys = []
+    for part in location:
+        known = range(len(content)) if isinstance(content, list | tuple) else content
+        if isinstance(known, Mapping | range) and part in known:
+            content = content[part]
+        elif part != "[key]" and (kind != "missing" or part != location[-1]):
+            continue
+        keys.append(part)
+    return tuple(keys)
 
 
-def _list_alternatives(model: type[BaseModel], location: Sequence[Any]) -> list[Any]:
-    """Return the sections of a tagged union, at the location of a key of one of them."""
-    # The tag of the section is the last part of the location before the key.
-    _, kind = _resolve_location(model, location[:-2])
-    options = list_options(kind) if len(location) > 1 else []
-    return options if any(location[-2] in list_tags(option) for option in options) else []
+def _join_keys(location: Sequence[Any]) -> str:
+    # A key that is itself invalid is the value of the error.
+    keys, mark = (location[:-2], " (key)") if "[key]" in location else (location, "")
+    parts = [f"[{one}]" if isinstance(one, int) else f".{format_key(one)}" for one in keys]
+    return "".join(parts).removeprefix(".") + mark
 
 
-def _prefix_message(location: str, error: Exception) -> str:
-    """Return the message of a validator's error, with the location before its key."""
+def _add_section(location: str, error: Exception) -> ValueError:
+    """Return the error of a validator, with the location before its key.
+
+    The key may be complete, or repeat the name of the field that a validator checks.
+    """
     if not isinstance(error, InvalidValue):
-        return str(error)
-    # The key of an error may be complete, or repeat the name of the field that a validator checks.
+        return ValueError(str(error))
     section, _, field = location.rpartition(".")
     first = re.split(r"\W", error.key, maxsplit=1)[0]
     if first == location.partition(".")[0]:
-        return str(error)
-    return str(error.add_prefix(section if first == field else location))
+        return error
+    return error.add_prefix(section if first == field else location)
 
 
-def _resolve_location(model: type[BaseModel], location: Sequence[Any]) -> tuple[str, Any]:
-    """Return the key at a location of an error, and the type of its value.
-
-    Locations also contain the names of branches of unions, which are skipped.
-    """
-    kind: Any = model
-    names: list[str] = []
-    for part in location:
-        if part == "[key]":
-            kind, names = str, [*names[:-2], f"{names[-2]} (key)"]
-            continue
-        options = list_options(kind)
-        tagged = [option for option in options if part in list_tags(option)]
-        if len(options) > 1 and tagged:
-            kind = tagged[0]
-            continue
-        for option in options:
-            inner = get_args(option)
-            if get_origin(option) is tuple and isinstance(part, int):
-                kind, names[-1] = inner[0], f"{names[-1]}[{part}]"
-                break
-            if is_section(option) and part in option.model_fields:
-                kind = option.model_fields[part].annotation
-            elif get_origin(option) is dict:
-                kind = inner[1]
-            else:
-                continue
-            names.append(format_key(part))
-            break
-    return ".".join(names), kind
+def _describe(error: Any) -> str:
+    """Return what an error of pydantic allows."""
+    if error["type"] == "literal_error":
+        names = re.findall("'(.*?)'", error["ctx"]["expected"])
+        return f"one of {', '.join(names)}" if len(names) > 1 else f'"{names[0]}"'
+    context = error.get("ctx", {}).items()
+    limits = {key: f"{limit:g}" if isinstance(limit, float) else limit for key, limit in context}
+    return ALLOWED.get(error["type"], MAPPING).format(**limits)
 
 
-def list_options(kind: Any) -> list[Any]:
-    """Return the types that a key may have, without None."""
-    kind = _strip_metadata(kind)
-    kinds = get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
-    return [_strip_metadata(option) for option in kinds if option is not type(None)]
+def _suggest(key: str, value: Any, errors: Sequence[Any]) -> str:
+    """Return a correction of a value that is nearly valid, or an empty string."""
+    kinds = {error["type"] for error in errors}
+    expected = " ".join(error.get("ctx", {}).get("expected", "") for error in errors)
+    if names := re.findall("'(.*?)'", expected):
+        return suggest_name(value, names)
+    if isinstance(value, str):
+        # A kind of instrument in place of its section is also the branch of the error.
+        if hint := suggest_mapping(key, value, [errors[0]["loc"][-1]]):
+            return hint
+        if "tuple_type" in kinds and "," in value:
+            return f"write [{value}]"
+        return suggest_number(value) if "float_type" in kinds else ""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        if "tuple_type" in kinds:
+            return f"write [{short_repr(value)}]"
+        return "put it into quotes" if "string_type" in kinds else ""
+    return ""
 
 
-def _strip_metadata(kind: Any) -> Any:
-    return get_args(kind)[0] if get_origin(kind) is Annotated else kind
-
-
-def list_tags(kind: Any) -> tuple[Any, ...]:
-    """Return the values of the key `kind` that select a section of a discriminated union."""
-    field = kind.model_fields.get("kind") if is_section(kind) else None
-    return get_args(field.annotation) if field and get_origin(field.annotation) is Literal else ()
-
-
-def is_section(kind: Any) -> bool:
-    """Return whether a type is a section of keys."""
-    return isinstance(kind, type) and issubclass(kind, BaseModel)
-
-
-def describe_limits(limits: Mapping[str, Any]) -> str:
-    """Return a description of the limits of a number, such as "at least 1"."""
-    return ", ".join(
-        f"{LIMIT_DESCRIPTIONS[k]} {v if isinstance(v, int) else f'{v:g}'}"
-        for k, v in limits.items() if k in LIMIT_DESCRIPTIONS
-    )  # fmt: skip
-
-
-def describe_type(kind: Any, quote: str = "") -> str:
-    """Return a description of the values of a type, with names in quotation marks."""
-    options = list_options(kind)
-    if len(options) > 1 and all(map(list_tags, options)):
-        return "a mapping of keys to values"
-    return " or ".join(dict.fromkeys(_describe_option(option, quote) for option in options))
-
-
-def _describe_option(kind: Any, quote: str) -> str:
-    origin, inner = get_origin(kind), get_args(kind)
-    if kind in TYPE_DESCRIPTIONS:
-        return TYPE_DESCRIPTIONS[kind][0]
-    if origin is Literal:
-        names = ", ".join(f"{quote}{name}{quote}" for name in inner)
-        return f"one of {names}" if len(inner) > 1 else names if quote else f'"{names}"'
-    if origin is tuple:
-        (item,) = set(list_options(inner[0]))
-        _, items = TYPE_DESCRIPTIONS.get(item, ("", describe_type(item, quote)))
-        count = "" if inner[-1] is Ellipsis else f"{len(inner)} "
-        return f"a list of {count}{items.removeprefix('one of ').replace('a list', 'lists')}"
-    fields = kind.model_fields if is_section(kind) else {}
-    required = [f"{quote}{key}{quote}" for key, field in fields.items() if field.is_required()]
-    return f"a mapping with {', '.join(required)}" if required else "a mapping of keys to values"
-
-
-def suggest_mapping(key: str, value: Any, kinds: Iterable[str]) -> str:
+def suggest_mapping(key: str, value: Any, kinds: Sequence[Any]) -> str:
     """Return a hint for a text in place of a section of one of several kinds, or ""."""
     if key == "medium" and value in NAMED_MEDIA:
         return f"write {key}: {{base: {value}}}"
-    kinds = MEDIUM_CLASSES if key == "medium" else kinds
-    return f"write {key}: {{kind: {value}, …}}" if value in [*kinds] else ""
-
-
-def _suggest_value(key: str, kind: Any, value: Any) -> str:
-    """Return a correction of a value that is nearly valid, or an empty string."""
-    options = list_options(kind)
-    if isinstance(value, str):
-        lists = [option for option in options if get_args(option) == (float, Ellipsis)]
-        sections = [option for option in options if "kind" in getattr(option, "model_fields", ())]
-        tags = [
-            tag
-            for section in sections
-            for option in list_options(section.model_fields["kind"].annotation)
-            for tag in get_args(option)
-        ]
-        if hint := suggest_mapping(key, value, tags):
-            return hint
-        if lists and "," in value:
-            return f"write [{value}]"
-        if float in options:
-            return suggest_number(value)
-    choices = [c for k in options if get_origin(k) is Literal for c in get_args(k)]
-    if choices:
-        return suggest_name(value, choices)
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if is_number and any(get_args(k) == (float, Ellipsis) for k in options):
-        return f"write [{short_repr(value)}]"
-    return "put it into quotes" if str in options and isinstance(value, (int, float)) else ""
+    kinds = [*MEDIUM_CLASSES] if key == "medium" else kinds
+    return f"write {key}: {{kind: {value}, …}}" if value in kinds else ""

@@ -13,11 +13,9 @@ from pydantic import BaseModel
 from splits.core.atomic import atomic_write
 from splits.core.parameter_names import IMPURITY_KEYWORDS, describe_parameter
 from splits.experiments.config.experiment import RESERVED_NAMES, ExperimentConfig
-from splits.experiments.config.grid import GEOMSPACE_KEY, STEP_KEYS
-from splits.experiments.config.medium import SAMPLE_KEY
+from splits.experiments.config.media import GEOMSPACE_KEY, PACKS_KIND, SAMPLE_KEY, STEP_KEYS
 from splits.experiments.config.settings import Settings
 from splits.experiments.config.simulation import NAME_PATTERN
-from splits.experiments.config.snow_packs import PACKS_KIND
 from splits.experiments.studies import STUDY_KINDS
 from splits.experiments.studies.study import Study
 from splits.media import Stack

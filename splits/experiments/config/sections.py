@@ -1,28 +1,26 @@
-"""Base class of configuration sections, their types of values, and the section `fit`."""
+"""Base class of configuration sections, and their types of values."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from pathlib import PurePath
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Annotated, Any, get_args
 
-import pandas as pd
 from pydantic import (
     AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
     Field,
+    Strict,
     ValidationInfo,
     WithJsonSchema,
-    field_validator,
+    model_validator,
 )
 from pydantic_core import PydanticCustomError
 
-from splits.analysis.measured import WAVELENGTH_COLUMN
-from splits.core.validation import check_choice, invalid
-from splits.retrieval.sand_parameters import resolve_ranges
+from splits.core.validation import invalid, unknown_key
 
 MAX_LABEL_CHARS = 80
 MAX_TITLE_CHARS = 200
@@ -60,22 +58,6 @@ def check_path(key: str, value: str) -> str:
     return value
 
 
-def check_mathematics(value: str) -> str:
-    """Return a text that may contain formulas between dollar signs; reject invalid formulas."""
-    # A single dollar sign starts no formula.
-    n_dollars = value.count("$") - value.count(r"\$")
-    if n_dollars < 2 or n_dollars % 2:
-        return value
-    from matplotlib.mathtext import MathTextParser  # a figure's job loads it anyway
-
-    try:
-        MathTextParser("path").parse(value)
-    except (ValueError, RuntimeError):
-        hint = r"write \$ for a dollar sign"
-        raise invalid("", value, "text that matplotlib can typeset", hint) from None
-    return value
-
-
 def check_measured_file(name: str) -> str:
     """Return the name of a file of config/measured; reject paths to other folders."""
     if not name.isprintable() or len(name) > 100 or PurePath(name).name != name or "\\" in name:
@@ -106,8 +88,18 @@ def accept_single(kind: Any) -> BeforeValidator:
     return BeforeValidator(to_tuple, json_schema_input_type=kind | tuple[kind, ...])
 
 
+def _reject_switch(value: Any) -> Any:
+    # Pydantic would convert true to the number 1.
+    if isinstance(value, bool):
+        raise PydanticCustomError("int_type", "a whole number")
+    return value
+
+
 # Validators raise errors with a key relative to their section, or without one for their own field;
 # `splits.experiments.config.messages` prefixes the rest.
+Number = Annotated[float, Strict()]
+NO_SWITCH = BeforeValidator(_reject_switch)
+Whole = Annotated[int, NO_SWITCH]
 Label = Annotated[str, AfterValidator(lambda text: check_text("", text, MAX_LABEL_CHARS))]
 Title = Annotated[
     str,
@@ -116,27 +108,21 @@ Title = Annotated[
 ]
 Caption = Annotated[str, AfterValidator(lambda text: check_text("", text, MAX_CAPTION_CHARS, True))]
 MeasuredFile = Annotated[str, AfterValidator(check_measured_file)]
-Interval = Annotated[tuple[float, float], AfterValidator(check_interval)]
+Interval = Annotated[tuple[Number, Number], AfterValidator(check_interval)]
 
 
-def _iter_types(annotation: Any) -> Iterator[Any]:
-    """Yield the types in an annotation, without those that contain others."""
-    if get_origin(annotation) is Literal:
-        return
-    parts = get_args(annotation)
-    for part in parts:
-        yield from _iter_types(part)
-    if not parts:
-        yield annotation
+def _list_kinds_with(section: type[ConfigSection], key: str) -> list[str]:
+    """Return the other kinds of a section, such as an instrument, that have a key."""
 
+    def iter_kinds(one: type[ConfigSection]) -> Iterator[type[ConfigSection]]:
+        yield one
+        for other in one.__subclasses__():
+            yield from iter_kinds(other)
 
-def _has_boolean(value: Any, mappings: bool) -> bool:
-    """Return whether a value is a boolean, or contains one in its lists and optionally mappings."""
-    if mappings and isinstance(value, Mapping):
-        value = list(value.values())
-    if isinstance(value, list | tuple):
-        return any(_has_boolean(part, mappings) for part in value)
-    return isinstance(value, bool)
+    bases = (ConfigSection, FiniteSection)
+    *_, root = (one for one in section.__mro__ if issubclass(one, bases) and one not in bases)
+    owners = [one.model_fields for one in iter_kinds(root) if key in one.model_fields]
+    return [kind for one in owners if "kind" in one for kind in get_args(one["kind"].annotation)]
 
 
 class ConfigSection(BaseModel):
@@ -146,15 +132,19 @@ class ConfigSection(BaseModel):
         extra="forbid", frozen=True, ser_json_inf_nan="constants", use_attribute_docstrings=True
     )
 
-    @field_validator("*", mode="before")
+    @model_validator(mode="before")
     @classmethod
-    def _reject_booleans(cls, value: Any, info: ValidationInfo) -> Any:
-        # Pydantic would convert true to the number 1. Nested sections check their own fields.
-        types = set(_iter_types(cls.model_fields[str(info.field_name)].annotation))
-        has_section = any(isinstance(one, type) and issubclass(one, BaseModel) for one in types)
-        if not {bool, Any} & types and _has_boolean(value, mappings=not has_section):
-            raise PydanticCustomError("no_switch", "true or false")
-        return value
+    def _reject_unknown_keys(cls, content: Any) -> Any:
+        """Reject an unknown key, with the kinds of the section that have it."""
+        for key in content if isinstance(content, dict) else ():
+            if key in cls.model_fields:
+                continue
+            if owners := _list_kinds_with(cls, key):
+                kind, hint = content.get("kind"), f"it belongs to {', '.join(owners)}"
+                kind = kind or cls.model_fields["kind"].default
+                raise invalid(key, content[key], f"left out for {kind}", hint)
+            raise unknown_key(str(key), cls.model_fields)
+        return content
 
 
 class FiniteSection(ConfigSection):
@@ -163,34 +153,13 @@ class FiniteSection(ConfigSection):
     model_config = ConfigDict(allow_inf_nan=False)
 
 
-class FitSection(ConfigSection):
-    """Measured spectra to which sands are fitted."""
+class Accuracy(ConfigSection):
+    """Target standard errors and the limit of rays of simulations."""
 
-    measured: MeasuredFile
-    """name of a file of `config/measured/`, with a column `wavelength_nm` and a column of
-    reflectances (fractions, no gaps) per sample"""
-    samples: tuple[str, ...] = ()
-    """samples to fit; by default all"""
-    ranges: dict[str, tuple[float, float]] = Field({})
-    """(low, high) by parameter; by default those of SPLITS Table 2"""
-
-    @field_validator("ranges")
-    @classmethod
-    def _check_ranges(cls, value: dict[str, Any]) -> dict[str, Any]:
-        resolve_ranges(value)
-        return value
-
-
-def list_samples(section: str, measured: pd.DataFrame, names: Sequence[str]) -> list[str]:
-    """Return the samples of a measured table that a section names, by default all.
-
-    Unknown samples, and tables without wavelengths or names of columns, are rejected.
-    """
-    key = f"{section}.measured"
-    if WAVELENGTH_COLUMN not in measured:
-        raise invalid(key, list(measured.columns), f"a table with column {WAVELENGTH_COLUMN}")
-    available = [str(name) for name in measured.columns if name != WAVELENGTH_COLUMN]
-    if any(name.startswith("Unnamed") for name in available):
-        hint = "a column of row numbers? write the table with index=False"
-        raise invalid(key, "a column without a name", "names for all", hint)
-    return [check_choice(f"{section}.samples", name, available) for name in names] or available
+    max_stderr: Number = Field(ge=1e-6, le=0.5)
+    """largest standard error of a hemispherical quantity"""
+    relative_stderr: Number = Field(0.02, ge=1e-4, le=0.5)
+    """largest relative standard error of a value by direction or position"""
+    max_rays: Annotated[int, Field(ge=1, lt=2**63), NO_SWITCH] | None = None
+    """largest number of rays per spectrum, or per set of spectra that share paths, even if the
+    target error is not reached; by default that of the instrument"""

@@ -13,12 +13,13 @@ from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, mod
 from splits.core.paths import expand_path
 from splits.core.validation import check_choice, invalid, join_names, suggest_name
 from splits.core.yaml import ConfigError
-from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.experiment import OWN_GROUP, ExperimentConfig
 from splits.experiments.config.sections import (
+    Accuracy,
     ConfigSection,
     Label,
     Title,
+    Whole,
     check_path,
     match_pattern,
 )
@@ -119,7 +120,7 @@ class Settings(ConfigSection):
     """accuracy level of the run, one of the names under `accuracies`"""
     accuracies: dict[Annotated[str, AfterValidator(_check_accuracy_name)], Accuracy]
     """target errors by name"""
-    seed: int = Field(1, ge=0, lt=2**63)
+    seed: Whole = Field(1, ge=0, lt=2**63)
     """seed of all random numbers; the same seed gives the same results"""
     experiments_folder: Folder = "config/experiments"
     """folder of the experiments; a path without `{ } < >`, like the other folders"""

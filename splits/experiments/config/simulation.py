@@ -1,7 +1,7 @@
 """Model of a simulation: medium, instrument, grid and fit of an experiment file.
 
-Each section is a pydantic model that rejects unknown keys.  Physical ranges are checked by the
-media and instruments, so that each limit is defined once.
+Media and instruments check their values themselves.  Of a grid, the first point and the values of
+each axis are built when a file is read, and all points when it runs.
 """
 
 from __future__ import annotations
@@ -14,56 +14,69 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
+from pydantic import BeforeValidator, Field, WithJsonSchema, field_validator, model_validator
 
 from splits.core.keywords import list_keywords
-from splits.core.parameter_names import parse_impurity_parameter, parse_layer_parameter
+from splits.core.parameter_names import parse_impurity_parameter
 from splits.core.paths import expand_path
-from splits.core.validation import InvalidValue, check_choice, format_key, invalid, unknown_key
-from splits.experiments.config.grid import MAX_GRID_POINTS, label_grid
-from splits.experiments.config.instrument import USE_GRID_HINT, OpticalInstrument
-from splits.experiments.config.instrument_kinds import (
+from splits.core.validation import InvalidValue, UnknownKey, check_choice, invalid, unknown_key
+from splits.experiments.config.instruments import (
+    USE_GRID_HINT,
     AnyInstrument,
-    BeamSpread,
-    Goniophotometer,
-    ReturnTable,
     Spectrophotometer,
-    TableInstrument,
 )
-from splits.experiments.config.medium import (
+from splits.experiments.config.media import (
+    MAX_GRID_POINTS,
     MERGED_KEYWORDS,
+    PACKS_KIND,
     SAMPLE_KEY,
     apply_paths,
-    check_grid_layers,
-    check_layers,
     identify_by_content,
+    label_grid,
     list_table_paths,
+    load_packs,
     merge_values,
     replace_table_paths,
 )
-from splits.experiments.config.sections import ConfigSection, FitSection, match_pattern
-from splits.experiments.config.snow_packs import PACKS_KIND, check_pack_experiment, load_packs
-from splits.media.checks import check_thickness
+from splits.experiments.config.sections import ConfigSection, MeasuredFile, Number, match_pattern
 from splits.media.kinds import LAYERS_KEY, MEDIUM_CLASSES, get_kind, make_medium
 from splits.media.measured_inputs import override_keywords
 from splits.media.medium import Medium
 from splits.media.snow_packs import SnowPacks
-from splits.simulation.arguments import MAX_DATASET_VALUES, check_beam_angle, check_incidence
-from splits.simulation.scene import compute_optical_constants, make_height_fields
-from splits.tables.axes import ParameterGrid
+from splits.retrieval.sand_parameters import resolve_ranges
+from splits.simulation.arguments import check_incidence
+from splits.tables.axes import INCIDENCE, ParameterGrid
 
 NAME_PATTERN = re.compile(r"(?!(con|prn|aux|nul|com\d|lpt\d)$)[a-z][a-z0-9_]{0,63}")
 NAME_RULE = (
     "lower-case letters, digits and underscores, a letter first, no device such as con or nul"
 )
 """Rule for names of experiments, studies and their products: valid file names on all systems."""
-
-
 Name = Annotated[
     str,
     match_pattern(NAME_PATTERN, NAME_RULE),
     WithJsonSchema({"type": "string", "pattern": f"^{NAME_PATTERN.pattern}$"}),
 ]
+Point = tuple[dict[str, str], Medium, float | str]
+"""Labels, medium and angle of incidence of a point of a grid."""
+
+
+class FitSection(ConfigSection):
+    """Measured spectra to which sands are fitted."""
+
+    measured: MeasuredFile
+    """name of a file of `config/measured/`, with a column `wavelength_nm` and a column of
+    reflectances (fractions, no gaps) per sample"""
+    samples: tuple[str, ...] = ()
+    """samples to fit; by default all"""
+    ranges: dict[str, tuple[Number, Number]] = Field({})
+    """(low, high) by parameter; by default those of SPLITS Table 2"""
+
+    @field_validator("ranges")
+    @classmethod
+    def _check_ranges(cls, value: dict[str, Any]) -> dict[str, Any]:
+        resolve_ranges(value)
+        return value
 
 
 class SimulationConfig(ConfigSection):
@@ -91,86 +104,39 @@ class SimulationConfig(ConfigSection):
     """fits a sand to measured spectra instead of simulating given media"""
 
     @model_validator(mode="after")
-    def _check_runnable(self) -> SimulationConfig:
-        kind = self.medium.get("kind", "snow")
+    def _check_points(self) -> SimulationConfig:
+        """Reject settings that exclude each other, and values that a medium does not have."""
+        kind, instrument = get_kind(self.medium), self.instrument
         check_choice("medium.kind", kind, (*MEDIUM_CLASSES, PACKS_KIND))
-        self._check_point_errors()
+        instrument.check_grid(self.grid, is_single=not (self.is_in_parts or self.fit))
         if self.has_packs:
             for key in ("grid", "fit"):
                 if getattr(self, key):
-                    raise invalid(key, "given", "left out for medium.kind = 'snow_packs'")
-            check_pack_experiment(self.load_packs(), self.instrument)
+                    raise invalid(key, "given", f"left out for medium.kind = {kind!r}")
+            if instrument.kind not in ("spectrophotometer", "albedo"):
+                allowed = f"spectrophotometer or albedo for medium.kind = {kind!r}"
+                raise invalid("instrument.kind", instrument.kind, allowed)
+            self.load_packs()
             return self
-        self._check_keywords(kind)
-        self._check_fit(kind)
-        self._check_size()
-        wavelengths = self.instrument.get_wavelengths()
-        has_ground: set[bool] = set()
-        for labels, medium, incidence in self.iter_points():
-            with self.locate_errors(labels):
-                if not self.fit:
-                    compute_optical_constants(medium, wavelengths)
-                check = check_beam_angle if self.instrument.takes_beam_only else check_incidence
-                check(incidence)
-                check_thickness(medium)
-            self._check_medium(kind, medium)
-            has_ground.add(medium.reflecting_ground is not None)
-        if len(has_ground) > 1 and isinstance(self.instrument, Goniophotometer):
-            hint = "a BTDF exists only where light leaves the lower boundary"
-            raise invalid("grid", "open and reflecting grounds", "of one kind", hint)
-        self._check_grid()
-        return self
-
-    @property
-    def has_packs(self) -> bool:
-        """Whether the medium is a file of snowpacks."""
-        return self.medium.get("kind") == PACKS_KIND
-
-    @property
-    def is_in_parts(self) -> bool:
-        """Whether the experiment is simulated in parts, by several jobs."""
-        return self.has_packs or isinstance(self.instrument, TableInstrument)
-
-    def _get_keywords(self) -> dict[str, Any]:
-        """Return the keywords of the medium."""
-        return {key: value for key, value in self.medium.items() if key != "kind"}
-
-    def list_medium_keywords(self) -> list[str]:
-        """Return the keywords that the kind of the medium has."""
-        return list_keywords(MEDIUM_CLASSES[get_kind(self.medium)])
-
-    def load_packs(self) -> SnowPacks:
-        """Return the snowpacks of a file."""
-        return load_packs(self._get_keywords())
-
-    def _check_keywords(self, kind: str) -> None:
-        """Reject unknown keywords of the medium, of its layers and of the grid."""
-        keywords = list_keywords(MEDIUM_CLASSES[kind])
-        sections = {"medium": self.medium}
+        if self.fit:
+            self._check_fit(kind)
+        if instrument.kind in ("table", "return_table"):
+            self.make_axes()
+        elif self.count_points() > MAX_GRID_POINTS:
+            given, allowed = f"{self.count_points()} points", f"at most {MAX_GRID_POINTS} points"
+            raise invalid("grid", given, allowed, "instrument.kind: table allows more")
         for label, sample in self.grid.get(SAMPLE_KEY, {}).items():
-            sections[f"grid.{SAMPLE_KEY}.{format_key(label)}"] = sample
-        for prefix, settings in sections.items():
-            if not isinstance(settings, Mapping):
-                raise invalid(prefix, settings, "a mapping of the medium's keywords")
-            for key in settings:
-                if key not in (*keywords, "kind"):
-                    raise unknown_key(f"{prefix}.{key}", keywords)
-            check_choice(f"{prefix}.kind", settings.get("kind", kind), [kind])
-            if kind == "stack" and (prefix == "medium" or LAYERS_KEY in settings):
-                check_layers(prefix, settings.get(LAYERS_KEY))
-        if kind == "stack":
-            check_grid_layers(self.medium, self.grid)
-        parameters = [*keywords, "incidence_deg", SAMPLE_KEY]
-        for parameter in self.grid:
-            keyword, _ = parse_impurity_parameter(parameter) or (parameter, "")
-            is_path = kind == "stack" and parse_layer_parameter(parameter)
-            if not is_path and keyword not in parameters:
-                raise unknown_key(f"grid.{parameter}", parameters)
+            key = f"grid.{SAMPLE_KEY}.{label}"
+            if not isinstance(sample, Mapping):
+                raise invalid(key, sample, "a mapping of the medium's keywords")
+            check_choice(f"{key}.kind", sample.get("kind", kind), [kind])
+        for labels, _, incidence in self.iter_points(self._iter_axis_labels()):
+            with self.locate_errors(labels):
+                check_incidence(incidence)
+        return self
 
     def _check_fit(self, kind: str) -> None:
         """Reject settings that a fit does not allow."""
-        if not self.fit:
-            return
         key, instrument = "instrument", self.instrument
         if not isinstance(instrument, Spectrophotometer):
             raise invalid(f"{key}.kind", instrument.kind, "spectrophotometer with a section fit")
@@ -182,65 +148,27 @@ class SimulationConfig(ConfigSection):
         if instrument.estimator == "analog":
             raise invalid(f"{key}.estimator", "analog", "left out: fits reuse paths")
 
-    def _check_size(self) -> None:
-        """Reject a grid whose dataset would not fit into memory."""
-        if isinstance(self.instrument, TableInstrument):
-            # The blocks of a table are written one by one.
-            self.make_axes()
-            return
-        if isinstance(self.instrument, ReturnTable):
-            self.make_axes()
-        points = math.prod(len(values) for values in self.grid.values())
-        if points > MAX_GRID_POINTS:
-            hint = "instrument.kind: table allows more"
-            raise invalid("grid", f"{points} points", f"at most {MAX_GRID_POINTS} points", hint)
-        count = self.instrument.count_values()
-        if points * count > MAX_DATASET_VALUES:
-            given = f"{points} points of {count} values each"
-            allowed = f"at most {MAX_DATASET_VALUES} values in all"
-            raise invalid("grid", given, allowed, "split it into several experiments")
+    @property
+    def has_packs(self) -> bool:
+        """Whether the medium is a file of snowpacks."""
+        return self.medium.get("kind") == PACKS_KIND
 
-    def _check_grid(self) -> None:
-        """Reject grids that an instrument does not allow."""
-        instrument, incidence = self.instrument, self.grid.get("incidence_deg")
-        if incidence and not isinstance(instrument, OpticalInstrument):
-            allowed = f"left out for {instrument.kind}"
-            raise invalid("grid.incidence_deg", list(incidence.values()), allowed)
-        if incidence and instrument.get_incidence() != 0.0:
-            allowed = "left out, because grid.incidence_deg sets it"
-            raise invalid("instrument.incidence_deg", instrument.get_incidence(), allowed)
-        if isinstance(instrument, BeamSpread) and self.grid and instrument.half_width_m is None:
-            allowed, hint = "given where there is a grid", "all maps have the same axes"
-            raise invalid("instrument.half_width_m", None, allowed, hint)
-        varied = {key: list(given) for key, given in self.grid.items() if len(given) > 1}
-        if instrument.kind == "refractive_index" and varied:
-            raise invalid("grid", varied, "of one value for refractive_index")
+    @property
+    def is_in_parts(self) -> bool:
+        """Whether the experiment is simulated in parts, by several jobs."""
+        return self.has_packs or self.instrument.kind == "table"
 
-    def _check_point_errors(self) -> None:
-        """Reject target errors of points that are not those of the grid."""
-        scales = getattr(self.instrument, "point_stderr_scale", None)
-        n_points = math.prod(len(values) for values in self.grid.values())
-        if scales is None or (len(scales) == n_points and not (self.is_in_parts or self.fit)):
-            return
-        allowed = f"{n_points} numbers, one for each point of the grid"
-        if self.is_in_parts or self.fit:
-            allowed = "left out for tables, fits and snowpacks"
-        raise invalid("instrument.point_stderr_scale", list(scales), allowed)
+    def count_points(self) -> int:
+        """Return the number of points of the grid."""
+        return math.prod(map(len, self.grid.values()))
 
-    def _check_medium(self, kind: str, medium: Medium) -> None:
-        """Reject a medium that the instrument or its estimator does not allow."""
-        is_layer = kind == "particle_layer"
-        is_rough = is_layer and make_height_fields(medium) is not None
-        instrument = self.instrument
-        if instrument.MEASURES_SURFACE and not is_rough:
-            given = kind if not is_layer else "a layer without surface"
-            raise invalid("medium.kind", given, f"a layer with a surface for {instrument.kind}")
-        instrument.check_medium(medium)
-        has_wavelengths = "wavelength_nm" in instrument.model_fields_set
-        if is_layer and isinstance(instrument, OpticalInstrument) and not has_wavelengths:
-            allowed = "given for a layer, for example [550]"
-            hint = "properties of layers do not depend on wavelength"
-            raise invalid("instrument.wavelength_nm", None, allowed, hint)
+    def load_packs(self) -> SnowPacks:
+        """Return the snowpacks of a file."""
+        return load_packs(self._get_keywords())
+
+    def _get_keywords(self) -> dict[str, Any]:
+        """Return the keywords of the medium."""
+        return {key: value for key, value in self.medium.items() if key != "kind"}
 
     def list_table_paths(self) -> list[str]:
         """Return the paths of all files that the media read, on which the results depend."""
@@ -248,12 +176,43 @@ class SimulationConfig(ConfigSection):
         paths = {path for settings in points for path in list_table_paths(settings)}
         return sorted(str(expand_path(path)) for path in paths)
 
-    def iter_points(self) -> Iterator[tuple[dict[str, str], Medium, float | str]]:
-        """Yield the labels, the medium and the angle of incidence of each point of the grid."""
-        for labels, settings, incidence in self.iter_settings():
+    def iter_points(self, rows: Iterable[tuple[str, ...]] | None = None) -> Iterator[Point]:
+        """Yield points of the grid, by default all; `rows` are their labels.
+
+        Of a table, by default those of each axis with the first values of all others: all points
+        are checked when it is built.
+        """
+        for labels, settings, incidence in self.iter_settings(rows):
             with self.locate_errors(labels):
                 medium = make_medium(get_kind(self.medium), settings)
             yield labels, medium, incidence
+
+    def iter_settings(
+        self, rows: Iterable[tuple[str, ...]] | None = None
+    ) -> Iterator[tuple[dict[str, str], dict[str, Any], float | str]]:
+        """Yield the labels, the keywords of the medium and the angle of incidence of points."""
+        interpretation = self.medium.get("interpretation", {})
+        if not isinstance(interpretation, Mapping | str):
+            allowed = "a mapping of interpretation keywords, or the name of a set"
+            raise invalid("medium.interpretation", interpretation, allowed)
+        if rows is None:
+            is_table = self.instrument.kind == "table"
+            rows = self._iter_axis_labels() if is_table else itertools.product(*self.grid.values())
+        for row in rows:
+            labels = dict(zip(self.grid, row, strict=True))
+            values = {p: self.grid[p][label] for p, label in labels.items()}
+            incidence = values.pop("incidence_deg", self.instrument.get_incidence())
+            with self.locate_errors(labels):
+                settings = self.merge_settings(values)
+            yield labels, settings, incidence
+
+    def _iter_axis_labels(self) -> Iterator[tuple[str, ...]]:
+        """Yield the labels of each value of the grid with the first of all other parameters."""
+        first = tuple(next(iter(values)) for values in self.grid.values())
+        yield first
+        for index, (_, *others) in enumerate(self.grid.values()):
+            for label in others:
+                yield (*first[:index], label, *first[index + 1 :])
 
     @contextmanager
     def locate_errors(self, labels: Mapping[str, str]) -> Iterator[None]:
@@ -261,17 +220,25 @@ class SimulationConfig(ConfigSection):
         try:
             yield
         except InvalidValue as error:
-            path = error.key.split(" ", 1)[0]
+            path = error.key.removeprefix("medium.").split(" ", 1)[0]
             key = path if path in self.grid else re.split(r"\W", path, maxsplit=1)[0]
-            sample = self.grid[SAMPLE_KEY][labels[SAMPLE_KEY]] if SAMPLE_KEY in self.grid else {}
+            sample = self.grid.get(SAMPLE_KEY, {}).get(labels.get(SAMPLE_KEY, ""), {})
             if key in self.grid:
                 prefix = "grid"
+                if key == LAYERS_KEY != path and labels:
+                    prefix = f"grid.{LAYERS_KEY}.{labels[LAYERS_KEY]}"
             elif key in sample:
                 prefix = f"grid.{SAMPLE_KEY}.{labels[SAMPLE_KEY]}"
             elif key in type(self.instrument).model_fields:
                 prefix = "instrument"
             else:
                 prefix = "fit" if key in FitSection.model_fields else "medium"
+            error.key = error.key.removeprefix("medium.")
+            if prefix == "grid" and isinstance(error, UnknownKey) and key in self.grid:
+                keywords = list_keywords(MEDIUM_CLASSES[get_kind(self.medium)])
+                raise unknown_key(f"grid.{key}", [*keywords, INCIDENCE, SAMPLE_KEY]) from None
+            if error.key == SAMPLE_KEY:
+                raise
             has_several = prefix == "medium" and self._has_several_values(key)
             raise error.add_prefix(prefix, USE_GRID_HINT if has_several else "") from None
 
@@ -282,32 +249,6 @@ class SimulationConfig(ConfigSection):
         if not isinstance(value, (list, tuple)) or default is None:
             return False
         return not isinstance(default, tuple) or any(isinstance(v, (list, tuple)) for v in value)
-
-    def iter_settings(self) -> Iterator[tuple[dict[str, str], dict[str, Any], float | str]]:
-        """Yield the labels, the keywords of the medium and the angle of incidence of each point."""
-        interpretation = self.medium.get("interpretation", {})
-        if not isinstance(interpretation, Mapping | str):
-            allowed = "a mapping of interpretation keywords, or the name of a set"
-            raise invalid("medium.interpretation", interpretation, allowed)
-        for labels in self._iter_labels():
-            point_labels = dict(zip(self.grid, labels, strict=True))
-            values = {p: self.grid[p][label] for p, label in point_labels.items()}
-            incidence = values.pop("incidence_deg", self.instrument.get_incidence())
-            yield point_labels, self.merge_settings(values), incidence
-
-    def _iter_labels(self) -> Iterator[tuple[str, ...]]:
-        """Yield the labels of every point; for a table, each value with the first of all others.
-
-        All points of a table are checked when it is built.
-        """
-        if not isinstance(self.instrument, TableInstrument):
-            yield from itertools.product(*self.grid.values())
-            return
-        first = [next(iter(values)) for values in self.grid.values()]
-        yield tuple(first)
-        for index, (_, *others) in enumerate(self.grid.values()):
-            for label in others:
-                yield (*first[:index], label, *first[index + 1 :])
 
     def merge_settings(self, values: dict[str, Any]) -> dict[str, Any]:
         """Return the keywords of the medium at a point of the grid, merged into the common ones."""
@@ -325,9 +266,7 @@ class SimulationConfig(ConfigSection):
     def make_axes(self) -> ParameterGrid:
         """Return the grid as axes of a table: increasing numbers, or texts."""
         nodes: dict[str, Any] = {p: list(_get_axis_nodes(v)) for p, v in self.grid.items()}
-        if isinstance(self.instrument, TableInstrument):
-            nodes |= self.instrument.get_views()
-        return ParameterGrid.from_mapping(nodes)
+        return ParameterGrid.from_mapping(nodes | self.instrument.get_views())
 
     def make_medium(self, **values: Any) -> Medium:
         """Return the medium at a point of the grid, or with other values of its keywords."""

@@ -13,7 +13,7 @@ import xarray as xr
 
 from splits.analysis.sensitivity import SensitivityIndex, compute_spectral_sensitivity
 from splits.core.uncertainty import make_variable
-from splits.experiments.config.grid import make_label
+from splits.experiments.config.media import make_label
 from splits.io.netcdf import make_provenance, select_points, to_netcdf_attributes
 
 QUANTITY_CONDITIONS: dict[str, dict[str, Any]] = {

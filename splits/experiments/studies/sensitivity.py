@@ -9,9 +9,9 @@ from pydantic import Field
 
 from splits.core.provenance import RETRIEVAL_SOURCES, hash_sources
 from splits.core.validation import check_choice, invalid, unknown_key
-from splits.experiments.config.grid import make_label
-from splits.experiments.config.retrieve_checks import check_on_grid
-from splits.experiments.config.sections import ConfigSection
+from splits.experiments.config.media import make_label
+from splits.experiments.config.retrieval import check_on_grid
+from splits.experiments.config.sections import ConfigSection, Number
 from splits.experiments.papers.sensitivity_table import list_published_names
 from splits.experiments.studies.study import (
     Experiments,
@@ -251,7 +251,7 @@ class BandsStudy(TableStudy):
     )
     noise: float = Field(0.01, gt=0.0, le=1.0, description="standard error of a band")
     n_bands: int = Field(5, ge=1, description="number of bands to select")
-    fixed: dict[str, float | str] = Field(
+    fixed: dict[str, Number | str] = Field(
         {}, description="known values of axes, for the tables that have these axes"
     )
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from splits.core.validation import invalid
 from splits.experiments.config.experiment import ExperimentConfig
-from splits.experiments.config.grid import make_label, to_coordinate_values
-from splits.experiments.config.instrument_kinds import Goniophotometer
+from splits.experiments.config.instruments import Goniophotometer
+from splits.experiments.config.media import make_label, to_coordinate_values
 
 
 @dataclass(frozen=True)

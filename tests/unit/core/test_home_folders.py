@@ -20,7 +20,7 @@ from splits.core.validation import InvalidValue
 from splits.core.yaml import ConfigError
 from splits.experiments import load_experiment, load_experiments, load_settings
 from splits.experiments.archive import make_configuration_members, pack_archive
-from splits.experiments.config.medium import identify_by_content
+from splits.experiments.config.media import identify_by_content
 from splits.io.unarchive import unpack_archive, verify_archive
 from splits.plotting import save_figure
 from splits.plotting.explorer.page import ExplorerTable, write_explorer

@@ -48,9 +48,9 @@ def test_digest_is_independent_of_line_endings(package):
         "kernels/vectorized/trace.py",
         "simulation/engine.py",
         "experiments/run.py",
-        "experiments/run_points.py",
+        "experiments/config/instruments.py",
         "experiments/config/simulation.py",
-        "experiments/config/medium.py",
+        "experiments/config/media.py",
     ],
 )
 def test_physics_sources_change_both_digests(package, name):

@@ -20,8 +20,8 @@ from splits.core.uncertainty import (
     compute_weighted_error,
     make_band_weights,
 )
-from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.papers.snow_trends import compute_band_mean, compute_steps
 from splits.experiments.run import run
 from splits.kernels.tallies.exits import N_BATCHES

@@ -11,8 +11,8 @@ import xarray as xr
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.experiments import run_points
-from splits.experiments.config.accuracy import Accuracy
+from splits.experiments import run as run_points
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.run import write_run
 from splits.io.netcdf import drop_run_specific_attributes
@@ -36,7 +36,7 @@ PATH_SHARING_POINTS = {
 LAST_POINT = """
 import signal
 from splits import cli
-from splits.experiments import run_points
+from splits.experiments import run as run_points
 
 signal.signal(signal.SIGINT, signal.SIG_DFL)
 signal.signal(signal.SIGINT, signal.default_int_handler)

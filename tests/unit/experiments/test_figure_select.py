@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from splits.experiments import ExperimentConfig
-from splits.experiments.config.grid import find_label, label_grid, to_coordinate_values
+from splits.experiments.config.media import find_label, label_grid, to_coordinate_values
 from splits.io.netcdf import select_points
 
 CROSSED_GRID = {"0.1": 1.0, "1": 0.1}

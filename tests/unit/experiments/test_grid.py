@@ -9,8 +9,8 @@ import xarray as xr
 
 import splits
 from splits.core.keywords import list_keywords
-from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.media.kinds import MEDIUM_CLASSES
@@ -89,7 +89,7 @@ def test_grid_coordinates_have_units_if_they_are_numbers(small_lens):
 
 
 def test_long_names_of_labels_contain_units():
-    from splits.experiments.config.grid import make_grid_coordinates
+    from splits.experiments.config.media import make_grid_coordinates
 
     grid = {"grain_size_um": {"100-200": [100, 200]}, "temperature_c": {"-1": -1, "-5": -5}}
     sizes, means, degrees = make_grid_coordinates(grid).values()

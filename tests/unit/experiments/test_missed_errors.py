@@ -6,8 +6,8 @@ import warnings
 
 import pytest
 
-from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.load import load_experiment
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.run import run
 

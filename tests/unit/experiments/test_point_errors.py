@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.messages import validate_content
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run
 
 LAYER = {"kind": "particle_layer", "optical_thickness": 1.0, "single_scattering_albedo": 0.9}

@@ -9,12 +9,14 @@ import yaml
 
 import splits
 from splits import cli
+from splits.core.validation import InvalidValue
 from splits.core.yaml import ConfigError
 from splits.experiments import SimulationConfig, load_experiment
-from splits.experiments.config.accuracy import Accuracy
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run
-from splits.experiments.run_return import (
+from splits.experiments.run_retrieve import (
     retrieve_samples,
+    select_returns,
     simulate_returns,
     write_return_retrieval,
 )
@@ -127,7 +129,7 @@ def test_measured_returns_have_the_same_results(folder, experiment, table, retur
     write_measured(folder, samples, returns["fine"].edges)
     measured = load(folder, {**EXPERIMENT, "retrieve_return": section}).retrieve_return
     frame = pd.read_csv(folder / "measured" / "returns.csv")
-    selected = measured.select_returns(frame, table.wavelength.values)
+    selected = select_returns(measured, frame, table.wavelength.values)
     (found,) = retrieve_samples(measured, table, selected)
     expected = retrieve_samples(experiment.retrieve_return, table, {"coarse": returns["coarse"]})
     difference = found.result.values[AREA] - expected[0].result.values[AREA]
@@ -177,22 +179,8 @@ MISTAKES = {
     "no photons": (change_section(photons=0), "retrieve_return.photons = 0: must be above 0"),
     "pulse": (change_section(pulse=-1), "retrieve_return.pulse = -1.0: must be"),
     "free": (change_section(free=["depth_m"]), "retrieve_return.free = 'depth_m': must be one of"),
-    "scale only": (change_section(free=["scale"], fixed={AREA: 10, DENSITY: 250}),
-                   "at least one parameter of the grid"),
-    "not fixed": (change_section(fixed={}), f"retrieve_return.fixed.{DENSITY} = None: must be giv"),
-    "fixed outside": (change_section(fixed={DENSITY: 100}), "250 to 350, the range of the grid"),
     "samples": (change_section(samples=["fine"]), "retrieve_return.samples = .*truth has"),
-    "truth outside": (change_truth(**{AREA: 100}), "truth.fine.*100.0: must be 8 to 64, the range"),
-    "truth scale": (change_truth(scale=0), "truth.fine.scale = 0.0: must be above 0"),
-    "truth unknown": (change_truth(densty=3), "densty: unknown key"),
     "key": (change_section(photon=3), r"photon: unknown key.*did you mean photons"),
-    "no truth": (change_section(synthetic={"delay_s": [0, 1e-9], "truth": {}}),
-                 "synthetic.truth = {}: must be at least one sample"),
-    "long pulse": (change_section(pulse=1e-9), r"return.pulse = '3.397e-09 s long': must be at mo"),
-    "late": (change_section(synthetic={**SECTION["synthetic"], "delay_s": [0, 1e-8]}),
-             r"synthetic.delay_s = 1e-08: must be up to 1.49e-09 s"),
-    "early": (change_section(synthetic={**SECTION["synthetic"], "delay_s": [-1e-9, 1e-9]}),
-              r"synthetic.delay_s = -1e-09: must be at least -5.096e-10 s"),
     "step": ({"instrument": {**EXPERIMENT["instrument"], "delay_s": {"start": 0, "stop": 1e-9}}},
              "instrument.delay_s.step = None: must be given"),
     "pulse of the table": ({"instrument": {**EXPERIMENT["instrument"], "pulse": 1e-9}},
@@ -210,6 +198,42 @@ def test_mistakes_have_one_message(tmp_path, name):
     assert "\n" not in str(caught.value)
 
 
+TRUTH_MISTAKES = {
+    "outside": ({AREA: 100}, {}, r"truth\.fine\..* = 100.0: must be 8 to 64, the range"),
+    "scale": ({"scale": 0}, {}, r"truth\.fine\.scale = 0.0: must be above 0"),
+    "unknown": ({"densty": 3}, {}, r"truth\.fine\.densty: unknown key"),
+    "not given": ({}, {"free": [DENSITY], "fixed": {AREA: 16}}, rf"truth\.fine\.{DENSITY} = None"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TRUTH_MISTAKES)
+def test_known_media_outside_the_table_are_rejected(tmp_path, name):
+    values, section, message = TRUTH_MISTAKES[name]
+    changes = change_truth(**values)
+    changes["retrieve_return"] |= section
+    experiment = load(tmp_path, EXPERIMENT | changes)
+    with pytest.raises(InvalidValue, match=message):
+        simulate_returns(experiment, experiment.retrieve_return, seed=1)
+
+
+RETRIEVAL_MISTAKES = {
+    "scale only": ({"free": ["scale"], "fixed": {AREA: 10, DENSITY: 250}}, "at least one axis"),
+    "not fixed": ({"fixed": {}}, rf"fixed\.{DENSITY} = None: must be given"),
+    "fixed outside": ({"fixed": {DENSITY: 100}}, "100.*250"),
+    "long pulse": ({"pulse": 1e-9}, "pulse|delays"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", RETRIEVAL_MISTAKES)
+def test_retrievals_reject_what_the_table_does_not_allow(tmp_path, table, returns, name):
+    section, message = RETRIEVAL_MISTAKES[name]
+    content = EXPERIMENT | {"retrieve_return": {**SECTION, **section}}
+    experiment = load(tmp_path, content)
+    with pytest.raises(InvalidValue, match=message) as caught:
+        retrieve_samples(experiment.retrieve_return, table, {"fine": returns["fine"]})
+    assert "retrieve_return (fine)" in str(caught.value)
+
+
 EDGES = np.linspace(0.0, 1e-9, 5)
 COUNTS = np.full((2, 4), 100.0)
 FILE_MISTAKES = {
@@ -222,28 +246,34 @@ FILE_MISTAKES = {
     "no sample": ({"samples": {}}, {}, "a table with a column per sample"),
     "sample": ({}, {"samples": ["two"]}, "samples = 'two': must be one of one"),
     "reference": ({}, {"reference_values": {AREA: {"two": 20}}}, "= 'two': must be one of one"),
-    "reference outside": ({}, {"reference_values": {AREA: {"one": 2}}}, "8 to 64, the range"),
     "no errors": ({}, {"photons": None}, "with a column one_stderr .or give photons"),
     "errors of 0": ({"samples": {"one": COUNTS, "one_stderr": 0.0 * COUNTS}}, {"photons": None},
                     "standard errors above 0"),
 }  # fmt: skip
 
 
+def retrieve_from_file(folder, table, **section):
+    content = {**EXPERIMENT, "retrieve_return": {**FROM_FILE, **section}}
+    section = load(folder, content).retrieve_return
+    frame = pd.read_csv(folder / "measured" / "returns.csv")
+    return retrieve_samples(section, table, select_returns(section, frame, table.wavelength.values))
+
+
 @pytest.mark.parametrize("name", FILE_MISTAKES)
-def test_mistakes_in_files_have_one_message(tmp_path, name):
+def test_mistakes_in_files_have_one_message(tmp_path, table, name):
     file, section, message = FILE_MISTAKES[name]
     write_measured(tmp_path, **{"samples": {"one": COUNTS}, "edges": EDGES, **file})
-    with pytest.raises(ConfigError, match=message) as caught:
-        load(tmp_path, {**EXPERIMENT, "retrieve_return": {**FROM_FILE, **section}})
+    with pytest.raises(InvalidValue, match=message) as caught:
+        retrieve_from_file(tmp_path, table, **section)
     assert "\n" not in str(caught.value)
     assert "retrieve_return" in str(caught.value)
 
 
-def test_bins_of_a_file_follow_each_other(tmp_path):
+def test_bins_of_a_file_follow_each_other(tmp_path, table):
     write_measured(tmp_path, {"one": COUNTS}, EDGES)
     path = tmp_path / "measured" / "returns.csv"
     frame = pd.read_csv(path)
     frame.loc[5, "delay_start_s"] += 1e-11
     frame.to_csv(path, index=False)
-    with pytest.raises(ConfigError, match="bins that follow each other, the same at all"):
-        load(tmp_path, {**EXPERIMENT, "retrieve_return": FROM_FILE})
+    with pytest.raises(InvalidValue, match="bins that follow each other, the same at all"):
+        retrieve_from_file(tmp_path, table)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -13,9 +15,14 @@ import splits
 from splits.core.validation import InvalidValue
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.messages import validate_content
-from splits.experiments.config.retrieve import NoiseSection, RetrieveSection
-from splits.experiments.config.retrieve_checks import check_measured_spectra
-from splits.experiments.run_retrieve import combine_samples, make_retrieval_table, run_retrieve
+from splits.experiments.config.retrieval import NoiseSection, RetrieveSection
+from splits.experiments.run_retrieve import (
+    combine_samples,
+    get_fixed_values,
+    make_retrieval_table,
+    run_retrieve,
+    select_spectra,
+)
 from splits.plotting.retrieval import draw_retrievals
 from splits.plotting.style import save_figure
 
@@ -173,18 +180,6 @@ EXPERIMENT_ERRORS = {
         {"grid": NAMED_INTERPRETATIONS, "retrieve": {**SECTION, "model_axis": "reading"}},
         "one of interpretation",
     ),
-    "reference value outside the table": (
-        {"retrieve": {**SECTION, "reference_values": {SIZE: {"some": 200}}}},
-        "50 to 100",
-    ),
-    "prior outside the table": (
-        {"retrieve": {**SECTION, "prior_from": {"sample": "some", "fixed": {SIZE: 10}}}},
-        "50 to 100",
-    ),
-    "nothing free in the first sample": (
-        {"retrieve": {**SECTION, "prior_from": {"sample": "a", "fixed": {SIZE: 60, SOOT: 0}}}},
-        "not all of retrieve.free",
-    ),
     "asymptotic model of sand": (
         {
             "medium": {"kind": "sand"},
@@ -252,35 +247,46 @@ def test_unused_first_samples_are_rejected(name):
 def test_missing_samples_are_rejected():
     section = RetrieveSection.model_validate({**SECTION, "samples": ["snow"]})
     with pytest.raises(InvalidValue, match=r"retrieve\.samples"):
-        section.select_spectra(make_measured(), W)
+        select_spectra(section, make_measured(), W)
     with pytest.raises(InvalidValue, match="column wavelength_nm"):
-        RetrieveSection.model_validate(SECTION).select_spectra(
-            make_measured().drop(columns="wavelength_nm"), W
+        select_spectra(
+            RetrieveSection.model_validate(SECTION),
+            make_measured().drop(columns="wavelength_nm"),
+            W,
         )
     with pytest.raises(InvalidValue, match="the range of the table"):
-        RetrieveSection.model_validate(SECTION).select_spectra(make_measured(), 1100.0 + W)
+        select_spectra(RetrieveSection.model_validate(SECTION), make_measured(), 1100.0 + W)
 
 
-SPECTRA = {
-    "per cent": ("some", [50.0, 60.0], "not per cent"),
-    "a gap": ("some", [0.5, np.nan], "gaps"),
-    "no name": ("Unnamed: 0", [0.5, 0.6], "without a name"),
-    "no angle": ("plain", [0.5, 0.6], "its angle in the name, plain@50"),
-    "angle outside the table": ("some@80", [0.5, 0.6], "incidence_deg = 80"),
-}
+RETRIEVAL_ERRORS = {
+    "per cent": ({"some": 50.0}, {}, "not per cent"),
+    "a gap": ({"some": np.nan}, {}, "gaps"),
+    "no name": ({"Unnamed: 0": 0.5}, {}, "without a name"),
+    "too few for unknown noise": ({"some": 0.5}, {"noise": None},
+                                  r"^retrieve \(some\)\.noise = None: must be given"),
+    "fixed and free": ({"some": 0.5}, {"fixed": {SIZE: 50, "incidence_deg": 30}},
+                       rf"retrieve \(some\)\.fixed\.{SIZE}"),
+    "not fixed": ({"some": 0.5}, {"free": [SIZE]}, rf"retrieve \(some\)\.fixed\.{SOOT} = None"),
+    "scale only": ({"some": 0.5},
+                   {"free": ["scale"], "fixed": {SIZE: 100, SOOT: 0, "incidence_deg": 30}},
+                   r"free = .*at least one axis"),
+    "prior outside": ({"some": 0.5}, {"prior": {SIZE: [1e6, 1.0]}}, rf"prior\.{SIZE}"),
+    "first outside": ({"some": 0.5, "other": 0.5},
+                      {"prior_from": {"sample": "other", "fixed": {SIZE: 1e6}}}, SIZE),
+    "nothing free": ({"some": 0.5, "other": 0.5},
+                     {"prior_from": {"sample": "other", "fixed": {SIZE: 100, SOOT: 0}}},
+                     r"retrieve \(other\)\.free"),
+}  # fmt: skip
 
 
-@pytest.mark.parametrize("name", SPECTRA)
-def test_invalid_spectra_are_rejected_before_the_run(name):
-    sample, values, message = SPECTRA[name]
-    grid = {**TABLE["grid"], "incidence_deg": [0, 60]}
-    fixed = {} if "@" in sample or sample == "plain" else {"incidence_deg": 30}
-    experiment = ExperimentConfig.model_validate(
-        TABLE | {"grid": grid, "retrieve": {**SECTION, "fixed": fixed}}
-    )
-    table = pd.DataFrame({"wavelength_nm": [500.0, 900.0], sample: values})
+@pytest.mark.parametrize("name", RETRIEVAL_ERRORS)
+def test_retrievals_reject_what_the_table_does_not_allow(name):
+    samples, changes, message = RETRIEVAL_ERRORS[name]
+    fixed = {"fixed": {"incidence_deg": 30}}
+    section = RetrieveSection.model_validate(SECTION | fixed | changes)
+    table = pd.DataFrame({"wavelength_nm": [500.0, 900.0], **samples})
     with pytest.raises(InvalidValue, match=message):
-        check_measured_spectra(experiment, experiment.retrieve, table)
+        run_retrieve(section, make_snowlike_table(), table)
 
 
 def test_unknown_noise_is_estimated_from_the_misfit():
@@ -292,7 +298,8 @@ def test_unknown_noise_is_estimated_from_the_misfit():
 
 def test_an_invalid_angle_is_rejected():
     with pytest.raises(InvalidValue, match="an angle after @"):
-        RetrieveSection.model_validate(SECTION).get_fixed_values("snow@noon", ["incidence_deg"])
+        table = SimpleNamespace(axes=["incidence_deg"])
+        get_fixed_values(RetrieveSection.model_validate(SECTION), "snow@noon", table)
 
 
 def test_noise_is_added_in_quadrature_unless_it_is_correlated():
@@ -301,27 +308,3 @@ def test_noise_is_added_in_quadrature_unless_it_is_correlated():
     np.testing.assert_allclose(independent, np.hypot(0.003, 0.01 * values))
     correlated = NoiseSection(absolute=0.003, relative=0.01, correlation_nm=100).evaluate(values)
     assert correlated["independent"] == 0.003
-
-
-def test_too_few_wavelengths_for_unknown_noise_are_rejected():
-    section = {key: value for key, value in SECTION.items() if key != "noise"}
-    experiment = ExperimentConfig.model_validate(TABLE | {"retrieve": section})
-    spectrum = pd.DataFrame({"wavelength_nm": [500, 700, 900], "a": [0.9, 0.8, 0.5]})
-    message = r"^retrieve \(a\)\.noise = None: must be given \(3 values are too few to estimate it"
-    with pytest.raises(ValueError, match=message):
-        check_measured_spectra(experiment, experiment.retrieve, spectrum)
-
-
-@pytest.mark.parametrize(
-    ("section", "message"),
-    [
-        ({"fixed": {SIZE: 50}}, r"retrieve\.fixed\.optical_radius_um = 50.0: must be left out"),
-        (
-            {"free": ["scale"], "fixed": {SIZE: 50, SOOT: 0}},
-            r"retrieve\.free = .*at least one para",
-        ),
-    ],
-)
-def test_retrieval_errors_are_raised_when_loading(section, message):
-    with pytest.raises(ValueError, match=message):
-        ExperimentConfig.model_validate(TABLE | {"retrieve": SECTION | section})

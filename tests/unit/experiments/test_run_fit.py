@@ -7,14 +7,15 @@ import pandas as pd
 import pytest
 import xarray as xr
 from chi2 import NEEDS_JIT
+from experiment_jobs import start_jobs
 from stated_errors import list_variables_with_errors
 
 from splits import load, save
 from splits.core.yaml import ConfigError
 from splits.experiments import load_experiment
 from splits.experiments import run_fit as module
-from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.papers.sand_trends import UNDETERMINED_VERDICT, make_fit_table
 from splits.plotting import draw
 from splits.retrieval.sand_forward_model import Effort
@@ -113,7 +114,7 @@ def test_invalid_fits_are_rejected(experiment, tmp_path, line, message):
     )
     path.write_text(text.replace("fit: {measured: mine.csv}", line), encoding="utf-8")
     with pytest.raises(ConfigError, match=message):
-        load_experiment(path, tmp_path / "media")
+        start_jobs(path, tmp_path / "media")
 
 
 def test_only_sand_is_fitted(experiment, tmp_path):
@@ -143,7 +144,7 @@ def test_invalid_measurements_are_rejected_before_the_run(experiment, tmp_path, 
     table = experiment[1].assign(dark=column)
     table.to_csv(tmp_path / "measured" / "mine.csv", index=False)
     with pytest.raises(ConfigError, match=message):
-        load_experiment(tmp_path / "found.yaml", tmp_path / "media")
+        start_jobs(tmp_path / "found.yaml", tmp_path / "media")
 
 
 @pytest.mark.parametrize(
@@ -163,7 +164,7 @@ def test_invalid_measurements_are_rejected_before_the_run(experiment, tmp_path, 
 def test_tables_that_cannot_be_fitted_are_rejected(experiment, tmp_path, text, message):
     (tmp_path / "measured" / "mine.csv").write_text(text, "utf-8")
     with pytest.raises(ConfigError, match=message) as error:
-        load_experiment(tmp_path / "found.yaml", tmp_path / "media")
+        start_jobs(tmp_path / "found.yaml", tmp_path / "media")
     assert "\n" not in str(error.value)
 
 

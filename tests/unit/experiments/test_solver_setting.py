@@ -6,10 +6,11 @@ import re
 
 import pytest
 from chi2 import NEEDS_JIT
+from experiment_jobs import start_jobs
 
 from splits.core.yaml import ConfigError
 from splits.experiments import load_experiment
-from splits.experiments.config.accuracy import Accuracy
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run
 from splits.experiments.run_table import prepare_table
 
@@ -28,6 +29,12 @@ def load_text(folder, text, solver="discrete_ordinates"):
     path = folder / "solver.yaml"
     path.write_text(text.replace("SOLVER", solver))
     return load_experiment(path, folder)
+
+
+def start_text(folder, text, solver="discrete_ordinates"):
+    path = folder / "solver.yaml"
+    path.write_text(text.replace("SOLVER", solver))
+    return start_jobs(path, folder)
 
 
 def test_default_is_auto(tmp_path):
@@ -69,7 +76,7 @@ def test_experiments_run_by_discrete_ordinates(tmp_path, medium, instrument, sol
 )
 def test_refusals_name_the_line_and_the_key(tmp_path, text, reason):
     with pytest.raises(ConfigError) as error:
-        load_text(tmp_path, text)
+        start_text(tmp_path, text)
     pattern = r".*solver\.yaml, line 2: instrument\.solver = 'discrete_ordinates': .*"
     assert re.fullmatch(pattern + re.escape(reason) + ".*", str(error.value)), str(error.value)
 
@@ -97,7 +104,7 @@ def test_directions_of_one_grid_have_the_solver_of_each_point(tmp_path):
 
 def test_semi_infinite_snow_has_no_brdf_by_paths(tmp_path):
     with pytest.raises(ConfigError, match=r"medium\.depth_m.*solver discrete_ordinates"):
-        load_text(tmp_path, DEEP + DIRECTIONS, "monte_carlo")
+        start_text(tmp_path, DEEP + DIRECTIONS, "monte_carlo")
 
 
 def test_parts_of_a_table_hold_all_angles_of_a_medium(tmp_path):

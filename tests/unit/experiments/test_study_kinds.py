@@ -14,6 +14,7 @@ from shipped import CONFIG
 from splits.core.yaml import read_yaml
 from splits.experiments import load_experiments, load_settings
 from splits.experiments.config.messages import validate_content
+from splits.experiments.config.sections import Number
 from splits.experiments.studies import STUDY_KINDS, collect_kinds
 from splits.experiments.studies.study import Inputs, Study, StudyProduct, sort_values
 from splits.experiments.studies.study_files import MEASURED_SPECTRA
@@ -67,16 +68,16 @@ def test_a_field_of_a_kind_may_be_a_boolean():
         """A kind with a switch and a number."""
 
         smooth: bool = Field(False, description="whether to smooth")
-        limits: dict[str, tuple[float, ...]] = Field({}, description="limits by key")
+        limits: dict[str, tuple[Number, ...]] = Field({}, description="limits by key")
 
     assert validate_content(Switched, {"kind": "x", "smooth": True}).smooth
-    with pytest.raises(ValueError, match=r"limits = \{'a': \[True\]\}: must be"):
+    with pytest.raises(ValueError, match=r"limits\.a\[0\] = True: must be a number"):
         validate_content(Switched, {"kind": "x", "limits": {"a": [True]}})
 
 
 def test_fixed_values_of_bands_are_no_booleans():
     content = {"kind": "bands", "inputs": {"a": "b"}, "fixed": {"incidence_deg": True}}
-    with pytest.raises(ValueError, match=r"fixed = \{'incidence_deg': True\}: must be a mapping"):
+    with pytest.raises(ValueError, match=r"fixed\.incidence_deg = True: must be a number"):
         validate_content(STUDY_KINDS["bands"], content)
 
 

@@ -68,12 +68,12 @@ MISTAKES = [
      IN_SCHEMA),
     ("  radius_m: 3\n", "", "line 13: instrument.radius_m = 3: must be left out for "
      "goniophotometer (it belongs to lens)", IN_SCHEMA),
-    ("550", "[550]", "line 11: instrument.wavelength_nm = 550: must be a mapping with start, stop, "
-     "step or a list of numbers (write [550])", IN_SCHEMA),
+    ("550", "[550]", "line 11: instrument.wavelength_nm = 550: must be a mapping of keys to values "
+     "or a list (write [550])", IN_SCHEMA),
     ("95", "45", "line 12: instrument.incidence_deg = 95: must be in [0, 89.9999] degrees",
      IN_SCHEMA),
-    ("brfd", "brdf", "line 13: instrument.target = 'brfd': must be one of brdf, btdf for "
-     "goniophotometer (did you mean brdf?)", IN_SCHEMA),
+    ("brfd", "brdf", "line 13: instrument.target = 'brfd': must be one of brdf, btdf (did you "
+     "mean brdf?)", IN_SCHEMA),
     ("[180, 0]", "[0, 180]", "line 14: instrument.azimuth_deg = [180.0, 0.0]: must be strictly "
      "increasing (numbers 1 and 2 of 2)", NO_ORDER),
     ("  n_bins: [18, 72]\n", "", "line 15: instrument.n_bins = (18, 72): must be left out without "

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
@@ -14,10 +15,13 @@ from shipped import CONFIG
 
 import splits
 from splits import cli
+from splits.core.validation import InvalidValue
 from splits.core.yaml import ConfigError
 from splits.experiments import SimulationConfig, load_experiment, load_settings
-from splits.experiments.config.accuracy import Accuracy
+from splits.experiments.config.retrieval import RetrieveSection
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run
+from splits.experiments.run_retrieve import get_fixed_values
 
 ROOT = Path(__file__).parents[3]
 MEDIA = CONFIG / "media"
@@ -41,13 +45,7 @@ UNUSED_SETTINGS = {
         "figure.wavelength_nm",
     "instrument: {kind: refractive_index}\nfigure: {legend: a}": "figure.legend",
     "instrument: {kind: goniophotometer}\nfigure: {kind: lobes, ylim: [0, 1]}": "figure.ylim",
-    SPECTRUM + "figure: {legend: a}": "figure.legend",
-    SPECTRUM + "grid: {saturation: {default: 0, wet: 0.1}}\nfigure: {legend: a}": "figure.legend",
-    SPECTRUM + "figure: {wavelength_nm: [700, 800]}": "figure.wavelength_nm",
-    SPECTRUM + "grid: {saturation: {start: 0, stop: 1, step: 0.1}, depth_m: {start: 0.1, stop: 1, "
-    f"step: 0.1}}}}\nfigure: {{{MEASURED}}}": "figure.measured",
     "instrument: {kind: refractive_index, seed: 3}": "instrument.seed",
-    LENS + "half_width_m: 1}": "instrument.half_width_m",
     FIT.replace("figure: {kind: fit}", "figure: none")
     + "instrument: {kind: goniophotometer}": "instrument.kind",
     FIT.replace("figure: {kind: fit}", "figure: none") + "instrument: {kind: table}\n"
@@ -58,8 +56,6 @@ UNUSED_SETTINGS = {
     SPECTRUM + "grid: {medium: {a: {depth_m: 1}}, depth_m: [2]}": "grid.medium.a.depth_m",
     "instrument: {wavelength_nm: [500], incidence_deg: 30}\ngrid: {incidence_deg: [0, 60]}":
         "instrument.incidence_deg",
-    TABLE + RETRIEVE + "free: [optical_radius_um], fixed: {optical_radius_um: 60}}":
-        "retrieve.fixed.optical_radius_um",
     TABLE + RETRIEVE + "free: [optical_radius_um], noise: {absolute: 0.1, correlation_nm: 50}}":
         "retrieve.noise.correlation_nm",
 }  # fmt: skip
@@ -95,37 +91,24 @@ def test_settings_with_effect_are_accepted(tmp_path, text):
 
 
 @pytest.mark.parametrize(
-    ("sample", "instrument", "options", "message"),
+    ("sample", "axis", "incidence", "fixed", "message"),
     [
-        ("a@50", "", "", r"retrieve\.samples = 'a@50': must be of incidence 0\.0"),
-        ("a@50", ", incidence_deg: 50", "", None),
-        ("a@noon", "", "", None),
-        (
-            "a@50",
-            "",
-            ", fixed: {incidence_deg: 40}",
-            r"retrieve\.fixed\.incidence_deg = 40\.0.*a@50",
-        ),
-        ("a@50", "", ", fixed: {incidence_deg: 50}", None),
+        ("a@50", False, 0.0, {}, r"retrieve\.samples = 'a@50': must be of incidence 0\.0"),
+        ("a@50", False, 50.0, {}, None),
+        ("a@noon", False, 0.0, {}, None),
+        ("a@50", True, 0.0, {"incidence_deg": 40}, r"retrieve\.fixed\.incidence_deg = 40\.0.*a@50"),
+        ("a@50", True, 0.0, {"incidence_deg": 50}, None),
     ],
 )
-def test_angles_in_sample_names_are_used_or_rejected(
-    tmp_path, sample, instrument, options, message
-):  # fmt: skip
-    (tmp_path / "measured").mkdir()
-    rows = "\n".join(f"{w},0.8" for w in range(400, 1301, 100))
-    (tmp_path / "measured" / "mine.csv").write_text(f"wavelength_nm,{sample}\n{rows}\n", "utf-8")
-    text = TABLE.replace("step: 100}", f"step: 100}}{instrument}")
-    if "fixed:" in options:
-        text = text.replace("200]}", "200], incidence_deg: [40, 50]}")
-    text += f"retrieve: {{measured: mine.csv, free: [optical_radius_um]{options}}}\n"
-    path = tmp_path / "made.yaml"
-    path.write_text(text, encoding="utf-8")
+def test_angles_in_sample_names_are_used_or_rejected(sample, axis, incidence, fixed, message):
+    section = RetrieveSection(measured="mine.csv", free=["optical_radius_um"], fixed=fixed)
+    dataset = SimpleNamespace(attrs={} if axis else {"incidence_deg": incidence})
+    table = SimpleNamespace(axes=["incidence_deg"] * axis, dataset=dataset)
     if message is None:
-        load_experiment(path, MEDIA, tmp_path / "measured")
+        assert get_fixed_values(section, sample, table) == ({"incidence_deg": 50} if axis else {})
         return
-    with pytest.raises(ConfigError, match=message):
-        load_experiment(path, MEDIA, tmp_path / "measured")
+    with pytest.raises(InvalidValue, match=message):
+        get_fixed_values(section, sample, table)
 
 
 def test_a_fit_section_is_not_ignored():

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import splits
-from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.messages import validate_content
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run
 from splits.plotting import draw
 

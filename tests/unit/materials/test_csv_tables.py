@@ -11,37 +11,41 @@ import pytest
 from shipped import CONFIG
 
 import splits
-from splits.analysis.measured import read_measured
-from splits.experiments import load_experiment
+from splits.analysis.measured import read_measured, read_spectra
+from splits.experiments.config.retrieval import RetrieveSection
+from splits.experiments.config.simulation import SimulationConfig
+from splits.experiments.run_fit import check_fit
+from splits.experiments.run_retrieve import select_spectra
 from splits.illumination.bands import as_bands
 from splits.materials.csv_table import MAX_TABLE_BYTES, read_user_table
+from splits.plotting.spectra import check_measured
+from splits.retrieval.measurement import Measurement
 
 ROOT = Path(__file__).parents[3]
 SHIPPED_TABLES = sorted((CONFIG / "measured").glob("*.csv"))
 
+RETRIEVED = RetrieveSection(
+    measured="mine.csv", samples=["reflectance"], free=["size"], noise={"absolute": 0.01}
+)
+FIT = SimulationConfig(
+    name="made", medium={"kind": "sand"}, fit={"measured": "mine.csv", "samples": ["reflectance"]}
+)
+
+
+def retrieve_spectrum(path):
+    spectra = select_spectra(RETRIEVED, read_spectra(path), np.array([400.0, 500.0]))
+    for spectrum in spectra.values():
+        Measurement.from_input(spectrum, RETRIEVED.noise.evaluate(spectrum.to_numpy()))
+
+
 EXPERIMENTS = {
-    "figure": "medium: {kind: snow, depth_m: 0.01}\ninstrument: {wavelength_nm: [400, 500]}\n"
-    "figure: {measured: mine.csv}\n",
-    "fit": "medium: {kind: sand}\nfit: {measured: mine.csv, samples: [reflectance]}\n"
-    "figure: {kind: fit}\n",
-    "retrieve": "medium: {kind: natural_snow}\n"
-    "instrument: {kind: table, wavelength_nm: [400, 500]}\ngrid: {optical_radius_um: [50, 100]}\n"
-    "retrieve: {measured: mine.csv, samples: [reflectance], free: [optical_radius_um], "
-    "noise: {absolute: 0.01}}\n",
+    "figure": lambda path: check_measured(read_spectra(path), ["reflectance"]),
+    "fit": lambda path: check_fit(FIT, read_spectra(path)),
+    "retrieve": retrieve_spectrum,
 }
-
-
-def read_experiment(text):
-    def read(path):
-        file = path.with_name("made.yaml")
-        file.write_text(text, encoding="utf-8")
-        load_experiment(file, path.parent / "media", path.parent)
-
-    return read
-
-
+"""What the jobs of an experiment do with a measured table."""
 READERS = {
-    **{name: ("reflectance", read_experiment(text)) for name, text in EXPERIMENTS.items()},
+    **{name: ("reflectance", read) for name, read in EXPERIMENTS.items()},
     "ground": ("albedo", lambda path: splits.Snow(ground=path)),
     "sky": ("direct", lambda path: splits.sky(path, 50.0)),
     "index": ("n", lambda path: splits.Snow(refractive_index={"ice": path})),

@@ -7,7 +7,7 @@ import pytest
 from chi2 import judge_z
 
 import splits
-from splits.experiments.config.medium import list_table_paths
+from splits.experiments.config.media import list_table_paths
 from splits.materials import ice_density
 from splits.materials.impurities import list_impurities
 from splits.simulation.scene import compute_optical_constants

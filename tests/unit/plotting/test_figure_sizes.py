@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from inspect import signature
+
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 from shipped import CONFIG
 
+from splits.core.validation import InvalidValue
 from splits.core.yaml import ConfigError
 from splits.experiments import ExperimentConfig, load_experiment
 from splits.plotting import draw, draw_spectra, save_figure
-from splits.plotting.panels import MAX_LINES, MAX_PANELS, MAX_ROWS, choose_panel_parameters
+from splits.plotting.figure import FUNCTIONS
+from splits.plotting.panels import (
+    FIGURE_SETTINGS,
+    MAX_LINES,
+    MAX_PANELS,
+    MAX_ROWS,
+    choose_panel_parameters,
+)
 
 MEDIA = CONFIG / "media"
 X = np.linspace(400.0, 1000.0, 13)
@@ -53,45 +64,101 @@ def test_panel_parameters_are_chosen_by_number_of_lines():
             choose_panel_parameters(sizes)
 
 
-@pytest.mark.parametrize(
-    ("text", "count"),
-    [
-        (make_grid(20, 40), "800"),
-        ("figure: {quantity: [reflectance, transmittance]}\n" + make_grid(20, 16), "320"),
-        ("figure: {kind: points}\ninstrument: {wavelength_nm: [500]}\n" + make_grid(20, 16), "320"),
-        ("instrument: {wavelength_nm: [500]}\n" + make_grid(20, 40), "800"),
-        ("figure: {kind: swatches}\n" + make_grid(4, 100), "100"),
-        ("figure: {kind: swatches}\n" + make_grid(100, 4), "100"),
-        ("figure: {kind: lobes}\ninstrument: {kind: goniophotometer, wavelength_nm: [500]}\n"
-         + make_grid(100), "100"),
-        ("instrument: {kind: goniophotometer, wavelength_nm: [500]}\n" + make_grid(100), "100"),
-    ],
-)  # fmt: skip
-def test_too_large_figures_are_rejected_before_the_run(tmp_path, text, count):
+def make_directions(n_points, azimuths=tuple(range(0, 360, 30)), **attributes):
+    """Return a dataset of directions over a parameter of a grid."""
+    coords = {"saturation": np.linspace(0.0, 1.0, n_points), "wavelength": [500.0]}
+    coords |= {"polar": [0.0, 30.0, 60.0], "azimuth": np.array(azimuths, dtype=float)}
+    shape = tuple(len(values) for values in coords.values())
+    names = ("brdf", "brdf_stderr")
+    return xr.Dataset(
+        {name: (tuple(coords), np.full(shape, 0.3)) for name in names}, coords,
+        {"incidence_deg": 0.0, "estimator": "expansion", **attributes},
+    )  # fmt: skip
+
+
+SIZES = {"saturation": np.linspace(0, 1, 20), "density_kg_m3": np.linspace(200, 800, 40)}
+LARGE_FIGURES = [
+    ({}, make_dataset(SIZES), "800"),
+    ({"quantity": ["reflectance", "transmittance"]},
+     make_dataset({**SIZES, "density_kg_m3": np.linspace(200, 800, 16)},
+                  ("reflectance", "transmittance")), "320"),
+    ({"kind": "points"}, make_dataset(SIZES).isel(wavelength=[0]), "800"),
+    ({"kind": "points"}, make_dataset({"saturation": [0.0, 1.0]}).isel(
+        wavelength=np.zeros(61, dtype=int)).assign_coords(wavelength=np.arange(61.0)), "61"),
+    ({"kind": "swatches"}, make_dataset({"saturation": range(4), "depth_m": range(100)}), "100"),
+    ({"kind": "swatches"}, make_dataset({"saturation": range(100), "depth_m": range(4)}), "100"),
+    ({"kind": "lobes"}, make_directions(100), "100"),
+    ({"kind": "hemisphere"}, make_directions(30), "30"),
+    ({"kind": "principal_plane"}, make_directions(100), "100"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("number", range(len(LARGE_FIGURES)))
+def test_too_large_figures_are_rejected_when_they_are_drawn(number):
+    section, dataset, count = LARGE_FIGURES[number]
     with pytest.raises(
-        ConfigError, match=rf"figure\.select = {{}}: must be .* of {count}"
+        InvalidValue, match=rf"figure\.select = {{}}: must be .* of {count}"
     ) as error:
-        load_text(tmp_path, text)
+        draw(dataset, section)
     assert "\n" not in str(error.value) and "figure: none" in str(error.value)
-    lines = [line for line in text.splitlines() if not line.startswith("figure")]
-    experiment = load_text(tmp_path, "\n".join(["figure: none", *lines]))
+
+
+def test_experiments_of_too_large_figures_are_read(tmp_path):
+    """Without a figure, and with one: its job reports the limit, and the dataset is kept."""
+    assert load_text(tmp_path, make_grid(20, 40)).resolve_figure()["kind"] == "spectra"
+    experiment = load_text(tmp_path, "figure: none\n" + make_grid(20, 40))
     assert experiment.figure.kind == "none"
-
-
-def test_maps_of_several_points_require_figure_none(tmp_path):
-    text = "instrument: {kind: beam_spread, wavelength_nm: [500], half_width_m: 0.1}\n" + make_grid(
-        2
-    )
-    with pytest.raises(ConfigError, match=r"figure\.select"):
-        load_text(tmp_path, text)
-    experiment = load_text(tmp_path, "figure: none\n" + text)
+    text = "instrument: {kind: beam_spread, wavelength_nm: [500], half_width_m: 0.1}\n"
+    experiment = load_text(tmp_path, "figure: none\n" + text + make_grid(2))
     reloaded = ExperimentConfig.model_validate({**experiment.dump_simulation(), "figure": "none"})
     assert reloaded.dump_simulation() == experiment.dump_simulation()
 
 
-def test_too_many_wavelengths_for_points_are_rejected(tmp_path):
-    with pytest.raises(ConfigError, match=r"wavelength_nm = '211 wavelengths': must be at most 60"):
-        load_text(tmp_path, "figure: {kind: points}\n" + make_grid(2))
+MEASURED = pd.DataFrame({"wavelength_nm": X, "reflectance": 0.5})
+ONE = make_dataset({"saturation": [0.0, 1.0]})
+OF_GRID = ONE.assign_attrs(configuration='{"grid": {"saturation": {}}}')
+WRONG_DATA = {
+    "several points": ({"kind": "lens"}, OF_GRID,
+                       None, r"figure\.select = {}: must be with a value of saturation"),
+    "wavelengths": ({"wavelength_nm": [1100, 1200]}, ONE, None,
+                    r"figure\.wavelength_nm = .*wavelengths from 400 to 1000 nm"),
+    "quantity": ({"quantity": "btdf"}, ONE, None, r"figure\.quantity = 'btdf': must be one of"),
+    "no spectrum": ({"quantity": "length"}, ONE.assign(length=0.1), None, "one over wavelength"),
+    "unused setting": ({"kind": "points", "ylim": [0, 1]}, ONE, None,
+                       r"figure\.ylim = .*left out for kind points .it belongs to spectra"),
+    "unknown setting": ({"colour": "red"}, ONE, None, r"figure\.colour: unknown key"),
+    "other columns": ({}, ONE, MEASURED.rename(columns={"reflectance": "albedo"}),
+                      r"figure\.measured = .*with columns wavelength_nm and reflectance"),
+    "per cent": ({}, ONE, 100.0 * MEASURED, r"figure\.measured .reflectance. = 50.0: .*per cent"),
+    "one limit": ({}, ONE, MEASURED.assign(reflectance_min=0.1), "with both reflectance_min"),
+    "limits": ({}, ONE, MEASURED.assign(reflectance_min=0.6, reflectance_max=0.7),
+               "with reflectance_min <= reflectance"),
+    "many lines": ({}, make_dataset({**SIZES, "density_kg_m3": [200, 300, 400, 500]}), MEASURED,
+                   r"figure\.measured = 'given': must be left out for a figure of more than 60"),
+    "no numbers": ({"kind": "range_bias"}, xr.Dataset({"mean_delay": ("a", [1.0])}, {"a": ["x"]}),
+                   None, "a parameter with several numbers"),
+    "no map": ({"kind": "hemisphere"}, make_directions(1, (0, 180)), None, "8 azimuths"),
+    "colours": ({"kind": "swatches"}, ONE.isel(wavelength=slice(4, None)), None, "400 to 780 nm"),
+    "no parameter": ({"kind": "swatches"}, make_dataset({}), None, "one or two parameters"),
+    "no plane": ({"kind": "principal_plane"}, make_directions(1, (0, 90)), None, "0 and 180"),
+    "no bins": ({"kind": "bins"}, make_directions(1), None, "'expansion': must be bins"),
+    "no polarization": ({"kind": "polarization"}, make_directions(1), None, "without polar"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG_DATA)
+def test_figures_check_their_data(name):
+    section, dataset, measured, message = WRONG_DATA[name]
+    with pytest.raises(InvalidValue, match=message) as error:
+        draw(dataset, section, measured)
+    assert "\n" not in str(error.value)
+
+
+def test_settings_of_kinds_are_arguments_of_their_functions():
+    for kind, function in FUNCTIONS.items():
+        _, *arguments = signature(function).parameters
+        assert {*arguments} == {*FIGURE_SETTINGS[kind]}, kind
+    assert FUNCTIONS.keys() == FIGURE_SETTINGS.keys()
 
 
 def test_grids_within_the_limits_are_accepted(tmp_path):
@@ -106,7 +173,10 @@ def test_figure_none_is_the_only_spelling(tmp_path):
     for text, message in (
         ("figure:", r"figure = None: must be a mapping"),
         ("figure: nothing", r"figure = 'nothing': must be a mapping"),
-        ("figure: {kind: none, legend: a}", r"figure\.kind = 'none': must be left out with legend"),
+        (
+            "figure: {kind: none, legend: a}",
+            r"figure\.legend = 'a': must be left out for kind none",
+        ),
     ):
         with pytest.raises(ConfigError, match=message):
             load_text(tmp_path, text)

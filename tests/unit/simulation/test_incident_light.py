@@ -9,7 +9,7 @@ import xarray as xr
 
 import splits
 from splits.core.validation import InvalidValue
-from splits.experiments.config.instrument_kinds import Goniophotometer
+from splits.experiments.config.instruments import Goniophotometer
 from splits.simulation.incident_light import (
     IncidentPolarization,
     check_stokes,

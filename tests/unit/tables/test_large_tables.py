@@ -8,7 +8,7 @@ import xarray as xr
 
 import splits
 from splits.experiments import run_table as module
-from splits.experiments.config.accuracy import Accuracy
+from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.tables import table as table_module
 

@@ -1,19 +1,165 @@
-"""Grids of an experiment: labels, values, evenly spaced values and dataset coordinates."""
+"""Sections `medium` and `grid` of an experiment file: layers, tables, values and their labels."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from pathlib import PurePath
 from typing import Any
 
 import numpy as np
 
 from splits.core.arrays import MAX_NUMBERS
-from splits.core.parameter_names import describe_parameter, parse_layer_parameter
-from splits.core.validation import check_number, format_key, invalid, suggest_name
-from splits.experiments.config.medium import get_keyword, is_table_path
+from splits.core.parameter_names import (
+    describe_parameter,
+    parse_impurity_parameter,
+    parse_layer_parameter,
+)
+from splits.core.paths import expand_path
+from splits.core.validation import (
+    check_number,
+    format_key,
+    invalid,
+    key_prefix,
+    suggest_name,
+    unknown_key,
+)
 from splits.experiments.config.sections import MAX_LABEL_CHARS, check_text
+from splits.materials.csv_table import is_csv_path
+from splits.media.interpretations import merge_interpretations
+from splits.media.kinds import LAYERS_KEY, iter_layers
+from splits.media.measured_inputs import override_keywords
+from splits.media.snow_pack_files import read_snow_packs
+from splits.media.snow_packs import SnowPacks
+
+SAMPLE_KEY = "medium"
+"""Grid dimension whose values are media: their settings replace those of the base medium."""
+PACKS_KIND = "snow_packs"
+"""Kind of the medium of a file of snowpacks."""
+PACKS_PER_BLOCK, BLOCKS_PER_PART = 50, 10
+
+MERGED_KEYWORDS = (
+    "interpretation",
+    "refractive_index",
+    "pores",
+    "impurities_ng_g",
+    "algae_cells_ml",
+)
+"""Keywords that are mappings: values of a grid are merged into those of the medium."""
+
+
+def apply_paths(settings: dict[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of a stack with values of its layers replaced by their paths."""
+    paths = {name: parse_layer_parameter(name) for name in values}
+    merged = override_keywords(settings, {k: v for k, v in values.items() if paths[k] is None})
+    if any(paths.values()):
+        if LAYERS_KEY not in merged:
+            raise unknown_key(next(name for name, path in paths.items() if path), settings)
+        given = iter_layers(LAYERS_KEY, merged[LAYERS_KEY])
+        merged[LAYERS_KEY] = [dict(layer) for _, layer in given]
+    for parameter, path in paths.items():
+        if path is None:
+            continue
+        (number, key), layers = path, merged[LAYERS_KEY]
+        if number >= len(layers):
+            allowed = f"0 to {len(layers) - 1}"
+            raise invalid(parameter, f"layer {number}", allowed, "counted from the top")
+        parts = [one[key] for one in (layers[number], {key: values[parameter]}) if key in one]
+        layers[number] = override_keywords(layers[number], {key: merge_values(key, parts)})
+    return merged
+
+
+def merge_values(key: str, given: list[Any]) -> Any:
+    """Return the value of a keyword given in sequence: mappings are merged, others replaced."""
+    if key == "interpretation":
+        return merge_interpretations(given)
+    if key in MERGED_KEYWORDS and all(isinstance(value, Mapping) for value in given):
+        return {k: v for value in given for k, v in value.items()}
+    return given[-1]
+
+
+PATH_KEYWORDS = ("file", "scattering_matrix", "impurities_ng_g")
+"""Keywords in whose values every text is the path of a file."""
+NAME_OR_PATH_KEYWORDS = ("ground", "refractive_index")
+"""Keywords in whose values a text is a name, or the path of a CSV file."""
+
+
+def is_table_path(keyword: str, value: Any) -> bool:
+    """Return whether a value of a keyword of a medium is the path of a file that is then read."""
+    if not isinstance(value, str):
+        return False
+    is_csv = keyword in NAME_OR_PATH_KEYWORDS and is_csv_path(value)
+    return is_csv or keyword in PATH_KEYWORDS
+
+
+def get_keyword(parameter: str) -> str:
+    """Return the keyword of a medium that a parameter of a grid sets, perhaps for a layer."""
+    impurity, layer = (
+        parse_impurity_parameter(parameter),
+        parse_layer_parameter(parameter),
+    )
+    return impurity[0] if impurity else layer[1] if layer else parameter
+
+
+def replace_table_paths(
+    settings: Mapping[str, Any], replace: Callable[[str], str]
+) -> dict[str, Any]:
+    """Return settings with the path of every file that their media read replaced.
+
+    Parameters
+    ----------
+    settings : mapping
+        Content of the file of an experiment or medium, or keywords of a medium.
+    replace : callable
+        From a path to its replacement.
+    """
+
+    def replace_in(keyword: str, value: Any) -> Any:
+        if isinstance(value, Mapping) and keyword in (SAMPLE_KEY, LAYERS_KEY):
+            return replace_table_paths(value, replace)
+        if isinstance(value, Mapping):
+            return {key: replace_in(keyword, one) for key, one in value.items()}
+        if isinstance(value, (list, tuple)):
+            return [replace_in(keyword, one) for one in value]
+        return replace(value) if is_table_path(keyword, value) else value
+
+    def replace_in_grid(parameter: str, values: Any) -> Any:
+        keyword = get_keyword(parameter)
+        if isinstance(values, Mapping):
+            return {label: replace_in(keyword, value) for label, value in values.items()}
+        return replace_in(keyword, values)
+
+    replaced = {key: replace_in(key, value) for key, value in settings.items() if key != "grid"}
+    if "grid" in settings:
+        grid = settings["grid"].items()
+        replaced["grid"] = {name: replace_in_grid(name, values) for name, values in grid}
+    return replaced
+
+
+def identify_by_content(path: str) -> str:
+    """Return the file name and the SHA-256 of a table.
+
+    A table that every point of a grid replaces need not exist.
+    """
+    file = expand_path(path)
+    digest = hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else "unused"
+    return f"{file.name} sha256:{digest}"
+
+
+def list_table_paths(settings: Mapping[str, Any]) -> list[str]:
+    """Return the paths of all files that the media of settings read, see `replace_table_paths`."""
+    paths: set[str] = set()
+
+    def collect(path: str) -> str:
+        paths.add(path)
+        return path
+
+    replace_table_paths(settings, collect)
+    return sorted(paths)
+
 
 MEAN_FUNCTIONS: dict[str, Callable[[Sequence[float]], float]] = {
     "facetness": lambda given: given[2],
@@ -27,7 +173,9 @@ Coordinate = tuple[str, np.ndarray, dict[str, str]]
 """Dimension, values and attributes of a coordinate of `xarray.Dataset`."""
 
 
-def make_grid_coordinates(grid: Mapping[str, Mapping[str, Any]]) -> dict[str, Coordinate]:
+def make_grid_coordinates(
+    grid: Mapping[str, Mapping[str, Any]],
+) -> dict[str, Coordinate]:
     """Return the coordinates of an experiment's grid, the values of its parameters by label.
 
     They are numbers with their unit if all values are numbers, otherwise labels with the unit in
@@ -37,7 +185,10 @@ def make_grid_coordinates(grid: Mapping[str, Mapping[str, Any]]) -> dict[str, Co
     coordinates = {}
     for parameter, choices in grid.items():
         long_name, units = describe_parameter(parameter)
-        values, attributes = to_coordinate_values(choices), {"long_name": long_name, "units": units}
+        values, attributes = (
+            to_coordinate_values(choices),
+            {"long_name": long_name, "units": units},
+        )
         if values.dtype.kind != "f":
             attributes = {"long_name": long_name if units == "1" else f"{long_name} ({units})"}
         coordinates[parameter] = (parameter, values, attributes)
@@ -217,3 +368,27 @@ def find_label(parameter: str, values: Mapping[str, Any], given: float | str) ->
     names = ", ".join(format_key(label) for label in list(values)[:12])
     suffix = f", … ({len(values)} in all)" if len(values) > 12 else ""
     raise invalid(f"figure.select.{format_key(parameter)}", given, f"one of {names}{suffix}")
+
+
+PACKS_PER_BLOCK, BLOCKS_PER_PART = 50, 10
+
+
+def load_packs(settings: Mapping[str, Any]) -> SnowPacks:
+    """Return the snowpacks of the keywords of a medium; the last files are kept in memory."""
+    if "file" not in settings:
+        raise invalid("medium.file", None, "given", "the file of the snowpacks")
+    files = [expand_path(path) for path in list_table_paths(settings)]
+    states = [(one.stat().st_mtime_ns, one.stat().st_size) for one in files if one.is_file()]
+    with key_prefix("medium"):
+        return _load_packs(json.dumps(settings), tuple(states))
+
+
+@lru_cache(maxsize=2)
+def _load_packs(settings: str, states: tuple[tuple[int, int], ...]) -> SnowPacks:
+    """Return the snowpacks of settings as JSON, for a state of their files."""
+    return read_snow_packs(**json.loads(settings))
+
+
+def count_pack_parts(packs: SnowPacks) -> int:
+    """Return the number of parts of an experiment on snowpacks, each simulated by one job."""
+    return -(-len(packs) // (PACKS_PER_BLOCK * BLOCKS_PER_PART))

@@ -85,7 +85,6 @@ benchmarks: $(VENV)/dev
 	$(BIN)/python benchmarks/exact_layers.py
 	$(BIN)/python benchmarks/local_estimation.py
 	$(BIN)/python benchmarks/polarization_cost.py
-	$(BIN)/python benchmarks/surface_crossings.py
 	$(BIN)/python benchmarks/irradiance_profile_cost.py
 	$(BIN)/python benchmarks/snowpacks_against_tartes.py
 	$(BIN)/python benchmarks/snow_albedo_models.py

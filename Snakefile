@@ -14,7 +14,7 @@ from pathlib import Path
 from snakemake.exceptions import WorkflowError
 from snakemake.utils import update_config
 
-from splits.core.interrupts import forward_interrupts
+from splits.core.process import forward_interrupts
 from splits.core.yaml import ConfigError, read_yaml
 from splits.experiments import load_experiments, load_settings
 from splits.experiments.config.load import select_experiments
@@ -62,7 +62,6 @@ RESULTS = SETTINGS.results_folder
 
 
 include: "workflow/rules/common.smk"
-include: "workflow/rules/damage.smk"
 include: "workflow/rules/simulate.smk"
 include: "workflow/rules/tables.smk"
 include: "workflow/rules/figures.smk"

@@ -18,7 +18,6 @@ from .instruments import single_scattering as single_scattering
 from .instruments import spectrophotometer as spectrophotometer
 from .instruments import surface_map as surface_map
 from .instruments import time_of_flight as time_of_flight
-from .io.bird_brdf import save_brdf as save_brdf
 from .io.netcdf import load as load
 from .io.netcdf import save as save
 from .media import Interpretation as Interpretation
@@ -34,11 +33,9 @@ from .media.snow_pack_files import read_snow_packs as read_snow_packs
 from .media.snow_pack_readers import read_caaml as read_caaml
 from .media.snow_pack_readers import read_crocus as read_crocus
 from .media.snow_packs import SnowPacks as SnowPacks
-from .retrieval.band_selection import select_bands as select_bands
 from .retrieval.maps import retrieve_map as retrieve_map
 from .retrieval.retrieve import retrieve as retrieve
 from .retrieval.retrieve_return import retrieve_return as retrieve_return
-from .retrieval.sobol import sobol_indices as sobol_indices
 from .tables.build import build_table as build_table
 from .tables.return_table import build_return_table as build_return_table
 from .tables.table import Table as Table

@@ -130,7 +130,7 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
     import_optional("ruamel.yaml", "experiments", "experiment files need")
     from splits.analysis.measured import read_spectra
     from splits.core.atomic import check_writable
-    from splits.core.interrupts import exit_on_signals
+    from splits.core.process import exit_on_signals
     from splits.core.validation import check_integer, invalid
     from splits.experiments.config.load import load_experiment, locate_errors
     from splits.experiments.config.sections import Accuracy

@@ -23,17 +23,25 @@ from splits.core.yaml import dump_yaml, read_yaml
 from splits.experiments.config.load import list_media_files
 from splits.experiments.config.media import list_table_paths
 from splits.experiments.config.settings import DEFAULT_LICENCE, FOLDER_KEYS, Settings
-from splits.io.citation import CITATION_FILE, LICENCE_FILE, make_software_info, read_software_files
-from splits.io.member_names import FOLDER_SUFFIXES, find_name_collision, find_name_problem
 from splits.io.ro_crate import (
+    CITATION_FILE,
+    LICENCE_FILE,
     METADATA_FILE,
     RO_CRATE_VERSION,
-    ArchiveError,
-    ArchiveInfo,
     Author,
     make_metadata,
+    make_software_info,
+    read_software_files,
 )
-from splits.io.unarchive import MAX_COMPRESSION_RATIO, MIN_RATIO_CHECK_BYTES, verify_archive
+from splits.io.unarchive import (
+    FOLDER_SUFFIXES,
+    MAX_COMPRESSION_RATIO,
+    MIN_RATIO_CHECK_BYTES,
+    ArchiveError,
+    find_name_collision,
+    find_name_problem,
+    verify_archive,
+)
 
 LOCK_FILE = "requirements.txt"
 REPOSITORY_FILES = (LICENCE_FILE, CITATION_FILE, LOCK_FILE)
@@ -109,20 +117,29 @@ def pack_archive(
     target = expand_path(target, "target")
     repository_folder = expand_path(repository, "repository") if repository else None
     root = target.parent.parent
-    members = {_get_member_name(root, Path(f)): Path(f).read_bytes() for f in results}
+    members = {}
+    for path in map(Path, results):
+        if not path.is_relative_to(root):
+            raise invalid("archive", str(path), f"of results below {root}")
+        members[path.relative_to(root).as_posix()] = path.read_bytes()
     members |= {**configuration, **read_software_files(repository_folder)}
     if repository_folder and (repository_folder / LOCK_FILE).is_file():
         members[LOCK_FILE] = (repository_folder / LOCK_FILE).read_bytes()
     versions = {d.metadata["Name"]: d.version for d in distributions()}
     members["versions.json"] = json.dumps(versions, indent=2, sort_keys=True).encode()
 
-    now, program = get_packing_time(), make_software_info(repository_folder)
-    info = ArchiveInfo(now.date().isoformat(), licence, tuple(authors) or program.authors, program)
-    members["README.md"] = _format_readme(info, target.name).encode()
+    now, software = get_packing_time(), make_software_info(repository_folder)
+    date, authors = now.date().isoformat(), tuple(authors) or software.authors
+    members["README.md"] = README_TEMPLATE.format(
+        version=software.version, commit=software.commit, date=date,
+        licence=f"<{licence}>" if "://" in licence else escape_markdown(licence),
+        authors=", ".join(escape_markdown(author.name) for author in authors),
+        crate=RO_CRATE_VERSION, archive=shlex.quote(target.name),
+    ).encode()  # fmt: skip
     _check_member_names(members)
     checksums = [f"{hashlib.sha256(c).hexdigest()}  {n}" for n, c in sorted(members.items())]
     members["SHA256SUMS"] = ("\n".join(checksums) + "\n").encode()
-    members[METADATA_FILE] = make_metadata(members, info)
+    members[METADATA_FILE] = make_metadata(members, date, licence, authors, software)
 
     with atomic_write(target) as temporary_path:
         with zipfile.ZipFile(temporary_path, "w") as file:
@@ -155,16 +172,6 @@ def get_packing_time() -> datetime:
     if not (text.isascii() and text.isdigit() and 315532800 <= int(text[:20]) < 4354819200):
         raise invalid(DATE_VARIABLE, text, allowed)
     return datetime.fromtimestamp(int(text), UTC)
-
-
-def _format_readme(info: ArchiveInfo, archive: str) -> str:
-    """Return the content of README.md."""
-    return README_TEMPLATE.format(
-        version=info.software.version, commit=info.software.commit, date=info.date,
-        licence=f"<{info.licence}>" if "://" in info.licence else info.licence,
-        authors=", ".join(escape_markdown(author.name) for author in info.authors),
-        crate=RO_CRATE_VERSION, archive=shlex.quote(archive),
-    )  # fmt: skip
 
 
 def _check_member_names(members: Iterable[str]) -> None:
@@ -248,13 +255,6 @@ def _replace_texts(content: Any, names: Mapping[str, str]) -> Any:
     if isinstance(content, list):
         return [_replace_texts(value, names) for value in content]
     return names.get(content, content) if isinstance(content, str) else content
-
-
-def _get_member_name(root: Path, path: Path) -> str:
-    """Return the name of a result in the archive."""
-    if not path.is_relative_to(root):
-        raise invalid("archive", str(path), f"of results below {root}")
-    return path.relative_to(root).as_posix()
 
 
 def _get_table_member_name(table: str) -> str:

@@ -84,7 +84,8 @@ def draw_band_selection(selections: Mapping[str, xr.Dataset], conditions: str = 
     Parameters
     ----------
     selections : mapping
-        Outputs of `splits.select_bands` by the title of their column.
+        Outputs of `splits.experiments.studies.information.select_bands` by the title of their
+        column.
     conditions : str
         Noise and fixed values, for the foot.
     """
@@ -150,7 +151,8 @@ def draw_sobol_indices(indices: Mapping[str, xr.Dataset]) -> Figure:
     Parameters
     ----------
     indices : mapping
-        Outputs of `splits.sobol_indices` by the title of their column.
+        Outputs of `splits.experiments.studies.information.compute_sobol_indices` by the title
+        of their column.
     """
     with use_style():
         figure, panels = make_subplots(

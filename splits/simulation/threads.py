@@ -17,7 +17,7 @@ from typing import Any
 
 from threadpoolctl import ThreadpoolController
 
-from splits.core.locks import make_lock
+from splits.core.process import make_lock
 
 _thread_local, _blas_lock = threading.local(), make_lock()
 

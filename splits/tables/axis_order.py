@@ -9,7 +9,7 @@ import xarray as xr
 
 from splits.core.arrays import check_no_gaps
 from splits.core.validation import invalid
-from splits.io.integrity import NETCDF_LOCK
+from splits.io.netcdf import NETCDF_LOCK
 from splits.tables.views import VIEW_AXES
 
 ALONG = "_along_"

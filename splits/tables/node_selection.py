@@ -17,7 +17,7 @@ from splits.core.validation import (
     invalid,
     snap_to_limits,
 )
-from splits.tables.axes import INCIDENCE, check_axis_values
+from splits.tables.axes import check_axis_values
 from splits.tables.views import ANGLES, AZIMUTH
 
 RADIUS, SURFACE_AREA = "optical_radius_um", "specific_surface_area_m2_kg"
@@ -59,9 +59,8 @@ def select_at_fixed_axes(
 
 
 def select_reflectance_factor(
-    dataset: xr.Dataset, at: Mapping[str, Any], free_axes: Sequence[str] = (),
-    *, min_incidences: int = 2,
-) -> xr.Dataset:  # fmt: skip
+    dataset: xr.Dataset, at: Mapping[str, Any], free_axes: Sequence[str] = ()
+) -> xr.Dataset:
     """Return the bidirectional reflectance factor of a table, with other axes at a node.
 
     Parameters
@@ -73,8 +72,6 @@ def select_reflectance_factor(
         Node of each axis that is neither an angle nor free.
     free_axes : sequence of str
         Axes to keep in addition to the angles and the wavelength.
-    min_incidences : int
-        Least number of angles of incidence.
 
     Returns
     -------
@@ -97,7 +94,7 @@ def select_reflectance_factor(
         hint = f"give {', '.join(missing)} in the grid of splits.build_table"
         raise invalid("table", f"{REFLECTANCE_FACTOR} over {', '.join(dims)}", allowed, hint)
     for name in ANGLES:
-        check_angle_nodes(name, dataset[name].values, min_incidences if name == INCIDENCE else 2)
+        check_angle_nodes(name, dataset[name].values)
     names = [REFLECTANCE_FACTOR]
     if f"{REFLECTANCE_FACTOR}_stderr" in dataset:
         names.append(f"{REFLECTANCE_FACTOR}_stderr")
@@ -105,7 +102,7 @@ def select_reflectance_factor(
     return subset.sortby([*ANGLES]).transpose(*ANGLES, *free_axes, "wavelength")
 
 
-def check_angle_nodes(name: str, nodes: np.ndarray, min_nodes: int) -> None:
+def check_angle_nodes(name: str, nodes: np.ndarray) -> None:
     """Check that the nodes of an angle suffice for a conversion.
 
     Raises
@@ -114,9 +111,8 @@ def check_angle_nodes(name: str, nodes: np.ndarray, min_nodes: int) -> None:
         For text, too few nodes, nodes outside the range of the angle, or azimuths that do
         not extend from 0° to 180°.
     """
-    if nodes.dtype.kind not in "iuf" or nodes.size < min_nodes:
-        allowed = f"at least {'two angles' if min_nodes > 1 else 'one angle'}"
-        raise invalid(name, nodes.tolist(), allowed)
+    if nodes.dtype.kind not in "iuf" or nodes.size < 2:
+        raise invalid(name, nodes.tolist(), "at least two angles")
     first, last = snap_to_limits(np.sort(nodes.astype(float)), 0.0, 180.0)[[0, -1]].tolist()
     if name == AZIMUTH and (first, last) != (0.0, 180.0):
         raise invalid(name, nodes.tolist(), "from 0 to 180")

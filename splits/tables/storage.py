@@ -11,8 +11,7 @@ import netCDF4
 import numpy as np
 import xarray as xr
 
-from splits.io.cf_encoding import encode_for_netcdf
-from splits.io.integrity import atomic_netcdf, write_checksums
+from splits.io.netcdf import append_checksum, atomic_netcdf, encode_for_netcdf
 from splits.tables.assembly import TableVariable, assemble_dataset, list_variables
 from splits.tables.block import TableRequest
 from splits.tables.plan import TablePlan
@@ -75,7 +74,7 @@ def write_table_blockwise(
             )
         if not complete:
             raise OSError(f"{path}: the file written does not hold the table")
-        write_checksums(temporary)
+        append_checksum(temporary)
 
 
 def _make_skeleton(

@@ -15,11 +15,9 @@ from splits.core.validation import invalid, key_prefix
 from splits.io.netcdf import load, open_lazily
 from splits.tables.axes import check_axis_values
 from splits.tables.axis_order import check_complete, list_axes, list_quantities, sort_axes
-from splits.tables.bird import write_bird
 from splits.tables.eradiate import convert_to_eradiate
 from splits.tables.export import write_csv
 from splits.tables.isofit import convert_to_isofit
-from splits.tables.spires import convert_to_spires
 from splits.tables.storage import MAX_BYTES_IN_MEMORY
 from splits.tables.table_interpolation import (
     TableInterpolation,
@@ -269,11 +267,6 @@ class Table:
         write_csv(self.dataset, path)
 
     @reject_unknown_arguments
-    def to_spires(self, impurity: str, bands: Any, per_unit: float = 1000.0, **at: Any) -> Any:
-        """Convert the table for spires; see `splits.tables.spires.convert_to_spires`."""
-        return convert_to_spires(self.dataset, impurity, bands, per_unit, **at)
-
-    @reject_unknown_arguments
     def to_isofit(self, **at: Any) -> xr.Dataset:
         """Convert the table for isofit; see `splits.tables.isofit.convert_to_isofit`."""
         return convert_to_isofit(self.dataset, **at)
@@ -284,14 +277,6 @@ class Table:
     ) -> xr.Dataset:
         """Convert the table for eradiate; see `splits.tables.eradiate.convert_to_eradiate`."""
         return convert_to_eradiate(self.dataset, wavelength, n_cosines, n_azimuths, **at)
-
-    @reject_unknown_arguments
-    def to_bird(
-        self, path: str | Path, provenance: Mapping[str, Any],
-        license: Mapping[str, str] | None = None, **at: Any,
-    ) -> None:  # fmt: skip
-        """Write the table in the format of BiRDview; see `splits.tables.bird.write_bird`."""
-        write_bird(self.dataset, path, provenance, license, **at)
 
 
 @reject_unknown_arguments

@@ -24,7 +24,7 @@ import splits
 from splits.core.yaml import ConfigError
 from splits.experiments import load_experiment
 from splits.experiments.archive import pack_archive
-from splits.io.integrity import DamagedFileError
+from splits.io.netcdf import DamagedFileError
 from splits.io.unarchive import ArchiveError, unpack_archive
 
 N_DAMAGES = int(os.environ.get("DAMAGES", "4"))

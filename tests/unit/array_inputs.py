@@ -11,7 +11,7 @@ from constructed_results import make_optics
 from formula_tables import W, evaluate_spectrum, make_snowlike_table
 
 import splits
-from splits.analysis.theory.phase_function_export import to_eradiate
+from splits.analysis.theory.phase_function import to_eradiate
 from splits.materials import make_refractive_index
 from splits.retrieval.sand_fit import check_measured_reflectance
 from splits.tables.axes import ParameterGrid
@@ -101,10 +101,6 @@ def retrieve_correlated(noise):
 def retrieve_image(image):
     values = xr.DataArray(image, {"wavelength": W}, "wavelength").expand_dims("y")
     return splits.retrieve_map(values, TABLE, [SIZE], 0.0625, fixed=FIXED)
-
-
-def select_bands(bands=W, noise=0.0625):
-    return splits.select_bands(TABLE, bands, [SIZE], noise, 2, fixed=FIXED).drop_vars("band")
 
 
 def make_labelled_sky(name, values):
@@ -289,13 +285,6 @@ CASES = {
     "retrieve_return values": ArrayCase(lambda a: retrieve_return((DELAYS, a)), RATES),
     "retrieve_return noise": ArrayCase(
         lambda a: retrieve_return(noise=a), [0.0625, 0.125, 0.25], one=True),
-    "select_bands": ArrayCase(lambda a: select_bands(bands=a), [512.0, 1024.0]),
-    "select_bands noise": ArrayCase(
-        lambda a: select_bands(noise=a), [0.0625] * 5 + [0.125] * 6, True, W.tolist()),
-    "sobol_indices free": ArrayCase(
-        lambda a: splits.sobol_indices(TABLE, {SIZE: a, SOOT: (0.0, 512.0)}, points=64,
-                                       fixed={"incidence_deg": 30.0}),
-        [64.0, 512.0], labels=["low", "high"]),
     "fit": ArrayCase(lambda a: check_measured_reflectance(a, np.array(NM)), PARAMETERS, labels=NM),
     # Single grains, and files of other programs.
     "phase_function": ArrayCase(lambda a: splits.phase_function(make_optics(), a), POLAR, one=True),

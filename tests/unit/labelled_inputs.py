@@ -17,7 +17,6 @@ from array_inputs import (
     SEA,
     SIZE,
     SNOW,
-    SOOT,
     TABLE,
     make_return_table,
 )
@@ -397,8 +396,6 @@ def make_cases(folder: Path) -> dict[str, Any]:
         "phase_function": ({"optics": optics, "angle_deg": [0.0, 90.0]}, {
             "optics": [labelled(optics)], "angle_deg": [axis(0.0, 90.0)]}),
         "with_diffraction": ({}, {"optics": [labelled(optics)]}),
-        "save_brdf": ({}, {
-            "datasets": [], "path": [], "provenance": [], "license": []}),
         "retrieve": ({}, {
             "measured": [
                 labelled(MEASURED_ARRAY, FOREIGN_WAVELENGTHS, OTHER_SUN),
@@ -442,14 +439,6 @@ def make_cases(folder: Path) -> dict[str, Any]:
                     lambda one: {SIZE: one})],
                 "fixed": [],
             }),
-        "select_bands": ({"table": TABLE, "bands": [512.0, 1024.0], "free": [SIZE],
-                          "noise": 0.0625, "n_bands": 1, "fixed": FIXED}, {
-            "noise": [named([0.05, 0.1], [512.0, 1024.0])], "bands": [], "free": [],
-            "fixed": [names(**FIXED)], "prior": []}),
-        "sobol_indices": ({"table": TABLE, "free": {SIZE: (64.0, 512.0), SOOT: (0.0, 512.0)},
-                           "points": 64, "fixed": {"incidence_deg": 30.0}}, {
-            "free": [named([64.0, 512.0], ["low", "high"]).map(
-                lambda one: {SIZE: one, SOOT: (0.0, 512.0)})], "fixed": []}),
     }  # fmt: skip
 
 

@@ -11,7 +11,6 @@ from splits.core.validation import InvalidValue
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.retrieval.media import check_measurement_incidence, make_medium_state_vector
 from splits.tables.isofit import convert_to_isofit
-from splits.tables.spires import convert_to_spires
 
 BOTH_SPELLINGS = {"sza": 30.0, "incidence_deg": 50.0}
 POINT = {SIZE: 100.0, SOOT: 64.0}
@@ -29,9 +28,6 @@ GIVEN_TWICE = {
                                                                **BOTH_SPELLINGS),
     "retrieve": lambda: splits.retrieve(MEASURED, TABLE, [SIZE], 0.1,
                                         fixed={SOOT: 64.0} | BOTH_SPELLINGS),
-    "select_bands": lambda: splits.select_bands(TABLE, W, [SIZE], 0.1,
-                                                fixed={SOOT: 64.0} | BOTH_SPELLINGS),
-    "sobol_indices": lambda: splits.sobol_indices(TABLE, [SIZE, SOOT], fixed=BOTH_SPELLINGS),
     "fixed of a medium": lambda: check_measurement_incidence(BOTH_SPELLINGS, {}),
     "table": lambda: splits.build_table(
         splits.Snow.natural, {SIZE: [100, 200], "incidence_deg": [0, 60]}, [500], 30.0
@@ -54,8 +50,6 @@ GIVEN_TWICE = {
 }  # fmt: skip
 IGNORED_ALIASES = {
     "interpolation_errors": lambda: TABLE.interpolation_errors("reflectance", **POINT, szaa=3),
-    "spires": lambda: convert_to_spires(TABLE.dataset, SOOT, {"a": (600, 700)}, depth=3),
-    "spires free": lambda: convert_to_spires(TABLE.dataset, SOOT, {"a": (600, 700)}, sza=3),
     "isofit": lambda: convert_to_isofit(ANGLE_TABLE, depth=1.0),
     "isofit free": lambda: convert_to_isofit(ANGLE_TABLE, depth_m=1.0, incidence_deg=30.0),
 }

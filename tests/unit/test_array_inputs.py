@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 from array_inputs import CASES, FIXED, SIZE, TABLE, retrieve_image
 from chi2 import NEEDS_JIT
-from constructed_results import AUTHOR, make_brdf, make_optics
+from constructed_results import make_optics
 from formula_tables import W
 
 import splits
@@ -16,7 +16,6 @@ from splits.core.uncertainty import compute_weighted_error
 from splits.core.validation import InvalidValue
 from splits.io.netcdf import drop_run_specific_attributes
 from splits.retrieval.maps import FLAGS
-from splits.tables.spires import convert_to_spires
 
 EQUIVALENT_INPUTS = {
     "read-only": lambda a: np.lib.stride_tricks.as_strided(a, writeable=False),
@@ -59,7 +58,7 @@ NON_ARRAYS = {
     "read_snow_packs", "save", "sensor_bands", "surface_map",
 }  # fmt: skip
 """Public names without array arguments, and those that store datasets unchanged."""
-DATASET_CALLS = {"save_brdf", "with_diffraction", "retrieve_map", "SnowPacks", "Table"}
+DATASET_CALLS = {"with_diffraction", "retrieve_map", "SnowPacks", "Table"}
 """Functions whose arrays are within datasets, tested separately below."""
 
 
@@ -235,10 +234,6 @@ GAP_CALLS = {
     "Table": lambda ds: splits.Table(ds).interp(**FIXED, **{SIZE: 40.0}),
     "retrieve": lambda ds: splits.retrieve(
         (W, np.full(W.size, 0.5)), splits.Table(ds), [SIZE], 0.1, fixed=FIXED
-    ),
-    "spires": lambda ds: convert_to_spires(ds, "impurities_ng_g.black_carbon", {"a": (600, 700)}),
-    "save_brdf": lambda _: splits.save_brdf(
-        make_brdf(0.0).where(lambda ds: ds.polar > 0.0), "snow.brdf", AUTHOR
     ),
     "with_diffraction": lambda _: splits.with_diffraction(make_optics(albedo=np.nan)),
     "phase_function": lambda _: splits.phase_function(make_optics(albedo=np.nan), [0.0]),

@@ -132,7 +132,6 @@ RESULTS = {
     "Table.interp": lambda: make_snowlike_table().interp(**make_point()),
     "Table.derivatives": lambda: make_snowlike_table().derivatives(FREE_PARAMETERS, **make_point()),
     "Table.to_isofit": lambda: make_snowlike_table().to_isofit(**{SOOT: 0.0}),
-    "Table.to_spires": lambda: make_snowlike_table().to_spires(SOOT, BANDS).to_dataset(),
     "albedo": lambda: splits.albedo(make_snow(), SKY, [500, 800], 0.1, bands=BANDS),
     "albedo of several": lambda: splits.albedo(make_several_media(), SKY, [500, 800], 0.1),
     "hdrf": lambda: splits.hdrf(make_layer(), SKY, PAIR, 0.5),
@@ -157,19 +156,13 @@ RESULTS = {
         0.01,
         fixed=FIXED,
     ),
-    "select_bands": lambda: splits.select_bands(
-        make_snowlike_table(), W[:4], FREE_PARAMETERS, 0.01, 2, fixed=FIXED
-    ),
-    "sobol_indices": lambda: splits.sobol_indices(
-        make_snowlike_table(), FREE_PARAMETERS, fixed=FIXED, points=64
-    ),
 }
 """Functions that return the result of every public function that returns data."""
 NO_DATASET = {
     "Interpretation", "ParticleLayer", "Progress", "ProgressBar", "RoughSurface", "Sand",
     "SandInterpretation", "Sky", "Snow", "Stack", "__version__", "list_media", "load",
     "load_medium", "open_table", "read_caaml", "read_crocus", "read_snow_packs", "save",
-    "save_brdf", "sensor_bands", "sky",
+    "sensor_bands", "sky",
 }  # fmt: skip
 """Public names of inputs, of reading and writing, and of progress reports."""
 

@@ -17,8 +17,7 @@ import splits
 
 ROOT = Path(__file__).parents[2]
 TAKES_OTHER_KEYWORDS = {f"Table.{name}" for name in (
-    "derivatives", "deviations", "interp", "interpolation_errors", "to_bird", "to_eradiate",
-    "to_isofit", "to_spires",
+    "derivatives", "deviations", "interp", "interpolation_errors", "to_eradiate", "to_isofit",
 )} | {"load_medium"}  # fmt: skip
 """Callables whose keywords are the axes of a table, or the keywords of a medium."""
 
@@ -82,7 +81,6 @@ INVALID_CALLS = {
     "Stack": lambda: splits.Stack([SNOW, 3]),
     "Table": lambda: splits.Table(EMPTY),
     "albedo": lambda: splits.albedo(splits.Snow(ground="camborthid"), "midlatitude_winter"),
-    "select_bands": lambda: splits.select_bands(3, [(400, 500)], {}, 0.1),
     "beam_spread": lambda: splits.beam_spread(SNOW, "x"),
     "compute_mie_matrix": lambda: splits.compute_mie_matrix([500], 1.33, 10.0, 2.0),
     "goniophotometer": lambda: splits.goniophotometer(SNOW, [500], 95),
@@ -101,11 +99,9 @@ INVALID_CALLS = {
     "read_crocus": lambda: splits.read_crocus(EMPTY),
     "read_snow_packs": lambda: splits.read_snow_packs("there/is/none.csv"),
     "save": lambda: splits.save(EMPTY, "x.txt"),
-    "save_brdf": lambda: splits.save_brdf(EMPTY, "x", {}),
     "sensor_bands": lambda: splits.sensor_bands("x"),
     "single_scattering": lambda: splits.single_scattering(SNOW, "x"),
     "sky": lambda: splits.sky("clear", zenith_deg=100),
-    "sobol_indices": lambda: splits.sobol_indices(3, {}),
     "spectrophotometer": lambda: splits.spectrophotometer(SNOW, [500], progress=3),
     "surface_map": lambda: splits.surface_map(LAYER, -1),
     "time_of_flight": lambda: splits.time_of_flight(SNOW, "x"),

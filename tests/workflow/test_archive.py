@@ -18,9 +18,8 @@ from splits.core.yaml import ConfigError
 from splits.experiments import load_experiment, load_settings
 from splits.experiments.archive import make_configuration_members, pack_archive
 from splits.experiments.config.settings import Settings
-from splits.io.citation import make_software_info
 from splits.io.netcdf import drop_run_specific_attributes, get_git_commit, get_package_version
-from splits.io.ro_crate import METADATA_FILE, Author
+from splits.io.ro_crate import METADATA_FILE, Author, make_software_info
 from splits.io.unarchive import unpack_archive
 
 pytestmark = pytest.mark.long
@@ -242,7 +241,8 @@ def test_authors_of_the_citation_are_those_of_the_results(make_archive, tmp_path
     citation = {"authors": [ada, {"name": "A group"}], "license": "MIT"}
     (tmp_path / "CITATION.cff").write_text(yaml.safe_dump(citation))
     authors = make_software_info(tmp_path).authors
-    assert authors == (Author(**ADA), Author("A group", is_person=False))
+    ada_author = Author(**ADA | {"orcid": "https://orcid.org/0000-0002-1825-0097"})
+    assert authors == (ada_author, Author("A group", is_person=False))
     crate = json.loads(read_members(make_archive(repository=tmp_path))[METADATA_FILE])
     root = next(entity for entity in crate["@graph"] if entity["@id"] == "./")
     assert root["author"] == [{"@id": "https://orcid.org/0000-0002-1825-0097"}, {"@id": "#A-group"}]
@@ -251,15 +251,10 @@ def test_authors_of_the_citation_are_those_of_the_results(make_archive, tmp_path
 @pytest.mark.parametrize(
     ("given", "line"),
     [
-        ({"archive_license": "CC BY 4.0"}, "archive_license = 'CC BY 4.0': must be an SPDX"),
-        ({"archive_license": "javascript:x"}, "archive_license = 'javascript:x': must be an SPDX"),
-        ({"archive_license": "https://a.org/<b>"}, "archive_license = .*: must be an SPDX"),
+        ({"archive_license": 4.0}, "archive_license = 4.0: must be"),
+        ({"archive_license": "CC\nBY"}, "without control characters"),
         ({"archive_authors": [{"orcid": "x"}]}, "archive_authors"),
-        ({"archive_authors": [ADA | {"orcid": "0000-0002-1825-0098"}]}, "with a valid check digit"),
-        (
-            {"archive_authors": [ADA | {"orcid": "12"}]},
-            r"archive_authors\[0\]\.orcid = '12': must be",
-        ),
+        ({"archive_authors": [ADA | {"orcid": 12}]}, r"archive_authors\[0\]\.orcid = 12: must be"),
         ({"archive_authors": [ADA | {"name": "A\nB"}]}, "without control characters"),
         ({"archive_authors": "Ada"}, "archive_authors = 'Ada': must be"),
     ],

@@ -2,7 +2,9 @@
 
 from splits.experiments.archive import make_configuration_members, pack_archive
 from splits.experiments.config.settings import Settings
+from splits.io.netcdf import exit_if_damaged
 
+exit_if_damaged(snakemake.input)
 settings = Settings.model_validate(snakemake.params.settings)
 pack_archive(
     snakemake.input.results,

@@ -1,8 +1,10 @@
 """Write the explorer of tables (snakemake script)."""
 
 import splits
+from splits.io.netcdf import exit_if_damaged
 from splits.plotting.explorer.page import ExplorerTable, write_explorer
 
+exit_if_damaged(snakemake.input)
 inputs, params = snakemake.input, snakemake.params
 directions = {
     label: splits.load(path)

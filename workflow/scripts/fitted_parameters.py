@@ -3,5 +3,7 @@
 from splits import load
 from splits.experiments.papers.sand_trends import make_fit_table
 from splits.io.data_frame import write_data_frame
+from splits.io.netcdf import exit_if_damaged
 
+exit_if_damaged(snakemake.input)
 write_data_frame(make_fit_table(load(snakemake.input[0])), snakemake.output[0])

@@ -3,7 +3,9 @@
 from splits.core.progress import open_progress_log
 from splits.experiments.config.retrieval import RetrieveSection
 from splits.experiments.run_retrieve import write_retrieval
+from splits.io.netcdf import exit_if_damaged
 
+exit_if_damaged(snakemake.input)
 with open_progress_log(snakemake.log[0]) as log:
     write_retrieval(
         RetrieveSection.model_validate_json(snakemake.params.retrieve),

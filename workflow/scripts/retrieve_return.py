@@ -4,7 +4,9 @@ from splits.core.progress import open_progress_log
 from splits.experiments.config.retrieval import RetrieveReturnSection
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.run_retrieve import write_return_retrieval
+from splits.io.netcdf import exit_if_damaged
 
+exit_if_damaged(snakemake.input)
 with open_progress_log(snakemake.log[0]) as log:
     write_return_retrieval(
         SimulationConfig.model_validate(snakemake.params.experiment),

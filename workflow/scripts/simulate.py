@@ -1,6 +1,6 @@
 """Run an experiment (snakemake script)."""
 
-from splits.core.interrupts import exit_on_signals
+from splits.core.process import exit_on_signals
 
 exit_on_signals(
     snakemake.wildcards.experiment,

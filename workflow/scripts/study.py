@@ -2,14 +2,16 @@
 
 import json
 
-from splits.core.interrupts import exit_on_signals
+from splits.core.process import exit_on_signals
 
 exit_on_signals(snakemake.rule)
 
 from splits.core.progress import open_progress_log
 from splits.experiments.studies import STUDY_KINDS
 from splits.experiments.studies.study import StudyRun
+from splits.io.netcdf import exit_if_damaged
 
+exit_if_damaged(snakemake.input)
 content = json.loads(snakemake.params.study)
 study = STUDY_KINDS[content["kind"]].model_validate(content)
 with open_progress_log(snakemake.log[0]) as log:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from splits.core.interrupts import exit_on_signals
+from splits.core.process import exit_on_signals
 
 exit_on_signals(snakemake.wildcards.experiment)
 

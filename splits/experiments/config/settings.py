@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from splits.core.paths import expand_path
 from splits.core.validation import check_choice, invalid, join_names, suggest_name
@@ -21,34 +21,17 @@ from splits.experiments.config.sections import (
     Title,
     Whole,
     check_path,
-    match_pattern,
 )
 from splits.experiments.studies import AnyStudy
 from splits.experiments.studies.checks import check_studies, find_incomplete_studies
 from splits.experiments.studies.study import describe_missing
-from splits.io.ro_crate import ORCID_URL, Author
+from splits.io.ro_crate import Author
 
 DEFAULT_LICENCE = "MIT"
 """Default licence of results: that of the software."""
 RESULT_FOLDERS = ("archive", "benchmarks", "blocks", "data", "figures", "logs", "tables")
 """Subfolders of the results folder, which the workflow creates."""
 _ACCURACY_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
-_LICENCE_PATTERN = re.compile(
-    r"[A-Za-z0-9][A-Za-z0-9.+-]{0,99}|https?://[\w.~:/?#@!$&'()*+,;=%-]{1,300}", re.ASCII
-)
-LICENCE_RULE = "an SPDX identifier such as MIT or CC-BY-4.0, or a URL"
-
-
-def _check_orcid(value: str) -> str:
-    """Return an ORCID without its URL; reject a wrong check digit (ISO 7064, MOD 11-2)."""
-    orcid = value.removeprefix(ORCID_URL)
-    is_orcid = re.fullmatch(r"(\d{4}-){3}\d{3}[\dX]", orcid, re.ASCII) is not None
-    total = 0
-    for digit in orcid[:-1].replace("-", "") if is_orcid else "":
-        total = 2 * (total + int(digit))
-    if value and not (is_orcid and orcid[-1] == "0123456789X"[(12 - total) % 11]):
-        raise invalid("", value, "an ORCID such as 0000-0002-1825-0097, with a valid check digit")
-    return orcid
 
 
 class ArchiveAuthor(ConfigSection):
@@ -56,13 +39,7 @@ class ArchiveAuthor(ConfigSection):
 
     name: Title
     """name of the author"""
-    orcid: Annotated[
-        str,
-        AfterValidator(_check_orcid),
-        WithJsonSchema(
-            {"type": "string", "pattern": rf"^(({ORCID_URL})?(\d{{4}}-){{3}}\d{{3}}[\dX])?$"}
-        ),
-    ] = ""
+    orcid: Title = ""
     """ORCID"""
     affiliation: Title = ""
     """institution of the author"""
@@ -136,7 +113,7 @@ class Settings(ConfigSection):
     archive: Annotated[tuple[str, ...] | Literal["all"], SPLIT_NAMES] = "all"
     """experiments in the archive of `snakemake archive`, by default all selected ones; on the
     command line with commas"""
-    archive_license: Annotated[str, match_pattern(_LICENCE_PATTERN, LICENCE_RULE)] = DEFAULT_LICENCE
+    archive_license: Title = DEFAULT_LICENCE
     """licence of the results in an archive: an SPDX identifier such as `CC-BY-4.0`, or a URL"""
     archive_authors: tuple[ArchiveAuthor, ...] = ()
     """authors of the results in an archive, each with `name` and optionally `orcid` and

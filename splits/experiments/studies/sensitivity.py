@@ -211,6 +211,7 @@ class SobolStudy(TableStudy):
     def make(self, run: StudyRun) -> None:
         """Make the table and the figure."""
         import splits
+        from splits.experiments.studies.information import compute_sobol_indices
         from splits.plotting.sensitivity import draw_sobol_indices
         from splits.tables.axes import list_numeric_axes
 
@@ -219,7 +220,7 @@ class SobolStudy(TableStudy):
             table = splits.open_table(run.datasets[name])
             free = list_numeric_axes(table.dataset, table.axes[:-1])
             seed = run.parameters["seed"]
-            indices[key.replace("_", " ")] = splits.sobol_indices(table, free, seed=seed)
+            indices[key.replace("_", " ")] = compute_sobol_indices(table, free, seed=seed)
         run.write_table("table", concatenate_tables(indices))
         run.save_figure("figure", draw_sobol_indices(indices))
 
@@ -272,6 +273,7 @@ class BandsStudy(TableStudy):
     def make(self, run: StudyRun) -> None:
         """Make the table and the figure."""
         import splits
+        from splits.experiments.studies.information import select_bands
         from splits.plotting.sensitivity import draw_band_selection
         from splits.tables.axes import list_numeric_axes
 
@@ -281,7 +283,7 @@ class BandsStudy(TableStudy):
             fixed = {n: value for n, value in self.fixed.items() if n in table.axes}
             free = [n for n in list_numeric_axes(table.dataset, table.axes[:-1]) if n not in fixed]
             bands = self.bands or table.dataset.wavelength.values
-            selections[key.replace("_", " ")] = splits.select_bands(
+            selections[key.replace("_", " ")] = select_bands(
                 table, bands, free, self.noise, self.n_bands, fixed=fixed,
                 seed=run.parameters["seed"],
             )  # fmt: skip

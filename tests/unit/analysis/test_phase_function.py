@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 import xarray as xr
 from chi2 import NEEDS_JIT
-from constructed_results import ASYMMETRY, ORDERS, make_optics
+from constructed_results import ASYMMETRY, make_optics
 from scipy.special import eval_legendre, j1
 
 import splits
-from splits.analysis.theory.phase_function import compute_diffraction_moments
-from splits.analysis.theory.phase_function_export import to_eradiate, write_libradtran
+from splits.analysis.theory.phase_function import compute_diffraction_moments, to_eradiate
 from splits.core.validation import InvalidValue
 
 
@@ -114,14 +113,6 @@ def test_eradiate_export_keeps_absorption_and_transport_scattering(diffraction):
     # The correction of the extinction is small.
     np.testing.assert_allclose(exported.sigma_t, optics.extinction, rtol=5e-3)
     np.testing.assert_allclose(exported.optical_thickness, 1e-2 * exported.sigma_t)
-
-
-def test_libradtran_export_has_the_required_columns(tmp_path):
-    write_libradtran(make_optics(), tmp_path / "layer.dat")
-    table = np.loadtxt(tmp_path / "layer.dat")
-    assert table.shape == (2, 3 + ORDERS.size)
-    np.testing.assert_allclose(table[:, :3], [[600.0, 2e6, 0.9], [1300.0, 2e6, 0.9]])
-    np.testing.assert_allclose(table[0, 3:], ASYMMETRY**ORDERS, rtol=1e-6)
 
 
 @NEEDS_JIT

@@ -1,9 +1,8 @@
-"""Atomic writes, and removal of temporary files left by killed processes."""
+"""Atomic writes: the old file or the new one, and no leftovers in the long run."""
 
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -14,8 +13,7 @@ import pytest
 import xarray as xr
 
 import splits
-from splits.core import atomic
-from splits.core.atomic import atomic_write, remove_stale_files
+from splits.core.atomic import ABANDONED_AFTER_S, atomic_write
 from splits.io.data_frame import write_data_frame
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 
@@ -32,6 +30,15 @@ def die(dataset, target, **options):
 xr.Dataset.to_netcdf = die
 splits.save(xr.Dataset({"x": 1.0}, attrs=to_netcdf_attributes(make_provenance())), sys.argv[1])
 """
+WRITING_PROGRAM = """
+import sys
+from splits.core.atomic import atomic_write
+
+with atomic_write(sys.argv[1]) as aside:
+    aside.write_text(sys.argv[2])
+    print(aside.name, flush=True)
+    input()
+"""
 
 
 def list_names(folder):
@@ -44,109 +51,63 @@ def kill_while_saving(path):
     assert result.returncode == -signal.SIGKILL
 
 
-def test_leftovers_of_a_killed_save_are_removed(tmp_path):
-    kill_while_saving(tmp_path / "made.nc")
-    leftover = list_names(tmp_path)
-    assert len(leftover) == 2 and all(name.startswith(".") for name in leftover)
-    dataset = xr.Dataset({"x": 2.0}, attrs=to_netcdf_attributes(make_provenance()))
-    splits.save(dataset, tmp_path / "other.nc")
-    assert list_names(tmp_path) == ["other.nc"]
-    kill_while_saving(tmp_path / "made.nc")
-    write_data_frame(pd.DataFrame({"x": [1]}), tmp_path / "table.csv")
-    assert list_names(tmp_path) == ["other.nc", "table.csv"]
-
-
-WRITE_FUNCTIONS = """
-import sys
-from splits.core.atomic import atomic_write
-
-with atomic_write(sys.argv[1]) as aside:
-    aside.write_text("whole")
-    print(aside.name, flush=True)
-    input()
-"""
-OTHER_MACHINE = ["unshare", "--pid", "--fork", "--mount-proc"]
-"""Command that runs another one in a new process namespace, as in a container."""
-
-
-def start_writing(path, *prefix):
+def start_writing(path, text):
     """Return a process that is writing a file, and the name of its temporary file."""
-    command = [*prefix, sys.executable, "-c", WRITE_FUNCTIONS, str(path)]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, "-c", WRITING_PROGRAM, str(path), text],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
     return process, process.stdout.readline().strip()
 
 
-def make_stale_name(name, machine=None):
-    """Return the temporary name of a writer that has ended, possibly on another machine."""
-    _, first, system, number, *rest = name.split(".")
-    return ".".join(["", first, machine or system, number[::-1], *rest])
+def test_a_killed_save_leaves_the_old_file_and_a_leftover_that_a_later_write_removes(tmp_path):
+    path = tmp_path / "made.nc"
+    dataset = xr.Dataset({"x": 2.0}, attrs=to_netcdf_attributes(make_provenance()))
+    splits.save(dataset, path)
+    kill_while_saving(path)
+    assert splits.load(path).equals(dataset)
+    leftover, _ = list_names(tmp_path)
+    assert leftover.startswith(".aside.")
+    write_data_frame(pd.DataFrame({"x": [1]}), tmp_path / "table.csv")
+    assert list_names(tmp_path) == [leftover, "made.nc", "table.csv"]
+    timestamp = time.time() - 1.01 * ABANDONED_AFTER_S
+    os.utime(tmp_path / leftover, (timestamp, timestamp))
+    write_data_frame(pd.DataFrame({"x": [1]}), tmp_path / "table.csv")
+    assert list_names(tmp_path) == ["made.nc", "table.csv"]
 
 
-def test_only_leftovers_of_ended_writers_are_removed(tmp_path):
-    process, live = start_writing(tmp_path / "live.csv")
-    try:
-        with atomic_write(tmp_path / "mine.csv") as temporary:
-            temporary.write_text("x")
-            stale, remote = (
-                make_stale_name(temporary.name),
-                make_stale_name(temporary.name, "0123456789abcdef"),
-            )
-            for name in (stale, remote):
-                for leftover in (name, name.rsplit(".", 3)[0]):
-                    (tmp_path / leftover).write_text("x")
-            (tmp_path / ".aside.of.others").write_text("x")
-            removed = remove_stale_files(tmp_path)
-            assert removed == [tmp_path / stale, tmp_path / stale.rsplit(".", 3)[0]]
-            assert (
-                temporary.exists() and (tmp_path / live).exists() and (tmp_path / remote).exists()
-            )
-    finally:
+def test_old_files_of_others_are_kept(tmp_path):
+    for name in (".aside.of.others", ".other", "aside"):
+        (tmp_path / name).write_text("x")
+        os.utime(tmp_path / name, (0, 0))
+    write_data_frame(pd.DataFrame({"x": [1]}), tmp_path / "table.csv")
+    assert len(list_names(tmp_path)) == 4
+
+
+def test_processes_write_the_same_file(tmp_path):
+    path = tmp_path / "one.csv"
+    writers = [start_writing(path, text) for text in ("first", "second")]
+    assert list_names(tmp_path) == sorted(name for _, name in writers)
+    for (process, _), text in zip(writers, ("first", "second"), strict=True):
         process.communicate("\n")
-    assert process.returncode == 0
-    assert remove_stale_files(tmp_path) == []
-    assert (tmp_path / "live.csv").read_text() == "whole"
+        assert process.returncode == 0
+        assert path.read_text() == text
+    assert list_names(tmp_path) == ["one.csv"]
 
 
-@pytest.mark.skipif(
-    not shutil.which("unshare") or subprocess.run([*OTHER_MACHINE, "true"]).returncode != 0,
-    reason="needs process namespaces",
-)
-def test_files_of_another_container_are_kept(tmp_path):
-    process, name = start_writing(tmp_path / "live.csv", *OTHER_MACHINE)
-    script = (
-        "import sys; from splits.core.atomic import remove_stale_files; "
-        "print(len(remove_stale_files(sys.argv[1])))"
-    )
-    cleanup = [sys.executable, "-c", script, str(tmp_path)]
-    for command in (cleanup, [*OTHER_MACHINE, *cleanup]):
-        assert subprocess.run(command, capture_output=True, text=True).stdout == "0\n"
-    assert (tmp_path / name).exists()
-    process.communicate("\n")
-    assert process.returncode == 0
-    assert list_names(tmp_path) == ["live.csv"]
-
-
-@pytest.mark.parametrize("case", ["another machine", "no lock", "locks unavailable"])
-def test_files_without_lock_information_are_removed_by_age(tmp_path, monkeypatch, case):
-    monkeypatch.setattr(atomic, "_get_lock_domain", lambda folder: "0123456789abcdef")
-    with atomic_write(tmp_path / "mine.csv") as temporary:
-        temporary.write_text("x")
-        name = make_stale_name(temporary.name)
-    (tmp_path / "mine.csv").unlink()
-    (tmp_path / name).write_text("x")
-    if case != "no lock":
-        (tmp_path / name.rsplit(".", 3)[0]).write_text("x")
-    if case == "another machine":
-        monkeypatch.setattr(atomic, "_get_lock_domain", lambda folder: "another system")
-    if case == "locks unavailable":
-        monkeypatch.setattr(atomic, "fcntl", None)
-    files = list_names(tmp_path)
-    assert remove_stale_files(tmp_path) == []
-    for leftover in files:
-        timestamp = time.time() - 2.0 * atomic.ABANDONED_AFTER_S
-        os.utime(tmp_path / leftover, (timestamp, timestamp))
-    assert len(remove_stale_files(tmp_path)) == len(files)
-    assert list_names(tmp_path) == []
+def test_folders_are_written_atomically(tmp_path):
+    path = tmp_path / "folder"
+    path.mkdir()
+    with atomic_write(path) as temporary:
+        temporary.mkdir()
+        (temporary / "a").write_text("whole")
+        assert list_names(path) == []
+    assert list_names(tmp_path) == ["folder"] and (path / "a").read_text() == "whole"
+    with pytest.raises(ValueError, match="bad"), atomic_write(tmp_path / "other") as temporary:
+        temporary.mkdir()
+        (temporary / "a").write_text("half")
+        raise ValueError("bad")
+    assert list_names(tmp_path) == ["folder"]
 
 
 def test_write_errors_name_the_given_path(tmp_path):

@@ -15,7 +15,6 @@ from formula_tables import make_snowlike_table
 import splits
 from splits import cli
 from splits.analysis.measured import read_measured
-from splits.analysis.theory.phase_function_export import write_libradtran
 from splits.core.validation import InvalidValue
 from splits.core.yaml import ConfigError
 from splits.experiments import load_experiment, load_experiments, load_settings
@@ -38,8 +37,6 @@ SMALL_EXPERIMENT = (
 )
 MAIN_SETTINGS = {"accuracies": {"standard": {"max_stderr": 0.1}}}
 FOLDERS = {f"{kind}_folder": f"~/{kind}" for kind in ("experiments", "media", "measured")}
-LOCATION = dict.fromkeys(["country", "city", "street", "building_nr", "postal_code"], "-")
-AUTHORS = {"organization": "-", "location": LOCATION, "email": "-", "contact_person": "-"}
 
 
 @pytest.fixture
@@ -67,14 +64,6 @@ def make_layer(**settings):
     return splits.ParticleLayer(optical_thickness=0.5, **settings)
 
 
-def make_grains():
-    return splits.single_scattering(make_snow(), [500.0], moments=8, rays=100)
-
-
-def make_brdf():
-    return splits.goniophotometer(make_layer(), [500.0], 30.0, relative_stderr=0.5)
-
-
 def make_figure():
     from matplotlib.figure import Figure
 
@@ -97,8 +86,6 @@ WRITE_FUNCTIONS = {
     "pack": (lambda path: pack_archive([], {"config/a.yaml": b""}, path), "archives/a.zip"),
 }
 RUN_WRITE_FUNCTIONS = {
-    "save_brdf": (lambda path: splits.save_brdf(make_brdf(), path, AUTHORS), "one.brdf"),
-    "write_libradtran": (lambda path: write_libradtran(make_grains(), path), "grains.dat"),
     "table": (
         lambda path: splits.build_table(
             make_snow, {"ground": ["black"]}, [500], max_stderr=0.2, folder=Path(path).parent

@@ -26,7 +26,7 @@ CALLS = {
     "figure": lambda path: save_figure(None, path),
     "load_medium": lambda path: splits.load_medium(f"{path}.yaml"),
 }  # fmt: skip
-OTHER_FUNCTIONS = {"save_brdf", "build_table"}
+OTHER_FUNCTIONS = {"build_table"}
 """Public functions with a path and other arguments, which are checked first."""
 
 

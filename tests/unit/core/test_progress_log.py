@@ -133,7 +133,7 @@ def test_a_run_succeeds_after_its_terminal_is_closed(tmp_path):
 @FULL_DISK
 def test_interrupts_end_a_run_with_unwritable_output():
     script = (
-        "import os, signal, time\nfrom splits.core.interrupts import exit_on_signals\n"
+        "import os, signal, time\nfrom splits.core.process import exit_on_signals\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\nexit_on_signals('a job')\n"
         "os.kill(os.getpid(), signal.SIGINT)\ntime.sleep(60)\n"
     )

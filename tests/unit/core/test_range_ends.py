@@ -15,7 +15,6 @@ from splits.analysis.colour import covers_visible
 from splits.core.validation import InvalidValue, check_range, snap_to_limits
 from splits.materials import make_refractive_index
 from splits.simulation.arguments import check_direction_angles, check_wavelengths
-from splits.tables.spires import convert_to_spires
 
 NARROW_TABLE = make_table(
     lambda size, _: evaluate_spectrum(size, 0.0),
@@ -69,8 +68,9 @@ RANGE_ENDS = {
         lambda x: NARROW_TABLE.derivatives(
             [SIZE], incidence_deg=60, **{SIZE: x}).reflectance_jacobian,
         50.0, -1),
-    "to_spires": (
-        lambda x: convert_to_spires(TABLE.dataset, SOOT, {"a": (x, 600)}), 500.0, -1),
+    "Table.interp bands": (
+        lambda x: TABLE.interp(bands={"a": (x, 600)}, **FIXED, **{SIZE: 60}).band_reflectance,
+        500.0, -1),
     "retrieve": (
         lambda x: splits.retrieve(
             ([x, 700], [0.9, 0.8]), TABLE, [SIZE], 0.1, fixed=FIXED).values[SIZE],

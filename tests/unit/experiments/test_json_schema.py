@@ -98,7 +98,7 @@ def make_study(**keys):
                     choices={"entry_point": ["uniforms"]}), False),
         ({"studies": {"Mine": {"kind": "sand_compositions"}}}, False),
         ({"archive_authors": [{"name": "A", "orcid": "0000-0002-1825-0097"}]}, True),
-        ({"archive_authors": [{"name": "A", "orcid": "0000-0002-1825"}]}, False),
+        ({"archive_authors": [{"name": "A", "orcid": 1825}]}, False),
     ],
 )  # fmt: skip
 def test_schema_of_partial_settings(content, is_valid):

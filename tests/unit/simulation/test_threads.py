@@ -13,7 +13,7 @@ from chi2 import NEEDS_JIT
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import splits
-from splits.io.integrity import NETCDF_LOCK
+from splits.io.netcdf import NETCDF_LOCK
 from splits.simulation import engine
 from splits.simulation.arguments import check_threads
 from splits.simulation.run_options import RunOptions

@@ -9,7 +9,7 @@ from chi2 import NEEDS_JIT
 from formula_tables import make_snowlike_table
 
 import splits
-from splits.analysis.theory.phase_function_export import to_eradiate
+from splits.analysis.theory.phase_function import to_eradiate
 from splits.core.validation import InvalidValue
 from splits.tables.axes import ParameterGrid
 from splits.tables.return_table import TITLE as RETURN_TITLE

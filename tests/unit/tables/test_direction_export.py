@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from constructed_results import AUTHOR
 from direction_tables import (
     AXES,
     DIMS,
@@ -19,7 +16,6 @@ from direction_tables import (
 )
 
 from splits.core.validation import InvalidValue
-from splits.tables.bird import write_bird
 from splits.tables.eradiate import convert_to_eradiate
 from splits.tables.export import write_csv
 from splits.tables.isofit import ISOFIT_DIMS, convert_to_isofit
@@ -142,40 +138,6 @@ def test_eradiate_evaluates_the_converted_brdf(dataset):
         assert float(np.ravel(np.array(value))[0]) == pytest.approx(expected, abs=1e-5)
 
 
-def test_bird_files_have_every_direction_once(dataset, tmp_path):
-    write_bird(dataset, tmp_path / "snow.brdf", AUTHOR, **COARSE)
-    content = json.loads((tmp_path / "snow.brdf").read_text(encoding="utf-8"))
-    names = ("theta_i", "theta_r", "phi_r", "wavelength_i", "BRDF", "uBRDF")
-    frame = pd.DataFrame({name: content["data"][name]["values"] for name in names})
-    assert len(frame) == 5 * 6 * 24 * 2
-    assert not frame.duplicated(["theta_i", "theta_r", "phi_r", "wavelength_i"]).any()
-    assert set(content["data"]["phi_i"]["values"]) == {0.0}
-    # The specular direction is at 180°, and the side of the sun at 0.
-    azimuth = frame.phi_r - 180.0
-    expected = evaluate_factor(100.0, frame.theta_i, frame.theta_r, azimuth, frame.wavelength_i)
-    np.testing.assert_allclose(frame.BRDF, expected / np.pi, rtol=1e-5)
-    np.testing.assert_allclose(frame.uBRDF, 0.01 * expected / np.pi, rtol=1e-2)
-    parameters = content["metadata"]["software"]["simulation_model"]["parameters"]
-    values = {parameter["name"]: parameter["value"] for parameter in parameters}
-    assert values == {"density_kg_m3": 300.0, SIZE: 100.0}
-
-
-@pytest.mark.parametrize("kind", ["axis", "coordinate", "attribute"])
-def test_bird_files_of_one_angle_of_incidence(dataset, kind, tmp_path):
-    write_bird(dataset, tmp_path / "all.brdf", AUTHOR, **COARSE)
-    one = dataset.isel(incidence_deg=[3] if kind == "axis" else 3, drop=kind == "attribute")
-    if kind == "attribute":
-        one.attrs["incidence_deg"] = 60.0
-    write_bird(one, tmp_path / "one.brdf", AUTHOR, **COARSE)
-    whole, part = (
-        json.loads((tmp_path / name).read_text(encoding="utf-8"))["data"]
-        for name in ("all.brdf", "one.brdf")
-    )
-    rows = np.array(whole["theta_i"]["values"]) == 60.0
-    assert set(part["theta_i"]["values"]) == {60.0}
-    np.testing.assert_array_equal(np.array(whole["BRDF"]["values"])[rows], part["BRDF"]["values"])
-
-
 def test_csv_files_repeat_hemispherical_quantities(dataset, tmp_path):
     write_csv(dataset, tmp_path / "table.csv")
     frame = pd.read_csv(tmp_path / "table.csv")
@@ -199,9 +161,8 @@ def test_csv_files_have_the_axes_of_all_quantities(dataset, tmp_path):
 
 
 CONVERSIONS = {
-    "isofit": lambda ds, _: convert_to_isofit(ds),
-    "eradiate": lambda ds, _: convert_to_eradiate(ds, 500.0, 3, 2, **COARSE),
-    "bird": lambda ds, folder: write_bird(ds, folder / "a.brdf", AUTHOR, **COARSE),
+    "isofit": lambda ds: convert_to_isofit(ds),
+    "eradiate": lambda ds: convert_to_eradiate(ds, 500.0, 3, 2, **COARSE),
 }
 ZERO_TO_180 = "azimuth_deg = .*: must be from 0 to 180"
 INVALID_DATASETS = {
@@ -220,7 +181,7 @@ INVALID_DATASETS = {
     "full circle": (lambda: make_direction_dataset(azimuth_deg=[0.0, 180.0, 270.0]), ZERO_TO_180),
     "text": (
         lambda: make_direction_dataset().assign_coords(incidence_deg=["a", "b", "c", "d", "e"]),
-        "incidence_deg = .*at least (two|one) angle",
+        "incidence_deg = .*at least two angles",
     ),
     "a gap": (
         lambda: make_direction_dataset().where(lambda ds: ds.azimuth_deg > 0.0), "table = .*gaps"
@@ -230,66 +191,52 @@ INVALID_DATASETS = {
 
 @pytest.mark.parametrize("conversion", CONVERSIONS)
 @pytest.mark.parametrize("name", INVALID_DATASETS)
-def test_unsuitable_tables_are_rejected(name, conversion, tmp_path):
+def test_unsuitable_tables_are_rejected(name, conversion):
     make, message = INVALID_DATASETS[name]
     with pytest.raises(InvalidValue, match=f"^{message}"):
-        CONVERSIONS[conversion](make(), tmp_path)
+        CONVERSIONS[conversion](make())
 
 
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda ds, _: convert_to_isofit(ds.rename({SIZE: "a"})), "axis = 'optical_radius_um'"),
+        (lambda ds: convert_to_isofit(ds.rename({SIZE: "a"})), "axis = 'optical_radius_um'"),
         (
-            lambda ds, _: convert_to_isofit(ds.rename({SIZE: "specific_surface_area_m2_kg"})),
+            lambda ds: convert_to_isofit(ds.rename({SIZE: "specific_surface_area_m2_kg"})),
             "table = 'over .*must be over optical_radius_um .give optical_radius_um = 3e6/.917 spe",
         ),
         (
-            lambda ds, _: convert_to_isofit(ds.isel(incidence_deg=3)),
+            lambda ds: convert_to_isofit(ds.isel(incidence_deg=3)),
             "table = 'reflectance_factor over .*give incidence_deg in the grid of splits.build_tab",
         ),
+        (lambda ds: convert_to_isofit(ds, sza=0.0), "sza = .*left out, as it is free"),
         (
-            lambda ds, folder: write_bird(
-                ds.isel(incidence_deg=3, drop=True).assign_attrs(incidence_deg="diffuse"),
-                folder / "a.brdf", AUTHOR, **COARSE,
-            ),
-            "table = 'reflectance_factor over .*give incidence_deg in the grid of splits.build_tab",
-        ),
-        (lambda ds, _: convert_to_isofit(ds, sza=0.0), "sza = .*left out, as it is free"),
-        (
-            lambda ds, _: convert_to_isofit(ds[["reflectance_factor"]]),
+            lambda ds: convert_to_isofit(ds[["reflectance_factor"]]),
             "table = .*with diffuse_reflectance_factor, or with reflectance",
         ),
         (
-            lambda ds, _: convert_to_isofit(
+            lambda ds: convert_to_isofit(
                 ds.drop_vars("diffuse_reflectance_factor").isel(incidence_deg=[0, 1, 2])
             ),
             r"polar_deg = \[0.0, .*: must be from 0 to 40, as far as incidence_deg goes",
         ),
-        (lambda ds, _: convert_to_eradiate(ds, 500.0), "optical_radius_um = None: must be given"),
-        (lambda ds, _: convert_to_eradiate(ds, **COARSE), "wavelength = None: must be one of"),
+        (lambda ds: convert_to_eradiate(ds, 500.0), "optical_radius_um = None: must be given"),
+        (lambda ds: convert_to_eradiate(ds, **COARSE), "wavelength = None: must be one of"),
         (
-            lambda ds, _: convert_to_eradiate(ds, 700.0, **COARSE),
+            lambda ds: convert_to_eradiate(ds, 700.0, **COARSE),
             "wavelength = 700.0: must be one of the table's 2 wavelengths, from 500 to 900 nm",
         ),
-        (lambda ds, _: convert_to_eradiate(ds, 500.0, 1, **COARSE), "n_cosines = 1"),
+        (lambda ds: convert_to_eradiate(ds, 500.0, 1, **COARSE), "n_cosines = 1"),
         (
-            lambda ds, _: convert_to_eradiate(ds.isel(polar_deg=[0, 1, 2]), 500.0, **COARSE),
+            lambda ds: convert_to_eradiate(ds.isel(polar_deg=[0, 1, 2]), 500.0, **COARSE),
             "polar_deg = .*must be from 0 to at least 60",
         ),
         (
-            lambda ds, _: convert_to_eradiate(ds.isel(incidence_deg=[1, 4]), 500.0, **COARSE),
+            lambda ds: convert_to_eradiate(ds.isel(incidence_deg=[1, 4]), 500.0, **COARSE),
             "incidence_deg = .*must be from 0 to at least 60",
-        ),
-        (lambda ds, folder: write_bird(ds, folder / "a.brdf", {}, **COARSE), "provenance = "),
-        (
-            lambda ds, folder: write_bird(ds.drop_vars("reflectance_factor_stderr"),
-                                          folder / "a.brdf", AUTHOR, **COARSE),
-            "table = .*with reflectance_factor_stderr",
         ),
     ],
 )  # fmt: skip
-def test_invalid_arguments_are_rejected(dataset, call, message, tmp_path):
+def test_invalid_arguments_are_rejected(dataset, call, message):
     with pytest.raises(InvalidValue, match=f"^{message}"):
-        call(dataset, tmp_path)
-    assert list(tmp_path.iterdir()) == []
+        call(dataset)

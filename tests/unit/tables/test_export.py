@@ -18,7 +18,6 @@ AXES = {
     "liquid_water_content": np.array([0.0, 0.05]),
     "wavelength": np.arange(400.0, 1001.0, 10.0),
 }
-GREEN, RED = (520.0, 600.0), (630.0, 690.0)
 
 
 @pytest.fixture
@@ -40,42 +39,6 @@ def test_csv_files_have_a_line_for_every_value(table, tmp_path):
     assert len(frame) == table.dataset.reflectance.size
     restored = frame.set_index(list(AXES)).to_xarray()
     np.testing.assert_allclose(restored.reflectance, table.dataset.reflectance, rtol=1e-5)
-
-
-def test_spires_export_has_the_band_means(table):
-    exported = table.to_spires(
-        "impurities_ng_g.dust", {"green": GREEN, "red": RED}, liquid_water_content=0.05
-    )
-    assert exported.dims == ("band", "solar_angle", "dust_concentration", "grain_size")
-    assert exported.band.values.tolist() == [1, 2]
-    assert exported.dust_concentration.values.tolist() == [0.0, 1.0, 5.0]
-    point = {"impurities_ng_g.dust": 1000.0, "liquid_water_content": 0.05, "incidence_deg": 30.0,
-          "optical_radius_um": 200.0}  # fmt: skip
-    spectrum = table.dataset.reflectance.sel(point)
-    in_band = spectrum.sel(wavelength=slice(*RED)).values.astype(float)
-    mean = np.trapezoid(in_band, dx=10.0) / 60.0
-    actual = exported.sel(band=2, solar_angle=30.0, dust_concentration=1.0, grain_size=200.0)
-    assert float(actual) == pytest.approx(mean, abs=1e-6)
-
-
-def test_spires_interpolates_the_export(table):
-    spires = pytest.importorskip("spires")
-    exported = table.to_spires(
-        "impurities_ng_g.dust", {"green": GREEN, "red": RED}, liquid_water_content=0.0
-    )
-    interpolator = spires.LutInterpolator(
-        reflectances=exported.values, bands=exported.band.values,
-        solar_angles=exported.solar_angle.values,
-        dust_concentrations=exported.dust_concentration.values,
-        grain_sizes=exported.grain_size.values,
-    )  # fmt: skip
-    spectrum = exported.sel(band=2, solar_angle=30.0, dust_concentration=1.0)
-    for size in (100.0, 150.0):
-        expected = float(spectrum.interp(grain_size=size))
-        actual = interpolator.interpolate(
-            band=2, solar_angle=30.0, dust_concentration=1.0, grain_size=size
-        )
-        assert actual == pytest.approx(expected, abs=1e-9)
 
 
 def test_isofit_export_has_the_required_names(table):
@@ -100,13 +63,6 @@ def test_isofit_export_has_the_required_names(table):
         (
             lambda t: t.to_isofit(**{"impurities_ng_g.dust": 7.0, "liquid_water_content": 0.0}),
             "impurities_ng_g.dust = 7.0: must be one of",
-        ),
-        (lambda t: t.to_spires("soot", {"red": RED}), "axis = 'soot': must be one of"),
-        (
-            lambda t: t.to_spires(
-                "impurities_ng_g.dust", {"far": (900, 1100)}, liquid_water_content=0.0
-            ),
-            r"bands\['far'\] = .*within the table",
         ),
     ],
 )  # fmt: skip

@@ -1,15 +1,16 @@
-"""Sobol indices compared with a function whose indices are known in closed form."""
+"""Sobol indices and information of bands, compared with functions known in closed form."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, judge_z
-from formula_tables import W, make_table
+from formula_tables import W, make_snowlike_table, make_table
 
-import splits
-from splits.core.validation import InvalidValue
+from splits.experiments.studies.information import compute_sobol_indices, select_bands
 
+SIZE, SOOT = "optical_radius_um", "impurities_ng_g.black_carbon"
+FIXED = {"incidence_deg": 30.0}
 A, B = np.linspace(0.1, 0.8, W.size), np.linspace(0.6, 0.2, W.size)
 
 
@@ -22,7 +23,7 @@ def product_table():
 
 @NEEDS_JIT
 def test_indices_match_the_exact_values(product_table):
-    result = splits.sobol_indices(product_table, ["a", "b"], points=256)
+    result = compute_sobol_indices(product_table, ["a", "b"], points=256)
     variances = np.stack([A**2 / 12.0, B**2 / 12.0, A**2 * B**2 / 144.0])
     total_variance = variances.sum(axis=0)
     exact = {
@@ -44,7 +45,7 @@ def test_indices_match_the_exact_values(product_table):
 
 def test_the_same_seed_gives_the_same_result(product_table):
     one, other = (
-        splits.sobol_indices(product_table, ["a", "b"], points=64, seed=3) for _ in range(2)
+        compute_sobol_indices(product_table, ["a", "b"], points=64, seed=3) for _ in range(2)
     )
     np.testing.assert_array_equal(one.first_order, other.first_order)
 
@@ -52,7 +53,7 @@ def test_the_same_seed_gives_the_same_result(product_table):
 @NEEDS_JIT
 def test_scatter_between_seeds_matches_stated_errors(product_table):
     """Only the middle wavelength of ten seeds is used, as all wavelengths are correlated."""
-    runs = [splits.sobol_indices(product_table, ["a", "b"], points=64, seed=s) for s in range(10)]
+    runs = [compute_sobol_indices(product_table, ["a", "b"], points=64, seed=s) for s in range(10)]
     z = []
     for name in ("first_order", "total"):
         value, error = (np.stack([run[f"{name}{suffix}"].values[:, W.size // 2] for run in runs])
@@ -66,24 +67,38 @@ def test_scatter_between_seeds_matches_stated_errors(product_table):
 def test_constant_reflectance_has_no_indices(product_table):
     table = make_table(lambda a, b: np.where(W < 800.0, 0.5, 0.5 + 0.1 * a),
                      {"a": [0.0, 1.0, 2.0], "b": [0.0, 1.0]})  # fmt: skip
-    result = splits.sobol_indices(table, ["a", "b"], points=64)
+    result = compute_sobol_indices(table, ["a", "b"], points=64)
     assert (result.first_order.sel(wavelength=slice(None, 750.0)) == 0.0).all()
     np.testing.assert_allclose(
         result.first_order.sel(parameter="a", wavelength=1000.0), 1.0, atol=0.1
     )
 
 
-INVALID_CALLS = {
-    "one": ({"free": ["a"], "fixed": {"b": 0.0}}, "two axes"),
-    "scale": ({"free": ["a", "scale"], "fixed": {"b": 0.0}}, "two axes"),
-    "odd": ({"points": 100}, "a power of 2"),
-    "few": ({"points": 8}, "64 to 65536"),
-    "no table": ({"table": None}, "a Table"),
-}
+def test_information_of_all_bands_matches_the_formula():
+    """All bands of a linear model in any order give ½ log₂ det(I + Kᵀ S⁻¹ K Sₐ)."""
+    rows = np.stack([np.ones(W.size), np.linspace(-1.0, 1.0, W.size)])
+    nodes = np.linspace(-1.0, 1.0, 40)
+    linear = make_table(lambda a, b: 0.5 + 0.1 * (a * rows[0] + b * rows[1]),
+                      {"a": nodes, "b": nodes}, 1e-8)  # fmt: skip
+    result = select_bands(linear, W, ["a", "b"], 0.02, n_bands=W.size)
+    k = 0.2 * rows.T / 0.02
+    exact = 0.5 * np.linalg.slogdet(np.eye(2) + k.T @ k / 12.0)[1] / np.log(2.0)
+    assert float(result.information_bits[-1]) == pytest.approx(exact, rel=1e-4)
+    spread = np.sqrt(np.diag(np.linalg.inv(k.T @ k + 12.0 * np.eye(2))) * 12.0)
+    np.testing.assert_allclose(result.spread[-1], spread, rtol=1e-4)
+    # The first two bands are at the ends, where the sensitivities are largest and independent.
+    assert set(result.band.values[:2]) == {"500 nm", "1500 nm"}
 
 
-@pytest.mark.parametrize("name", INVALID_CALLS)
-def test_invalid_input_is_rejected(product_table, name):
-    changes, message = INVALID_CALLS[name]
-    with pytest.raises(InvalidValue, match=message):
-        splits.sobol_indices(**({"table": product_table, "free": ["a", "b"]} | changes))
+def test_more_bands_add_decreasing_information():
+    result = select_bands(make_snowlike_table(), W, [SIZE, SOOT], 0.01, n_bands=4, fixed=FIXED)
+    bits = result.information_bits.values
+    assert (np.diff(bits) > 0.0).all()
+    assert len(set(result.band.values)) == 4
+    assert (np.diff(result.spread.values, axis=0) <= 1e-12).all()
+
+
+def test_sensor_bands_are_selected():
+    bands = {"blue": (500, 560), "near infrared": (850, 950), "short-wave": (1200, 1300)}
+    result = select_bands(make_snowlike_table(), bands, [SIZE, SOOT], 0.01, n_bands=2, fixed=FIXED)
+    assert "blue" in result.band.values

@@ -11,6 +11,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
+from splits.experiments.studies import STUDY_KINDS
 
 from splits.experiments.config.instrument_kinds import INSTRUMENT_KINDS
 from splits.experiments.config.messages import (
@@ -19,7 +20,6 @@ from splits.experiments.config.messages import (
     describe_type,
     list_tags,
 )
-from splits.experiments.studies import STUDY_KINDS
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:

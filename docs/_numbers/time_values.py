@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pandas as pd
-
-from _numbers.formatting import QuotedNumber, QuotedValue, RowFilter, select_cell, select_extreme
-from splits.core.validation import invalid
 from splits.experiments.papers.performance import (
     PAPER_ADAPTIVE,
     PAPER_UNIFORM,
@@ -15,6 +12,9 @@ from splits.experiments.papers.performance import (
     VECTORIZED,
     find_best_row,
 )
+
+from _numbers.formatting import QuotedNumber, QuotedValue, RowFilter, select_cell, select_extreme
+from splits.core.validation import invalid
 
 SPEED_FILE, KERNELS_FILE = "benchmarks/speed_against_error.csv", "benchmarks/kernels.csv"
 SOLVERS_FILE = "benchmarks/solvers.csv"

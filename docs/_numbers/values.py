@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import xarray as xr
+from splits.experiments.papers.brdf_trends import MAX_LAMBERTIAN_RANGE
 
 from _numbers.colour_values import COLOUR_NUMBERS
 from _numbers.formatting import (
@@ -29,7 +30,6 @@ from _numbers.retrieval_values import RETRIEVAL_NUMBERS
 from _numbers.time_values import TIMING_NUMBERS
 from splits.analysis.directions import select_principal_plane
 from splits.core.validation import invalid
-from splits.experiments.papers.brdf_trends import MAX_LAMBERTIAN_RANGE
 from splits.io.netcdf import load
 from splits.kernels.grains.free_path import MAX_REJECTIONS
 

@@ -71,10 +71,9 @@ TABLE_SOURCES = (
 FIGURE_SOURCES = ("plotting/*.py", "plotting/*.mplstyle")
 """Files that determine figures."""
 STUDY_SOURCES = (
-    "analysis", "illumination", "experiments/papers", "core/uncertainty.py",
-    "experiments/studies/study.py",
+    "analysis", "illumination", "retrieval", "core/uncertainty.py", *FIGURE_SOURCES,
 )  # fmt: skip
-"""Folders and files that determine studies of all kinds."""
+"""Folders and files that determine studies, besides their functions and the physics."""
 
 
 def list_sources(*, fit: bool = False) -> list[str]:

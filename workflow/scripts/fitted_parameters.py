@@ -1,7 +1,7 @@
 """Write the table of fitted parameters (snakemake script)."""
 
 from splits import load
-from splits.experiments.papers.sand_trends import make_fit_table
+from splits.experiments.run_fit import make_fit_table
 from splits.io.data_frame import write_data_frame
 
 write_data_frame(make_fit_table(load(snakemake.input[0])), snakemake.output[0])

@@ -1,4 +1,4 @@
-"""Qualitative trends of BRDFs in the papers, as differences with standard errors."""
+"""Statements of SPLITSnow (section 5.3) and SPLITS (Fig 11) in words on their BRDFs."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import itertools
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 
+import pandas as pd
 import xarray as xr
 
 from splits.analysis.directions import select_principal_plane
-from splits.experiments.papers.estimate import Estimate
-from splits.experiments.papers.snow_trends import make_significance_row
+from splits.core.validation import invalid, unknown_key
+from workflow.papers.statements import Estimate, make_significance_row, require
 
 FORWARD_PEAK_ANGLES_DEG = (45.0, 82.5)
 """Range of viewing angles (degrees) in which the forward peak is searched."""
@@ -20,8 +21,8 @@ MAX_LAMBERTIAN_RANGE = 0.2
 inspecting the figures."""
 
 
-Trends = Iterator[tuple[str, str, Estimate]]
-"""Statements, their places in the papers, and numbers that are positive if the statements hold."""
+Trend = tuple[str, str, Estimate]
+"""Statement, its place in the paper, and a number that is positive if the statement holds."""
 
 
 def get_brdf(plane: xr.Dataset, angle: float | list[float]) -> Estimate:
@@ -48,19 +49,49 @@ def compute_relative_range(plane: xr.Dataset, max_angle_deg: float) -> Estimate:
     return (high - low) / part.brdf.mean("angle")
 
 
-def make_brdf_trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, object]]:
+STUDY_INPUTS = {
+    "incidence": ("incidence_deg", 600.0),
+    "grazing": ("incidence_deg", 600.0),
+    "wavelength": ("", 600.0, 1800.0),
+    "grain_size": ("grain_size_um", 600.0),
+    "grain_size_uniform": ("grain_size_um", 600.0),
+    "grain_size_infrared": ("grain_size_um", 1450.0),
+    "facetness": ("facetness", 600.0),
+    "sand": ("incidence_deg", 600.0),
+}
+"""Parameter of the grid, and wavelengths (nm), of each run."""
+INCIDENCES_DEG = {"incidence": 0.0, "sand": 60.0}
+"""Incidence (degrees) that the grids of these runs contain."""
+
+
+def make_brdf_trend_table(**runs: xr.Dataset) -> pd.DataFrame:
     """Return one row per goniometric trend of SPLITSnow section 5.3 and SPLITS Fig 11.
 
     Parameters
     ----------
-    datasets : mapping
-        By name, some or all of `splits.experiments.studies.trends.AngularTrendsStudy`.
+    **runs : xarray.Dataset
+        Some or all of `STUDY_INPUTS`.
     """
+    if not runs:
+        raise invalid("inputs", {}, f"with one of {', '.join(STUDY_INPUTS)}")
+    planes = {}
+    for key, run in runs.items():
+        if key not in STUDY_INPUTS:
+            raise unknown_key(f"inputs.{key}", STUDY_INPUTS)
+        axis, *at_nm = STUDY_INPUTS[key]
+        values = {axis: (INCIDENCES_DEG[key],)} if key in INCIDENCES_DEG else None
+        run = require(key, run, "brdf", (axis,) if axis else (), values=values, at_nm=at_nm)
+        planes[key] = select_principal_plane(run.sel(wavelength=at_nm, method="nearest"))
+    return pd.DataFrame(make_brdf_trend_rows(planes))
+
+
+def make_brdf_trend_rows(planes: Mapping[str, xr.Dataset]) -> list[dict[str, object]]:
+    """Return the rows of trends for principal planes by study input."""
     # At 600 nm the heights above the nadir are compared as well: coarse grains transmit more light.
     uniform, smallest = "Fig 20, size_sampling: uniform", "fine grains have the smallest peak"
     least = "fine grains' peak is least above the nadir"
     largest = "fine grains have the largest peak"
-    trends: tuple[tuple[str, Callable[[xr.Dataset], Trends]], ...] = (
+    trends: tuple[tuple[str, Callable[[xr.Dataset], Iterator[Trend]]], ...] = (
         ("incidence", _list_incidence_trends),
         ("grazing", _list_grazing_trends),
         ("wavelength", _list_wavelength_trends),
@@ -75,12 +106,12 @@ def make_brdf_trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, o
     return [
         make_significance_row(text, place, *estimate)
         for key, list_trends in trends
-        if key in datasets
-        for text, place, estimate in list_trends(select_principal_plane(datasets[key]))
+        if key in planes
+        for text, place, estimate in list_trends(planes[key])
     ]
 
 
-def _list_incidence_trends(plane: xr.Dataset) -> Trends:
+def _list_incidence_trends(plane: xr.Dataset) -> Iterator[Trend]:
     plane = plane.isel(wavelength=0)
     wavelength = _format_wavelength(plane)
     angles = [f"{angle:g}°" for angle in plane.incidence_deg.values]
@@ -102,7 +133,7 @@ def _list_incidence_trends(plane: xr.Dataset) -> Trends:
         yield text, "Fig 19", steps.isel(incidence_deg=i)
 
 
-def _list_grazing_trends(plane: xr.Dataset) -> Trends:
+def _list_grazing_trends(plane: xr.Dataset) -> Iterator[Trend]:
     """Yield the comparison of the brighter limb with the nadir."""
     plane = plane.isel(wavelength=0)
     ratio = _find_maximum(plane, both_sides=True) / get_brdf(plane, 0.0)
@@ -114,7 +145,7 @@ def _list_grazing_trends(plane: xr.Dataset) -> Trends:
     yield text, "Fig 16", ratio.diff("incidence_deg")
 
 
-def _list_wavelength_trends(plane: xr.Dataset) -> Trends:
+def _list_wavelength_trends(plane: xr.Dataset) -> Iterator[Trend]:
     infrared = plane.sel(wavelength=1800.0)
     excess = get_brdf(infrared, [-60.0, 60.0]) - get_brdf(infrared, 0.0)
     yield "nadir darkening at 1800 nm: below both sides at 60°", "Fig 17", excess
@@ -125,16 +156,16 @@ def _list_wavelength_trends(plane: xr.Dataset) -> Trends:
 def _compare_grains(
     sign: int, statement: str, place: str, measure: Callable[[xr.Dataset], Estimate],
     plane: xr.Dataset,
-) -> Trends:  # fmt: skip
-    """Yield the comparison of the forward peaks of fine grains, the last, and of coarser ones."""
+) -> Iterator[Trend]:  # fmt: skip
+    """Yield the comparison of the forward peaks of fine grains, the first, and of coarser ones."""
     plane = plane.isel(wavelength=0)
     peak = measure(plane)
-    excess = peak.isel(grain_size_um=-1) - peak.isel(grain_size_um=slice(None, -1))
+    excess = peak.isel(grain_size_um=0) - peak.isel(grain_size_um=slice(1, None))
     text = f"forward, {_format_wavelength(plane)}: {statement}"
     yield text, place, excess if sign > 0 else -excess
 
 
-def _list_facetness_trends(plane: xr.Dataset) -> Trends:
+def _list_facetness_trends(plane: xr.Dataset) -> Iterator[Trend]:
     plane = plane.isel(wavelength=0)
     spread = compute_relative_range(plane, 75.0)
     incidence = f"{float(plane.attrs['incidence_deg']):g}°"
@@ -142,7 +173,7 @@ def _list_facetness_trends(plane: xr.Dataset) -> Trends:
     yield text, "Fig 22", spread.isel(facetness=0) - spread.isel(facetness=slice(1, None))
 
 
-def _list_sand_trends(plane: xr.Dataset) -> Trends:
+def _list_sand_trends(plane: xr.Dataset) -> Iterator[Trend]:
     """Yield forward scattering and retro-reflection of sand at 60 degrees."""
     plane = plane.isel(wavelength=0).sel(incidence_deg=60.0)
     for statement, angle in (("forward scattering", 75.0), ("retro-reflection", -60.0)):

@@ -14,11 +14,23 @@ import numpy as np
 import pandas as pd
 import snowoptics
 import xarray as xr
+from matplotlib.figure import Figure
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
+from splits.core.escaping import escape_mathtext
 from splits.core.uncertainty import compute_remaining_error
 from splits.core.validation import invalid
+from splits.plotting.annotations import annotate_figure, describe_conditions
+from splits.plotting.style import (
+    BAND_SIGMA,
+    SMALL_FONT_PT,
+    make_subplots,
+    pick_colours,
+    start_at_zero,
+    use_style,
+)
+from workflow.papers.statements import require, require_columns
 
 AREA = "specific_surface_area_m2_kg"
 SHORT_WINDOWS_NM = ((700.0, 900.0), (990.0, 1090.0), (1220.0, 1300.0))
@@ -36,6 +48,40 @@ PUBLISHED_ALBEDO_LAWS: dict[str, Callable[..., np.ndarray]] = {
     "Malinka et al. (2016)": snowoptics.albedo_direct_M16,
 }
 """Published laws for a beam, with the default shape factors of snowoptics."""
+
+
+def make_surface_areas(*, modelled: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame:
+    """Return the surface areas of measured snow, see `retrieve_surface_areas`."""
+    return retrieve_surface_areas(*_require_spectra(modelled, measured))
+
+
+def draw_surface_areas(*, modelled: xr.Dataset, measured: pd.DataFrame) -> Figure:
+    """Draw measured spectra and those of modelled snow with the retrieved surface areas."""
+    modelled, measured = _require_spectra(modelled, measured)
+    areas = retrieve_surface_areas(modelled, measured)
+    table = make_overlay_table(modelled, measured, areas)
+    return draw_fitted_spectra(table, describe_conditions(modelled))
+
+
+def _require_spectra(
+    modelled: xr.Dataset, measured: pd.DataFrame
+) -> tuple[xr.Dataset, pd.DataFrame]:
+    """Return modelled and measured spectra; reject unsuitable ones."""
+    axes, band_nm = (AREA, "incidence_deg"), (700.0, 2400.0)
+    modelled = require("modelled", modelled, "reflectance", axes, band_nm=band_nm)
+    return modelled, require_columns("measured.measured", measured, ("wavelength_nm",))
+
+
+def make_area_law(*, natural: xr.Dataset, spheres: xr.Dataset) -> tuple[pd.DataFrame, Figure]:
+    """Return the table and the figure of reflectance at 1310 nm against surface area."""
+    runs = {"natural snow": ("natural", natural), "smooth spheres": ("spheres", spheres)}
+    table = make_field_table(
+        {
+            name: require(key, run, "reflectance", (AREA,), at_nm=(FIELD_WAVELENGTH_NM,))
+            for name, (key, run) in runs.items()
+        }
+    )
+    return table, draw_area_law(table, describe_conditions(natural, band="bars"))
 
 
 class SurfaceAreaFit(NamedTuple):
@@ -258,3 +304,88 @@ def _match_spectrum(
     snow = dataset.isel(incidence_deg=matches[0])
     spectrum = measured.dropna(subset=[column])
     return snow, np.interp(snow.wavelength.values, spectrum.wavelength_nm, spectrum[column])
+
+
+_LAW_DASHES = ("--", ":", "-.")
+GALLET_2009_RANGE = (0.15, 0.50)
+"""Reflectances at 1310 nm that Gallet et al. (2009) give for surface areas below 60 m²/kg."""
+
+
+def draw_fitted_spectra(table: pd.DataFrame, note: str = "") -> Figure:
+    """Draw measured and fitted spectra of snow, and their differences.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        See `make_overlay_table`.
+    note : str
+        Note for the foot, see `splits.plotting.annotations.describe_conditions`.
+    """
+    groups = list(table.groupby("spectrum", sort=False))
+    with use_style():
+        figure, panels = make_subplots(
+            2, 1, height=4.0, sharex=True, gridspec_kw={"height_ratios": [2.2, 1]}
+        )
+        top, bottom = panels
+        for (spectrum, rows), colour in zip(groups, pick_colours(len(groups)), strict=True):
+            x = rows.wavelength_nm
+            top.plot(x, rows.measured, ".", ms=2.5, color=colour)
+            top.plot(x, rows.model, color=colour,
+                     label=_format_spectrum_name(spectrum, rows.area.iloc[0]))  # fmt: skip
+            low, high = rows.model - BAND_SIGMA * rows.stderr, rows.model + BAND_SIGMA * rows.stderr
+            top.fill_between(x, low, high, color=colour, alpha=0.3, lw=0)
+            bottom.plot(x, rows.difference.where(rows.fitted), color=colour)
+            bottom.plot(x, rows.difference, color=colour, lw=0.6, ls=":")
+        top.plot([], [], ".", ms=2.5, color="0.4", label="measured")
+        start_at_zero(top, "reflectance")
+        top.set_ylabel("reflectance")
+        top.legend(frameon=False)
+        bottom.axhline(0, color="black", lw=0.6)
+        bottom.set_ylabel("model − measured")
+        bottom.set_xlabel("wavelength (nm); dotted: not fitted")
+        for axes in panels:
+            axes.spines[["top", "right"]].set_visible(False)
+        return annotate_figure(figure, panels, note)
+
+
+def _format_spectrum_name(column: str, area: float) -> str:
+    """Return the legend entry of a spectrum, such as ``ID2081@47.66``."""
+    name, _, angle = column.partition("@")
+    return f"{escape_mathtext(f'{name}, {angle}')}°: {area:.1f} m²/kg"
+
+
+def draw_area_law(table: pd.DataFrame, note: str = "") -> Figure:
+    """Draw modelled and published reflectance at 1310 nm against surface area.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        See `make_field_table`.
+    note : str
+        Note for the foot, see `splits.plotting.annotations.describe_conditions`.
+    """
+    ours = table[table.stderr.notna()]
+    groups = list(ours.groupby("snow", sort=False))
+    laws = list(table[table.stderr.isna()].groupby("snow", sort=False))
+    with use_style():
+        figure, axes = make_subplots(height=2.9)
+        for (snow, rows), colour in zip(groups, pick_colours(len(groups)), strict=True):
+            axes.errorbar(rows.area, rows.reflectance, BAND_SIGMA * rows.stderr, color=colour,
+                          marker="o", ms=2.5, label=escape_mathtext(str(snow)))  # fmt: skip
+        for (law, rows), dashes in zip(laws, _LAW_DASHES, strict=False):
+            axes.plot(
+                rows.area,
+                rows.reflectance,
+                ls=dashes,
+                color="0.35",
+                label=escape_mathtext(str(law)),
+            )
+        axes.axhspan(*GALLET_2009_RANGE, color="0.92", zorder=0,
+                     label="below 60 m²/kg (Gallet et al. 2009)")  # fmt: skip
+        axes.set_xlim(left=0)
+        axes.set_ylim(0, 0.8)
+        axes.set_xlabel("specific surface area (m²/kg)")
+        axes.set_ylabel("reflectance at 1310 nm")
+        axes.legend(frameon=False, loc="upper left", fontsize=SMALL_FONT_PT)
+        axes.spines[["top", "right"]].set_visible(False)
+        return annotate_figure(figure, [axes], note)

@@ -1,4 +1,4 @@
-"""Computing time and error of methods, and their scaling to other errors.
+"""Computing time and error of methods: table, figure, and their scaling to other errors.
 
 The error of a Monte Carlo method is proportional to the inverse square root of its time, so the
 figure of merit is 1/(error² · time).  The ratio of two figures of merit is the ratio of the times
@@ -13,6 +13,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from splits.plotting.annotations import annotate_figure
+from splits.plotting.lines import place_legend_above
+from splits.plotting.style import TWO_COLUMNS_INCHES, Colour, make_subplots, pick_colours, use_style
 
 QUANTITIES = ("reflectance", "transmittance", "absorptance")
 
@@ -31,6 +38,11 @@ METHODS = {
 """Descriptions of the methods of `benchmarks/speed_against_error.py`."""
 THEORIES = ("discrete_ordinates", "kz04")
 """Methods that are other models, and so differ from the reference."""
+
+TIME_COLUMNS = [
+    "medium", "target error", "this package (s)", "papers' algorithm, uniform (s)",
+    "papers' algorithm, adaptive (s)", "time ratio, uniform", "time ratio, adaptive",
+]  # fmt: skip
 
 MEASURED = "measured"
 MEASURED_PARTLY = "measured at every tenth wavelength"
@@ -201,3 +213,96 @@ def format_headline(table: pd.DataFrame, medium: str, error: float, wavelengths:
         f"{vectorized:.3g} s, papers' algorithm uniform {uniform:.4g} s "
         f"({uniform / vectorized:.0f}), adaptive {adaptive:.4g} s ({adaptive / vectorized:.0f})"
     )
+
+
+def make_time_table(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the times of the vectorized kernel and of the papers' algorithm for each medium.
+
+    The error is the smallest at which the benchmark has all three.  Numbers have three digits.
+    """
+    rows = []
+    for medium in dict.fromkeys(table.medium):
+        for error in sorted(table.error[table.medium == medium].dropna().unique()):
+            found = [
+                find_best_row(table, medium, method, error)
+                for method in (VECTORIZED, PAPER_UNIFORM, PAPER_ADAPTIVE)
+            ]
+            seconds = [float(row.seconds) for row in found if row is not None]
+            if len(seconds) == len(found):
+                ratios = [time / seconds[0] for time in seconds[1:]]
+                rows.append([medium, *(float(f"{x:.3g}") for x in (error, *seconds, *ratios))])
+                break
+    return pd.DataFrame(rows, columns=TIME_COLUMNS)
+
+
+METHOD_MARKERS = ("s", "D", "v", "^", "o", "P", "X")
+THEORY_GREYS = ("0.15", "0.5")
+"""Greys of the theories, which are other models."""
+MAX_COLUMNS = 2
+
+
+def draw_speed_against_error(table: pd.DataFrame) -> Figure:
+    """Draw the error of methods against their time, one panel per medium.
+
+    Filled markers are measured, open ones scaled from another error.  The error is the largest
+    stated standard error; for theories, the largest deviation from the reference.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        Output of `benchmarks/speed_against_error.py`.
+    """
+    media = list(dict.fromkeys(table.medium))
+    columns = min(MAX_COLUMNS, len(media))
+    rows = -(-len(media) // columns)
+    colours: list[Colour] = [*pick_colours(len(METHODS) - len(THEORIES), "sample"), *THEORY_GREYS]
+    styles = dict(zip(METHODS, zip(colours, METHOD_MARKERS, strict=True), strict=True))
+    with use_style():
+        figure, panels = make_subplots(
+            rows, columns, width=TWO_COLUMNS_INCHES, height=2.6 * rows, sharex=True, sharey=True,
+            squeeze=False,
+        )  # fmt: skip
+        for medium, axes in zip(media, panels.flat, strict=False):
+            _draw_medium(axes, table[table.medium == medium], styles)
+            axes.set_title(medium)
+        for axes in panels.flat[len(media) :]:
+            axes.set_visible(False)
+        for axes in panels[-1]:
+            axes.set_xlabel("time on one core (s)")
+        for axes in panels[:, 0]:
+            axes.set_ylabel("largest error")
+        shown = [name for name in METHODS if (table.method == name).any()]
+        handles = [
+            Line2D(
+                [], [], color=styles[name][0], marker=styles[name][1],
+                ls="none" if name in THEORIES else "-", label=_format_method(name),
+            )
+            for name in shown
+        ]  # fmt: skip
+        scaled = Line2D([], [], color="0.3", marker="o", mfc="white", ls="none", label="scaled")
+        place_legend_above(figure, [*handles, scaled], None)
+        return annotate_figure(figure, panels.flat)
+
+
+def _format_method(method: str) -> str:
+    """Return the label of a method in the legend."""
+    return METHODS[method] + (" (another model)" if method in THEORIES else "")
+
+
+def _draw_medium(axes: Axes, table: pd.DataFrame, styles: dict[str, tuple[Colour, str]]) -> None:
+    """Draw the methods of one medium."""
+    for method, rows in table.groupby("method"):
+        colour, marker = styles[str(method)]
+        shown = "deviation_largest" if method in THEORIES else "stderr_largest"
+        # Lines pass through the measured point where a scaled one exists as well.
+        line = rows.sort_values("how", key=lambda how: how == SCALED).drop_duplicates("error")
+        axes.plot("seconds", shown, data=line.sort_values("error"), color=colour, lw=1.0)
+        for scaled, part in rows.groupby(rows.how == SCALED):
+            axes.plot(
+                part.seconds, part[shown], marker, color=colour, ls="none",
+                mfc="white" if scaled else colour, ms=4,
+            )  # fmt: skip
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.grid(which="major", alpha=0.3)
+    axes.spines[["top", "right"]].set_visible(False)

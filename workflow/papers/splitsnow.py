@@ -504,8 +504,21 @@ def compare_with_letcher(*, snows: xr.Dataset, letcher: pd.DataFrame) -> pd.Data
 
 
 def draw_measured_albedo(*, snows: xr.Dataset, letcher: pd.DataFrame) -> Figure:
-    """Draw measured and modelled albedo and their difference, a column per depth."""
+    """Draw measured albedo and that of modelled snows."""
     table = compare_with_letcher(snows=snows, letcher=letcher)
+    return draw_albedo(table, describe_conditions(snows))
+
+
+def draw_albedo(table: pd.DataFrame, note: str = "") -> Figure:
+    """Draw measured and modelled albedo and their difference, a column per depth.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        See `compare_with_letcher`.
+    note : str
+        Note for the foot, see `splits.plotting.annotations.describe_conditions`.
+    """
     depths = sorted(table.depth_m.unique(), reverse=True)
     with use_style():
         figure, panels = make_subplots(
@@ -533,4 +546,4 @@ def draw_measured_albedo(*, snows: xr.Dataset, letcher: pd.DataFrame) -> Figure:
         panels[0, 0].set_ylabel("albedo")
         panels[1, 0].set_ylabel("model − measured")
         panels[0, 1].legend(frameon=False)
-        return annotate_figure(figure, panels.flat, describe_conditions(snows))
+        return annotate_figure(figure, panels.flat, note)

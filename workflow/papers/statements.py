@@ -62,8 +62,12 @@ def require(
     for name, required in (values or {}).items():
         labels = dataset[name].values
         for value in required:
-            number = not isinstance(value, str) and labels.dtype.kind in "fi"
-            if not (np.isclose(labels, value).any() if number else str(value) in map(str, labels)):
+            is_number = not isinstance(value, str)
+            if labels.dtype.kind in "fi":
+                found = is_number and np.isclose(labels, value).any()
+            else:
+                found = str(value) in map(str, labels)
+            if not found:
                 raise make_error(f"with {name} = {value} on its grid")
     wavelengths = dataset.wavelength.values if at_nm or len(band_nm) else np.array([])
     for wavelength in at_nm:

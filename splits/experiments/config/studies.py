@@ -211,11 +211,18 @@ def hash_function(function: str) -> list[str]:
 
 def _find_file(module: str) -> Path | None:
     """Return the source file of a module that can be imported, if there is one."""
-    with suppress(ImportError, ValueError, AttributeError):
-        spec = find_spec(module)
-        if spec and spec.origin and spec.origin.endswith(".py"):
-            return Path(spec.origin)
-    return None
+    package, *names = module.split(".")
+    spec = None
+    with suppress(ImportError, ValueError):
+        # With a dotted name, `find_spec` would import the packages above the module.
+        spec = find_spec(package)
+    folders = (spec.submodule_search_locations or ()) if spec else ()
+    files = [Path(folder, *names, "__init__.py") for folder in folders]
+    if names:
+        files += [Path(folder, *names[:-1], f"{names[-1]}.py") for folder in folders]
+    elif spec and str(spec.origin).endswith(".py"):
+        files = [Path(str(spec.origin))]
+    return next((file for file in files if file.is_file()), None)
 
 
 def check_studies(

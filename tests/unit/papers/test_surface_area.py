@@ -7,19 +7,20 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from splits.analysis.surface_area import (
+from splits.analysis.theory.asymptotic import kz04
+from workflow.papers.surface_area import (
     AREA,
     FIELD_WAVELENGTH_NM,
     FIT_WINDOWS_NM,
     PUBLISHED_ALBEDO_LAWS,
+    draw_area_law,
+    draw_fitted_spectra,
     fit_surface_area,
     is_in_windows,
     make_field_table,
     make_overlay_table,
     retrieve_surface_areas,
 )
-from splits.analysis.theory.asymptotic import kz04
-from splits.plotting import draw_area_law, draw_fitted_spectra
 
 AREAS = np.array([2.5, 4.0, 6.0, 9.0, 13.0, 20.0, 30.0, 45.0, 70.0])
 WAVELENGTHS = np.arange(600.0, 2401.0, 20.0)

@@ -13,8 +13,8 @@ import pytest
 import xarray as xr
 
 import splits
-from splits.experiments.papers import performance
-from splits.experiments.papers.performance import (
+from benchmarks import performance
+from benchmarks.performance import (
     MEASURED,
     MEASURED_PARTLY,
     METHODS,
@@ -22,10 +22,11 @@ from splits.experiments.papers.performance import (
     PAPER_UNIFORM,
     SCALED,
     VECTORIZED,
+    draw_speed_against_error,
+    make_time_table,
 )
-from splits.experiments.papers.performance_figure import draw_speed_against_error
 
-PROGRAM = Path(__file__).parents[3] / "benchmarks" / "speed_against_error.py"
+PROGRAM = Path(__file__).parents[2] / "benchmarks" / "speed_against_error.py"
 
 
 def make_row(method, how, error, seconds, **changes):
@@ -147,6 +148,12 @@ def test_repeated_runs_are_combined():
         "deviation_rms": pytest.approx(12.5**0.5),
     }
     assert performance.combine_runs([]) == {}
+
+
+def test_times_are_those_at_the_smallest_error_of_all_three(table):
+    row = make_time_table(table).iloc[0]
+    assert row.tolist() == ["snow", 0.001, 4.0, 200.0, 44.0, 50.0, 11.0]
+    assert make_time_table(table[table.method != VECTORIZED]).empty
 
 
 def test_figure_has_a_panel_per_medium(table):

@@ -7,16 +7,16 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from splits.analysis.anisotropy import (
+from splits.core.validation import InvalidValue
+from splits.plotting.style import save_figure
+from workflow.papers.wet_sand import (
     ALL_DIRECTIONS,
     NADIR_RATIO,
     REFLECTANCE_FACTOR,
     compare_with_measured,
+    draw_anisotropy,
     summarize_by_angle,
 )
-from splits.core.validation import InvalidValue
-from splits.plotting.anisotropy import draw_anisotropy
-from splits.plotting.style import save_figure
 
 POLAR, AZIMUTH = np.arange(0.0, 90.0, 2.5), np.arange(0.0, 360.0, 5.0)
 MODELS, SAMPLES, W = ["lobe", "none"], ["0", "0.4"], [500.0, 900.0]

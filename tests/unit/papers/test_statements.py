@@ -1,19 +1,21 @@
-"""Trends: steps of band means along a grid, and their significance."""
+"""Trends: steps of band means along a grid, and their significance; checks of study inputs."""
 
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 
-from splits.experiments.papers.snow_trends import (
+from splits.core.validation import InvalidValue
+from workflow.papers.statements import (
     MIN_TREND_SIGMA,
-    _make_band_comparison_row,
-    _make_depth_rows,
     compute_band_mean,
     compute_steps,
     make_monotone_row,
     make_significance_row,
+    require,
+    require_columns,
 )
 
 WAVELENGTHS = np.array([400.0, 500.0, 600.0, 900.0])
@@ -98,37 +100,55 @@ def test_trend_threshold_is_three_standard_errors(value, expected):
     assert "3 standard errors" in row["bar"]
 
 
-def test_band_comparison_error_matches_sampling():
-    batches = np.zeros((5, 2, 4))
-    # One set of paths in the visible, another one in the infrared.
-    batches[:, 0, :2], batches[:, 1, 2:] = 0.01, 0.01
-    dims = ("grain_size_um", "wavelength")
-    dataset = xr.Dataset(
-        {
-            "reflectance": (dims, np.full((5, 4), 0.5)),
-            "reflectance_stderr": (dims, np.full((5, 4), 0.01)),
-            "reflectance_batches": (("grain_size_um", "batch", "wavelength"), batches),
-        },
-        {"grain_size_um": np.arange(5.0), "wavelength": [400.0, 600.0, 900.0, 1300.0]},
-    )
-    visible, near = np.random.default_rng(1).normal(0.0, 0.01, (2, 5, 20_000))
-    difference = (visible[-1] - visible[0]) - (near[-1] - near[0])
-    # The standard deviation of 20 000 samples has a standard error of 0.5 %: four of these.
-    assert _make_band_comparison_row(dataset)["stderr"] == pytest.approx(difference.std(), rel=0.02)
+def make_run(**coordinates):
+    """Return reflectance over a grid of these values and two wavelengths."""
+    coordinates |= {"wavelength": [400.0, 700.0]}
+    shape = [len(np.atleast_1d(one[1] if isinstance(one, tuple) else one))
+             for one in coordinates.values()]  # fmt: skip
+    dims = [one[0] if isinstance(one, tuple) else name for name, one in coordinates.items()]
+    values = np.arange(float(np.prod(shape))).reshape(shape)
+    variables = {name: (dims, values) for name in ("reflectance", "reflectance_stderr")}
+    return xr.Dataset(variables, coordinates, {"experiment": "mine"})
 
 
-@pytest.mark.parametrize(("shallow", "deep"), [(0.2, 0.06), (0.04, 0.03)])
-def test_depth_ratio_error_matches_sampling(shallow, deep):
-    dataset = xr.Dataset(
-        {
-            "transmittance": (
-                ("depth_m", "wavelength"), [[0.5, 0.5, shallow], [0.25, 0.25, deep]],
-            ),
-            "transmittance_stderr": (("depth_m", "wavelength"), [[0.0, 0.0, 0.002]] * 2),
-        },
-        {"depth_m": [0.01, 0.02], "wavelength": [400.0, 700.0, 1030.0]},
-    )  # fmt: skip
-    samples = np.random.default_rng(2).normal((shallow, deep), 0.002, (20_000, 2))
-    stated = _make_depth_rows(dataset)[-1]["stderr"]
-    # As above; the ratio is slightly nonlinear.
-    assert stated == pytest.approx((samples[:, 1] / samples[:, 0]).std(), rel=0.03)
+@pytest.mark.parametrize(
+    ("axes", "needs", "message"),
+    [
+        (("facetness",), {}, "'mine': must be an experiment over facetness, two values or more"),
+        ((), {}, "must be an experiment without a grid"),
+        (("depth_m",), {"values": {"depth_m": (0.3,)}}, "with depth_m = 0.3 on its grid"),
+        (("depth_m",), {"values": {"depth_m": ("0.1",)}}, "with depth_m = 0.1 on its grid"),
+        (("depth_m",), {"at_nm": (500,)}, "must be an experiment with wavelength 500 nm"),
+        (("depth_m",), {"band_nm": (350, 700)}, "over wavelengths from 350 to 700 nm"),
+        (("depth_m",), {"quantity": "brdf"}, "must be an experiment with brdf and its standard"),
+    ],
+)
+def test_unsuitable_experiments_are_rejected(axes, needs, message):
+    run = make_run(depth_m=[0.2, 0.1])
+    with pytest.raises(InvalidValue, match=message) as error:
+        require("below", run, needs.pop("quantity", "reflectance"), axes, **needs)
+    assert str(error.value).startswith("inputs.below = 'mine': must be")
+
+
+def test_a_single_value_of_an_axis_is_rejected():
+    with pytest.raises(InvalidValue, match="two values or more each"):
+        require("below", make_run(depth_m=[0.2]), "reflectance", ("depth_m",))
+
+
+def test_values_are_sorted_by_numbers_or_means():
+    run = make_run(
+        grain_size_um=["coarse", "fine"], facetness=[0.9, 0.1], medium=["wet", "dry"]
+    ).assign_coords(grain_size_um_mean=("grain_size_um", [900.0, 100.0]))
+    axes = ("grain_size_um", "facetness", "medium")
+    values = {"grain_size_um": ("fine",), "facetness": (0.1,), "medium": ("dry",)}
+    ordered = require("all", run, "reflectance", axes, values=values, band_nm=(400, 700))
+    assert ordered.grain_size_um.values.tolist() == ["fine", "coarse"]
+    assert ordered.facetness.values.tolist() == [0.1, 0.9]
+    assert ordered.medium.values.tolist() == ["wet", "dry"]
+
+
+def test_tables_need_their_columns_or_ids():
+    table = pd.DataFrame({"reflectance": [0.5]}, index=["msi_r_density"])
+    assert require_columns("measured.a", table, ("reflectance", "msi_r_density")) is table
+    with pytest.raises(InvalidValue, match=r"measured\.a = .*: must be a table with refl"):
+        require_columns("measured.a", table, ("reflectance_min",))

@@ -8,19 +8,20 @@ import pytest
 import xarray as xr
 from shipped import CONFIG
 
-from splits.analysis.measured import (
+from splits.analysis.measured import read_measured, read_published
+from splits.io.data_frame import write_data_frame
+from workflow.papers.splitsnow import (
     DIFFUSE_FRACTION,
     LETCHER_COLUMNS,
+    _compare_with_published,
+    _make_band_comparison_row,
+    _make_depth_rows,
     compare_with_letcher,
     compare_with_spectrum,
     compute_measured_rmse,
     compute_rmse,
-    read_measured,
-    read_published,
 )
-from splits.experiments.papers.agreement import _compare_with_published
-from splits.experiments.papers.snow_trends import UNRESOLVED_VERDICT
-from splits.io.data_frame import write_data_frame
+from workflow.papers.statements import UNRESOLVED_VERDICT
 
 PUBLISHED = """\
 # made up
@@ -186,8 +187,8 @@ def test_model_is_compared_with_a_measured_spectrum():
 
 def test_letcher_mixes_beam_and_diffuse_light():
     dims = ("medium", "depth_m", "incidence_deg", "wavelength")
-    values = np.zeros((1, 2, 2, 1))
-    values[0, :, 0, 0], values[0, :, 1, 0] = 0.4, 0.8
+    values = np.zeros((2, 2, 2, 1))
+    values[:, :, 0, 0], values[:, :, 1, 0] = 0.4, 0.8
     dataset = xr.Dataset(
         {
             "reflectance": (dims, values),
@@ -195,19 +196,22 @@ def test_letcher_mixes_beam_and_diffuse_light():
             "reflectance_batches": (("batch", *dims), np.full((1, *values.shape), 0.01)),
         },
         {
-            "medium": ["natural snow"],
+            "medium": ["natural snow", "other"],
             "depth_m": list(LETCHER_COLUMNS),
             "incidence_deg": ["beam", "diffuse"],
             "wavelength": [500.0],
         },
     )
     columns = {column: [0.7] for column in LETCHER_COLUMNS.values()}
-    table = compare_with_letcher(dataset, pd.DataFrame({"wavelength_nm": [500.0], **columns}))
+    letcher = pd.DataFrame({"wavelength_nm": [500.0], **columns})
+    table = compare_with_letcher(snows=dataset, letcher=letcher)
     fraction = DIFFUSE_FRACTION
-    assert sorted(table.depth_m) == sorted(LETCHER_COLUMNS)
+    assert sorted(table.depth_m) == sorted(2 * [*LETCHER_COLUMNS])
     np.testing.assert_allclose(table.model, fraction * 0.8 + (1 - fraction) * 0.4)
     np.testing.assert_allclose(table.stderr, 0.01 * np.hypot(fraction, 1 - fraction))
-    assert (table.snow == "natural snow").all()
+    assert list(table.snow) == ["natural snow"] * 2 + ["other"] * 2
+    with pytest.raises(ValueError, match=r"measured\.letcher = .*with albedo_45mm_black"):
+        compare_with_letcher(snows=dataset, letcher=letcher.drop(columns="albedo_45mm_black"))
 
 
 @pytest.mark.parametrize("name", ["aviris_ng_varsa2021", "snow_albedo_letcher2022"])
@@ -226,3 +230,39 @@ def test_tables_are_written_atomically(tmp_path):
     write_data_frame(pd.DataFrame({"a": [1 / 3], "b": ["x"]}), path)
     assert path.read_text() == "a,b\n0.333333,x\n"
     assert [p.name for p in path.parent.iterdir()] == ["table.csv"]
+
+
+def test_band_comparison_error_matches_sampling():
+    batches = np.zeros((5, 2, 4))
+    # One set of paths in the visible, another one in the infrared.
+    batches[:, 0, :2], batches[:, 1, 2:] = 0.01, 0.01
+    dims = ("grain_size_um", "wavelength")
+    dataset = xr.Dataset(
+        {
+            "reflectance": (dims, np.full((5, 4), 0.5)),
+            "reflectance_stderr": (dims, np.full((5, 4), 0.01)),
+            "reflectance_batches": (("grain_size_um", "batch", "wavelength"), batches),
+        },
+        {"grain_size_um": np.arange(5.0), "wavelength": [400.0, 600.0, 900.0, 1300.0]},
+    )
+    visible, near = np.random.default_rng(1).normal(0.0, 0.01, (2, 5, 20_000))
+    difference = (visible[-1] - visible[0]) - (near[-1] - near[0])
+    # The standard deviation of 20 000 samples has a standard error of 0.5 %: four of these.
+    assert _make_band_comparison_row(dataset)["stderr"] == pytest.approx(difference.std(), rel=0.02)
+
+
+@pytest.mark.parametrize(("shallow", "deep"), [(0.2, 0.06), (0.04, 0.03)])
+def test_depth_ratio_error_matches_sampling(shallow, deep):
+    dataset = xr.Dataset(
+        {
+            "transmittance": (
+                ("depth_m", "wavelength"), [[0.5, 0.5, shallow], [0.25, 0.25, deep]],
+            ),
+            "transmittance_stderr": (("depth_m", "wavelength"), [[0.0, 0.0, 0.002]] * 2),
+        },
+        {"depth_m": [0.01, 0.02], "wavelength": [400.0, 700.0, 1030.0]},
+    )  # fmt: skip
+    samples = np.random.default_rng(2).normal((shallow, deep), 0.002, (20_000, 2))
+    stated = _make_depth_rows(dataset)[-1]["stderr"]
+    # As above; the ratio is slightly nonlinear.
+    assert stated == pytest.approx((samples[:, 1] / samples[:, 0]).std(), rel=0.03)

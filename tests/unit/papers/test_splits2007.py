@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 
 from splits.experiments import load_experiment
-from splits.experiments.papers.composition_table import make_composition_table
-from splits.experiments.papers.sand_trends import make_sand_trend_table, make_shift_table
+from workflow.papers.splits2007 import (
+    make_composition_table,
+    make_sand_trend_table,
+    make_shift_table,
+)
 
 WAVELENGTHS = np.arange(400.0, 1001.0, 10.0)
 GRIDS = {
@@ -40,11 +44,13 @@ def make_datasets(error=0.0005):
     datasets = {name: make_spectra(*grid, error=error) for name, grid in GRIDS.items()}
     ratio = GRIDS["hematite_ratio"]
     datasets["hematite_ratio"] = make_spectra(*ratio, error=error, redder=2.0)
+    wet = datasets["wet_colours"]
+    datasets["wet_colours"] = xr.concat([wet, wet], pd.Index(["one", "two"], name="medium"))
     return datasets
 
 
 def test_satisfied_trends_agree():
-    table = make_sand_trend_table(make_datasets())
+    table = make_sand_trend_table(**make_datasets())
     assert (table.verdict == "agrees").all(), table.to_string()
     assert len(table) == 8
 
@@ -53,7 +59,7 @@ def test_trends_that_fail_have_their_verdicts():
     datasets = make_datasets()
     datasets["iron_oxide"] = make_spectra("iron_oxide", [0.01, 0.05], 0.1, error=0.0005)
     datasets["magnetite"] = make_spectra("magnetite", [0.0, 0.3], -1e-4, error=0.005)
-    table = make_sand_trend_table(datasets).set_index("quantity")
+    table = make_sand_trend_table(**datasets).set_index("quantity")
     verdicts = {q: v for q, v in table.verdict.items() if v != "agrees"}
     assert sorted(verdicts.values()) == ["not resolved at this accuracy", "outside"]
 
@@ -66,7 +72,9 @@ def test_shifts_are_differences_to_the_reference_with_errors():
         ],
         dim=xr.DataArray(["default", "other"], dims="interpretation", name="interpretation"),
     )
-    table = make_shift_table(dataset, "interpretation", "default").set_index("medium")
+    table = make_shift_table("interpretation", dataset, "interpretation", "default").set_index(
+        "medium"
+    )
     assert table["value"].unique().tolist() == ["other"]
     assert table.mean_shift["one"] == pytest.approx(0.0)
     assert table.mean_shift["two"] == pytest.approx(0.1)

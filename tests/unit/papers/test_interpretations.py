@@ -7,38 +7,36 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from splits.experiments.papers import interpretation_ranking
-from splits.experiments.papers.interpretation_ranking import (
-    OVERLAP_CHOICES,
-    PAPER_SETS,
-    STAGE_QUOTAS,
-    RankedCombination,
-    expand_overlaps,
-    find_choice,
-)
-from splits.experiments.papers.interpretation_runs import (
-    WATER_TABLES,
-    average_sectors,
-    interleave_waters,
-    repeat_for_waters,
-)
-from splits.experiments.papers.interpretation_tables import (
-    find_differing_keys,
-    make_leave_out_table,
-    make_ranking_table,
-    make_statement_table,
-)
-from splits.experiments.papers.misfit import PublishedStatement, compute_misfit, select_statements
-from splits.experiments.papers.snow_statements import (
+from splits.materials import make_refractive_index
+from splits.media import Interpretation
+from workflow.papers import interpretations as interpretation_ranking
+from workflow.papers.interpretation_runs import (
     PARAMETER_EXTREMES,
     STAGES,
     STATED_NUMBERS,
     STATED_TRENDS,
     TRANSMITTANCE_FLOORS,
+    WATER_TABLES,
+    PublishedStatement,
+    average_sectors,
+    interleave_waters,
     list_extreme_pairs,
+    repeat_for_waters,
 )
-from splits.materials import make_refractive_index
-from splits.media import Interpretation
+from workflow.papers.interpretations import (
+    OVERLAP_CHOICES,
+    PAPER_SETS,
+    STAGE_QUOTAS,
+    RankedCombination,
+    compute_misfit,
+    expand_overlaps,
+    find_choice,
+    find_differing_keys,
+    make_leave_out_table,
+    make_ranking_table,
+    make_statement_table,
+    select_statements,
+)
 
 STATED_NUMBER = PublishedStatement("table3_842", "Table 3", 0.9, 0.03)
 STATED_TREND = PublishedStatement("fig19_peak_60", "Fig 19", 0.0, 0.1, is_trend=True)

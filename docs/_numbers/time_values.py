@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pandas as pd
-from splits.experiments.papers.performance import (
+
+from _numbers.formatting import QuotedNumber, QuotedValue, RowFilter, select_cell, select_extreme
+from benchmarks.performance import (
     PAPER_ADAPTIVE,
     PAPER_UNIFORM,
     THEORIES,
     VECTORIZED,
     find_best_row,
 )
-
-from _numbers.formatting import QuotedNumber, QuotedValue, RowFilter, select_cell, select_extreme
 from splits.core.validation import invalid
 
 SPEED_FILE, KERNELS_FILE = "benchmarks/speed_against_error.csv", "benchmarks/kernels.csv"

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import xarray as xr
-from splits.experiments.papers.brdf_trends import MAX_LAMBERTIAN_RANGE
 
 from _numbers.colour_values import COLOUR_NUMBERS
 from _numbers.formatting import (
@@ -32,6 +31,7 @@ from splits.analysis.directions import select_principal_plane
 from splits.core.validation import invalid
 from splits.io.netcdf import load
 from splits.kernels.grains.free_path import MAX_REJECTIONS
+from workflow.papers.angles import MAX_LAMBERTIAN_RANGE
 
 CODE_SOURCE = ""
 """Source of constants of the code."""

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path("docs").resolve()))
+sys.path[:0] = [str(Path(folder).resolve()) for folder in ("docs", ".")]
 
 from _numbers.gallery_images import write_gallery
 from _numbers.marks import list_documents, update_documents

@@ -137,8 +137,10 @@ class Study(ConfigSection):
                     owner = given.get(parameter, "the workflow")
                     hint = f"{owner} has it"
                     raise invalid(f"{key} (key)", parameter, "another name", hint)
-                if parameter not in parameters and "**" not in parameters:
-                    raise unknown_key(f"{key}.{parameter}", parameters)
+                takes_any = key == "inputs" and "**" in parameters
+                if parameter not in parameters and not takes_any:
+                    known = [name for name in parameters if name != "**"]
+                    raise unknown_key(f"{key}.{parameter}", known)
                 given[parameter] = key
         missing = [one for one, needed in parameters.items() if needed and one not in given]
         if missing := [one for one in missing if one not in RUN_PARAMETERS]:
@@ -164,7 +166,7 @@ class Study(ConfigSection):
 def read_parameters(function: str) -> dict[str, bool]:
     """Return the parameters of a function, and whether each must be given, without importing it.
 
-    The key ``**`` stands for any other names.
+    The key ``**`` stands for any other inputs.
     """
     module, _, name = function.rpartition(".")
     key, rule = "function", "MODULE.NAME, a function that the module defines"

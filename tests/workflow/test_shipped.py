@@ -64,7 +64,7 @@ def test_workflow_plans_all_experiments(shipped):
         assert re.search(rf"^{rule} +{count}$", run.text, re.MULTILINE)
     for rule in (
         "sensitivity", "agreement", "sand_trends", "sand_compositions", "angular_trends",
-        "layer_trends", "surface_area", "interpretation_ranking",
+        "layer_trends", "surface_area", "interpretation_ranking", "sobol_indices_by_wavelength",
     ):  # fmt: skip
         assert re.search(rf"^{rule} +1$", run.text, re.MULTILINE)
     assert not (shipped.folder / "results" / "data").exists()

@@ -3,7 +3,8 @@
 import sys
 from pathlib import Path
 
-sys.path[:0] = [str(Path(folder).resolve()) for folder in ("docs", ".")]
+sys.path.insert(0, str(Path().resolve()))
+sys.path.insert(0, str(Path("docs").resolve()))
 
 from _numbers.gallery_images import write_gallery
 from _numbers.marks import list_documents, update_documents

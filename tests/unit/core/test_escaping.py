@@ -26,6 +26,7 @@ from splits.plotting import draw_spectra
 from splits.plotting.interpretation_shifts import draw_shifts
 from splits.plotting.style import format_parameter, format_value, use_style
 from splits.tables.export import write_csv
+from workflow.papers.information import draw_band_selection, draw_sobol_indices
 from workflow.papers.sensitivity import draw_sensitivity_bars
 from workflow.papers.surface_area import draw_fitted_spectra
 
@@ -136,6 +137,24 @@ def test_wrapped_dollar_signs_are_no_formula(n_before):
     assert any(label in text.replace("\n", "") for text in texts)
 
 
+def make_bands_dataset(name):
+    row = ("step", [1.0, 2.0])
+    return xr.Dataset(
+        {
+            "information_bits": row, "information_bits_stderr": row,
+            "spread": (("parameter", "step"), [[0.5, 0.2]]),
+        },
+        {"step": [1, 2], "parameter": [name], "band": ("step", [name, "B2"])},
+    )  # fmt: skip
+
+
+def make_sobol_dataset(label):
+    row = (("parameter", "wavelength"), [[0.5, 0.2]])
+    names = ("first_order", "first_order_stderr", "total", "total_stderr")
+    variables = {name: row for name in names} | {"standard_deviation": ("wavelength", [0.1, 0.2])}
+    return xr.Dataset(variables, {"parameter": [label], "wavelength": [500.0, 600.0]})
+
+
 def make_sensitivity_dataset(name):
     row = (("quantity", "parameter"), [[0.5], [0.2]])
     variables = {"msi": row, "msi_stderr": row}
@@ -153,10 +172,12 @@ def make_spectra_table(name):
 @pytest.mark.parametrize(
     "draw_figure",
     [
+        lambda name: draw_band_selection({name: make_bands_dataset(name)}, f"known {name}"),
+        lambda name: draw_sobol_indices({name: make_sobol_dataset(name)}),
         lambda name: draw_sensitivity_bars(make_sensitivity_dataset(name), f"ranges: {name}"),
         lambda name: draw_fitted_spectra(make_spectra_table(name)),
     ],
-    ids=["sensitivity", "surface area"],
+    ids=["bands", "sobol", "sensitivity", "surface area"],
 )
 def test_names_in_figures_are_no_formulas(draw_figure):
     name = r"a$\frac$b"

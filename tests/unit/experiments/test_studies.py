@@ -58,8 +58,8 @@ def test_shipped_studies_are_complete(shipped):
     }
     figures = (
         "fig23_sensitivity", "interpretation_ranking", "letcher2022_measured",
-        "surface_area_spectra_found", "surface_area_law", "wet_sand_anisotropy",
-        "sensitivity_by_interpretation_index",
+        "surface_area_spectra_found", "surface_area_law", "sobol_indices_by_wavelength",
+        "wet_sand_anisotropy", "band_selection", "sensitivity_by_interpretation_index",
     )  # fmt: skip
     figure_paths = {
         f"figures/{name}{suffix}" for name in figures for suffix in (".png", ".svg", ".pdf")
@@ -69,6 +69,7 @@ def test_shipped_studies_are_complete(shipped):
         "data/sensitivity_by_interpretation_index.nc", "tables/sensitivity_by_interpretation.csv",
         "tables/sensitivity_by_interpretation_chosen.csv",
         "tables/agreement.csv", "tables/interpretation_ranking.csv",
+        "tables/sobol_indices_by_wavelength.csv", "tables/band_selection.csv",
         "tables/wet_sand_anisotropy.csv", "tables/wet_sand_anisotropy_by_angle.csv",
         "tables/interpretation_ranking_statements.csv", "tables/interpretation_ranking_without.csv",
         "tables/measured_bands.csv", "tables/table1.csv", "tables/table3.csv",

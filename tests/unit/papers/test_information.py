@@ -141,5 +141,5 @@ def test_inputs_other_than_tables_are_rejected():
         make_sobol_indices(**{"a b": table, "a_b": table}, seed=1)
     with pytest.raises(InvalidValue, match=r"inputs\.a = '': must be a table of reflectance over"):
         make_sobol_indices(a=table.isel({SIZE: [0], SOOT: [0]}), seed=1)
-    with pytest.raises(InvalidValue, match="inputs = {}: must be at least one table"):
+    with pytest.raises(InvalidValue, match=r"inputs = {}: must be at least one table"):
         make_sobol_indices(seed=1)

@@ -16,6 +16,8 @@ from workflow.papers.statements import Estimate, make_significance_row, require
 FORWARD_PEAK_ANGLES_DEG = (45.0, 82.5)
 """Range of viewing angles (degrees) in which the forward peak is searched."""
 
+COMPARED_ANGLES_DEG = {-60.0, 0.0, 60.0, 75.0}
+"""Viewing angles (degrees) of the BRDFs that are compared."""
 MAX_LAMBERTIAN_RANGE = 0.2
 """Largest relative range within 60° of the normal of a nearly Lambertian BRDF; chosen after
 inspecting the figures."""
@@ -50,14 +52,14 @@ def compute_relative_range(plane: xr.Dataset, max_angle_deg: float) -> Estimate:
 
 
 STUDY_INPUTS = {
-    "incidence": ("incidence_deg", 600.0),
-    "grazing": ("incidence_deg", 600.0),
-    "wavelength": ("", 600.0, 1800.0),
-    "grain_size": ("grain_size_um", 600.0),
-    "grain_size_uniform": ("grain_size_um", 600.0),
-    "grain_size_infrared": ("grain_size_um", 1450.0),
-    "facetness": ("facetness", 600.0),
-    "sand": ("incidence_deg", 600.0),
+    "incidence": ("incidence_deg", (600.0,)),
+    "grazing": ("incidence_deg", (600.0,)),
+    "wavelength": ("", (600.0, 1800.0)),
+    "grain_size": ("grain_size_um", (600.0,)),
+    "grain_size_uniform": ("grain_size_um", (600.0,)),
+    "grain_size_infrared": ("grain_size_um", (1450.0,)),
+    "facetness": ("facetness", (600.0,)),
+    "sand": ("incidence_deg", (600.0,)),
 }
 """Parameter of the grid, and wavelengths (nm), of each run."""
 INCIDENCES_DEG = {"incidence": 0.0, "sand": 60.0}
@@ -78,10 +80,13 @@ def make_brdf_trend_table(**runs: xr.Dataset) -> pd.DataFrame:
     for key, run in runs.items():
         if key not in STUDY_INPUTS:
             raise unknown_key(f"inputs.{key}", STUDY_INPUTS)
-        axis, *at_nm = STUDY_INPUTS[key]
+        axis, at_nm = STUDY_INPUTS[key]
         values = {axis: (INCIDENCES_DEG[key],)} if key in INCIDENCES_DEG else None
         run = require(key, run, "brdf", (axis,) if axis else (), values=values, at_nm=at_nm)
-        planes[key] = select_principal_plane(run.sel(wavelength=at_nm, method="nearest"))
+        planes[key] = select_principal_plane(run.sel(wavelength=list(at_nm), method="nearest"))
+        if not COMPARED_ANGLES_DEG <= set(planes[key].angle.values):
+            name = run.attrs.get("experiment", "")
+            raise invalid(f"inputs.{key}", name, "an experiment with the usual polar_deg")
     return pd.DataFrame(make_brdf_trend_rows(planes))
 
 

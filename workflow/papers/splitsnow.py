@@ -484,7 +484,9 @@ def mix_letcher_illumination(dataset: xr.Dataset, snow: str, depth: float) -> xr
 def _require_snows(snows: xr.Dataset, letcher: pd.DataFrame) -> None:
     """Reject runs and measured columns other than those of the measurement."""
     axes = ("medium", "depth_m", "incidence_deg")
-    values = {"depth_m": (0.34, 0.045), "incidence_deg": ("beam", "diffuse")}
+    values: dict[str, tuple[float | str, ...]] = {
+        "depth_m": tuple(LETCHER_COLUMNS), "incidence_deg": ("beam", "diffuse"),
+    }  # fmt: skip
     require("snows", snows, "reflectance", axes, values=values)
     require_columns("measured.letcher", letcher, ("wavelength_nm", *LETCHER_COLUMNS.values()))
 

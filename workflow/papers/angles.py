@@ -84,7 +84,7 @@ def make_brdf_trend_table(**runs: xr.Dataset) -> pd.DataFrame:
         values = {axis: (INCIDENCES_DEG[key],)} if key in INCIDENCES_DEG else None
         run = require(key, run, "brdf", (axis,) if axis else (), values=values, at_nm=at_nm)
         planes[key] = select_principal_plane(run.sel(wavelength=list(at_nm), method="nearest"))
-        if not COMPARED_ANGLES_DEG <= set(planes[key].angle.values):
+        if not set(planes[key].angle.values) >= COMPARED_ANGLES_DEG:
             name = run.attrs.get("experiment", "")
             raise invalid(f"inputs.{key}", name, "an experiment with the usual polar_deg")
     return pd.DataFrame(make_brdf_trend_rows(planes))

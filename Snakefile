@@ -20,7 +20,7 @@ from splits.experiments import load_experiments, load_settings
 from splits.experiments.config.load import select_experiments
 
 # Functions of studies are in workflow/, or in any other module.
-sys.path.insert(0, workflow.basedir)
+sys.path.insert(0, str(workflow.basedir))
 
 # Otherwise snakemake would wait for running jobs to complete.
 forward_interrupts()

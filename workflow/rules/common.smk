@@ -153,7 +153,9 @@ def list_run_values(study):
     values = {"seed": SETTINGS.seed, "max_stderr": MAX_STDERR}
     used = study.list_run_parameters()
     if "experiments" in used:
-        values["experiments"] = {n: one.dump_simulation() for n, one in SELECTED.items()}
+        values["experiments"] = {
+            n: one.dump_simulation() for n, one in SELECTED.items()
+        }
     return {name: value for name, value in values.items() if name in used}
 
 

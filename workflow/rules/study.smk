@@ -20,7 +20,9 @@ for NAME, STUDY in COMPLETE_STUDIES.items():
         params:
             # Without texts, on which the products do not depend.
             study=escape_param(
-                STUDY.model_dump(mode="json", exclude={"outputs", "group", "reproduces"})
+                STUDY.model_dump(
+                    mode="json", exclude={"outputs", "group", "reproduces"}
+                )
             ),
             outputs=list(STUDY.list_outputs(NAME)),
             run=lambda wildcards, study=STUDY: escape_json(list_run_values(study)),

@@ -125,7 +125,8 @@ class Study(ConfigSection):
 
     def list_run_parameters(self) -> list[str]:
         """Return the parameters of the function that the workflow gives."""
-        return [name for name in RUN_PARAMETERS if name in read_parameters(self.function)]
+        parameters = read_parameters(self.function)
+        return [name for name in RUN_PARAMETERS if name in parameters]
 
     def check(self, name: str, folders: Mapping[str, Path]) -> None:
         """Reject an unknown function, wrong names of its parameters, and missing tables."""

@@ -19,6 +19,9 @@ from splits.core.yaml import ConfigError, read_yaml
 from splits.experiments import load_experiments, load_settings
 from splits.experiments.config.load import select_experiments
 
+# Functions of studies are in workflow/, or in any other module.
+sys.path.insert(0, str(workflow.basedir))
+
 # Otherwise snakemake would wait for running jobs to complete.
 forward_interrupts()
 

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import performance
 import xarray as xr
-
-from splits.experiments.papers import performance
 
 NUMBER_COLUMNS = (
     "stderr_largest",

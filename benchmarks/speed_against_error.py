@@ -1,7 +1,7 @@
 """Time and error of all methods for a spectrum: the papers' algorithm, weights, and two theories.
 
 Spectra of 211 wavelengths, 400-2500 nm, of four media are computed on one thread in one run, after
-warm-ups that compile all kernels.  Methods (`splits.experiments.papers.performance.METHODS`):
+warm-ups that compile all kernels.  Methods (`performance.METHODS`):
 
 papers_uniform      the papers' algorithm with analog absorption and the same number of rays at
                     every wavelength, that of the noisiest one; this is an interpretation, because
@@ -49,14 +49,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import performance
 import xarray as xr
 from method_table import MethodTable
-from theories import THEORIES
-
-import splits
-from splits.core.paths import expand_path
-from splits.experiments.papers import performance
-from splits.experiments.papers.performance import (
+from performance import (
     MEASURED,
     MEASURED_PARTLY,
     PAPER_ADAPTIVE,
@@ -64,6 +60,10 @@ from splits.experiments.papers.performance import (
     SCALED,
     VECTORIZED,
 )
+from theories import THEORIES
+
+import splits
+from splits.core.paths import expand_path
 from splits.io.data_frame import write_data_frame
 from splits.simulation.spectral_tally import ANALOG_PILOT_RAYS
 

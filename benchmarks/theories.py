@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import performance
 import xarray as xr
 
 import splits
@@ -12,7 +13,6 @@ from splits.analysis.theory.asymptotic import compute_shape_factors, correct_den
 from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
 from splits.analysis.theory.error_propagation import propagate_errors
 from splits.core.uncertainty import Variable, make_variable
-from splits.experiments.papers import performance
 
 N_STREAMS = 32
 

@@ -188,7 +188,7 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
 
 def _write_fitted_parameters(path: Path) -> None:
     """Write the parameters of fitted sands as a table beside their dataset."""
-    from splits.experiments.papers.sand_trends import make_fit_table
+    from splits.experiments.run_fit import make_fit_table
     from splits.io.data_frame import write_data_frame
     from splits.io.netcdf import load
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numba
 
-for folder in ("", "statistics", "unit", "physics", "campaigns", "../docs"):
+for folder in ("", "statistics", "unit", "physics", "campaigns", "../docs", ".."):
     sys.path.insert(0, str((Path(__file__).parent / folder).resolve()))
 
 # Compilation leaves a gigabyte of live objects; repeated collection of all generations took a tenth

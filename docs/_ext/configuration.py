@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from importlib import import_module
-from typing import Any, ClassVar, get_args
+from typing import Any
 
 from docutils import nodes
 from pydantic import BaseModel
@@ -13,7 +13,6 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from splits.experiments.config.instruments import INSTRUMENT_KINDS
-from splits.experiments.studies import STUDY_KINDS
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:
@@ -82,11 +81,6 @@ def list_rows(model: type[BaseModel]) -> list[tuple[str, str, str, str]]:
     ]
 
 
-def get_kind(model: type[BaseModel]) -> str:
-    """Return the value of the key `kind` of a section."""
-    return str(get_args(model.model_fields["kind"].annotation)[0])
-
-
 def meaning(field: FieldInfo) -> str:
     """Return the description of a field as one line."""
     return " ".join(str(field.description).split())
@@ -133,20 +127,6 @@ class Instruments(SphinxDirective):
         return self.parse_text_to_nodes(table(head, rows))
 
 
-class Studies(SphinxDirective):
-    """``{study-kinds}``: description, inputs, files and outputs of each kind of study."""
-
-    def run(self) -> list[nodes.Node]:
-        """Return the table."""
-        rows = []
-        for study in STUDY_KINDS.values():
-            columns = study.INPUTS, study.FILES, study.PRODUCTS
-            cells = [", ".join(f"`{key}`" for key in column) or "—" for column in columns]
-            rows.append([f"`{get_kind(study)}`", describe(study), *cells])
-        head = ["kind", "description", "`inputs`", "`files`", "`outputs`"]
-        return self.parse_text_to_nodes(table(head, rows))
-
-
 def list_union_keys(models: dict[str, type[BaseModel]]) -> list[list[str]]:
     """Return a row for each key of the models of a union, with the kinds that have it."""
     kinds: dict[tuple[str, ...], list[str]] = {}
@@ -164,25 +144,17 @@ def list_union_keys(models: dict[str, type[BaseModel]]) -> list[list[str]]:
 class InstrumentKeys(SphinxDirective):
     """``{instrument-keys}``: a row for each key of instruments, with the kinds that have it."""
 
-    models: ClassVar = INSTRUMENT_KINDS
-
     def run(self) -> list[nodes.Node]:
         """Return the table."""
         head = ["key", "meaning", "kinds", "allowed", "default"]
-        return self.parse_text_to_nodes(table(head, list_union_keys(self.models)))
-
-
-class StudyKeys(InstrumentKeys):
-    """``{study-keys}``: a row for each key of studies, with the kinds that have it."""
-
-    models: ClassVar = {get_kind(study): study for study in STUDY_KINDS.values()}
+        return self.parse_text_to_nodes(table(head, list_union_keys(INSTRUMENT_KINDS)))
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directives."""
     for name, directive in (
         ("config-keys", Keys), ("instrument-kinds", Instruments),
-        ("instrument-keys", InstrumentKeys), ("study-kinds", Studies), ("study-keys", StudyKeys),
+        ("instrument-keys", InstrumentKeys),
     ):  # fmt: skip
         app.add_directive(name, directive)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -88,13 +88,14 @@ def _studies() -> list[Page]:
     study_pages = []
     settings = load_settings(read_yaml(ROOT / "config" / "config.yaml"))
     for name, study in settings.studies.items():
-        section = dump_yaml({"studies": {name: study.model_dump(mode="json", exclude_unset=True)}})
+        content = study.model_dump(mode="json", exclude_unset=True, exclude={"outputs"})
+        content |= {"outputs": {file: {} for file in study.outputs}} if study.outputs else {}
+        section = dump_yaml({"studies": {name: content}})
         files = {"In `config/config.yaml`": section}
-        for key, paths in study.list_product_paths(name).items():
-            product, stem = study.get_product(key), Path(paths[0]).stem
-            if product.folder == "figures":
-                page = Page(STUDIES, stem, product.title, product.caption, name, files)
-                study_pages.append(page)
+        for file, output in study.outputs.items():
+            if file.endswith(".png"):
+                stem = file.removesuffix(".png")
+                study_pages.append(Page(STUDIES, stem, output.title, output.caption, name, files))
     return study_pages
 
 

@@ -10,12 +10,8 @@ import numpy as np
 import pandas as pd
 
 from _numbers.formatting import QuotedNumber, QuotedValue, select_cell
-from splits.analysis.anisotropy import (
-    ALL_DIRECTIONS,
-    NADIR_RATIO,
-    REFLECTANCE_FACTOR,
-    fit_proportional,
-)
+from splits.analysis.measured import fit_proportional
+from workflow.papers.wet_sand import ALL_DIRECTIONS, NADIR_RATIO, REFLECTANCE_FACTOR
 
 WET_SAND_FILE, LETCHER_FILE = (
     "tables/retrieved_wet_sand_retrieved.csv",

@@ -7,14 +7,14 @@ from collections.abc import Callable
 import pandas as pd
 
 from _numbers.formatting import QuotedNumber, QuotedValue, RowFilter, select_cell, select_extreme
-from splits.core.validation import invalid
-from splits.experiments.papers.performance import (
+from benchmarks.performance import (
     PAPER_ADAPTIVE,
     PAPER_UNIFORM,
     THEORIES,
     VECTORIZED,
     find_best_row,
 )
+from splits.core.validation import invalid
 
 SPEED_FILE, KERNELS_FILE = "benchmarks/speed_against_error.csv", "benchmarks/kernels.csv"
 SOLVERS_FILE = "benchmarks/solvers.csv"

@@ -29,9 +29,9 @@ from _numbers.retrieval_values import RETRIEVAL_NUMBERS
 from _numbers.time_values import TIMING_NUMBERS
 from splits.analysis.directions import select_principal_plane
 from splits.core.validation import invalid
-from splits.experiments.papers.brdf_trends import MAX_LAMBERTIAN_RANGE
 from splits.io.netcdf import load
 from splits.kernels.grains.free_path import MAX_REJECTIONS
+from workflow.papers.angles import MAX_LAMBERTIAN_RANGE
 
 CODE_SOURCE = ""
 """Source of constants of the code."""

@@ -47,7 +47,6 @@ RETRIEVAL_SOURCES = (
     "materials/impurities.csv", "materials/impurities.py", "media/measured_inputs.py",
     "retrieval/state_vector.py", "retrieval/cubic_interpolation.py",
     "retrieval/optimal_estimation.py", "retrieval/forward_model.py",
-    "experiments/studies/information.py",
     "retrieval/least_squares.py", "retrieval/linearization.py", "retrieval/measurement.py",
     "retrieval/residual_covariance.py", "retrieval/posterior.py", "retrieval/result.py",
     "retrieval/solution.py", "retrieval/settings.py", "retrieval/retrieve.py",
@@ -69,10 +68,9 @@ TABLE_SOURCES = (
 FIGURE_SOURCES = ("plotting/*.py", "plotting/*.mplstyle")
 """Files that determine figures."""
 STUDY_SOURCES = (
-    "analysis", "illumination", "experiments/papers", "core/uncertainty.py",
-    "experiments/studies/study.py",
+    "analysis", "illumination", "retrieval", "core/uncertainty.py", *FIGURE_SOURCES,
 )  # fmt: skip
-"""Folders and files that determine studies of all kinds."""
+"""Folders and files that determine studies, besides their functions and the physics."""
 
 
 def list_sources(*, fit: bool = False) -> list[str]:

@@ -27,6 +27,9 @@ from splits.simulation.arguments import check_wavelengths
 from splits.simulation.run_options import make_wavelength_coordinate
 from splits.simulation.threads import DaemonThreadPool, count_cpus
 
+MAX_GOOD_RMSE = 0.03
+"""Root-mean-square error below which SPLITS section 5.1.1 calls a reconstruction good."""
+UNDETERMINED_VERDICT = "undetermined: the error exceeds half of the error from the range alone"
 FIT_VARIABLES = {
     "reflectance": (("wavelength",), "modelled", "modelled_stderr", "modelled reflectance"),
     "measured": (("wavelength",), "measured", "", "measured reflectance"),
@@ -192,3 +195,26 @@ def _make_fit_dataset(
         **make_provenance(f"experiment {experiment.name}"),
     }
     return xr.Dataset(variables, coordinates, to_netcdf_attributes(attributes))
+
+
+def make_fit_table(dataset: xr.Dataset) -> pd.DataFrame:
+    """Return a row per sample, point of the grid and parameter, with two verdicts.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Output of `run_fit`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        The labels, value, value_stderr; ``verdict``, whether the parameter is constrained;
+        ``spectrum``, whether the fit reproduces it; rmse, rmse_stderr.
+    """
+    names = ["value", "value_stderr", "constrained", "rmse", "rmse_stderr"]
+    table = dataset[names].to_dataframe().reset_index()
+    verdict = np.where(table.pop("constrained") > 0.5, "constrained", UNDETERMINED_VERDICT)
+    table.insert(table.columns.get_loc("rmse"), "verdict", verdict)
+    spectrum = np.where(table.rmse < MAX_GOOD_RMSE, "reproduced", "not reproduced")
+    table.insert(table.columns.get_loc("rmse"), "spectrum", spectrum)
+    return table

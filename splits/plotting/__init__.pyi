@@ -3,7 +3,6 @@ from .beam_spread import draw_beam_spread as draw_beam_spread
 from .colour import draw_swatches as draw_swatches
 from .figure import draw as draw
 from .hemispheres import draw_hemispheres as draw_hemispheres
-from .interpretations import draw_interpretation_shifts as draw_interpretation_shifts
 from .lobes import draw_lobes as draw_lobes
 from .points import draw_points as draw_points
 from .points import draw_summary as draw_summary
@@ -13,11 +12,7 @@ from .principal_plane import draw_principal_planes as draw_principal_planes
 from .rough_surface import draw_lens as draw_lens
 from .rough_surface import draw_surface as draw_surface
 from .sand_fit import draw_fits as draw_fits
-from .sensitivity import draw_sensitivity_bars as draw_sensitivity_bars
-from .spectra import draw_measured_albedo as draw_measured_albedo
 from .spectra import draw_refractive_indices as draw_refractive_indices
 from .spectra import draw_spectra as draw_spectra
 from .style import save_figure as save_figure
 from .style import use_style as use_style
-from .surface_area import draw_area_law as draw_area_law
-from .surface_area import draw_fitted_spectra as draw_fitted_spectra

@@ -10,7 +10,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from splits.analysis.anisotropy import fit_proportional
+from splits.analysis.measured import fit_proportional
 from splits.core.escaping import escape_mathtext
 from splits.plotting.style import SMALL_FONT_PT, format_parameter, format_value, pick_colours
 

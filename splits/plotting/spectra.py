@@ -23,10 +23,7 @@ from splits.plotting.panels import MAX_LINES, choose_panel_parameters
 from splits.plotting.small_multiples import draw_small_multiples
 from splits.plotting.style import (
     BAND_SIGMA,
-    TWO_COLUMNS_INCHES,
-    format_value,
     make_subplots,
-    pick_colours,
     start_at_zero,
     use_style,
 )
@@ -236,43 +233,3 @@ def _draw_table_rows(
         if name.startswith(str(part.material.values)):
             k = np.exp(np.interp(rows, part.wavelength, np.log(part.k)))
             axes.plot(rows, k, ".", color=colour, ms=4)
-
-
-def draw_measured_albedo(table: pd.DataFrame, note: str = "") -> Figure:
-    """Draw measured and modelled albedo and their difference, a column per depth.
-
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        See `splits.analysis.measured.compare_with_letcher`.
-    note : str
-        Note for the foot, see `splits.plotting.annotations.describe_conditions`.
-    """
-    depths = sorted(table.depth_m.unique(), reverse=True)
-    with use_style():
-        figure, panels = make_subplots(
-            2, len(depths), width=TWO_COLUMNS_INCHES, height=3.9, sharex=True, sharey="row",
-            gridspec_kw={"height_ratios": [2, 1]},
-        )  # fmt: skip
-        for column, depth in enumerate(depths):
-            top, bottom = panels[:, column]
-            part = table[table.depth_m == depth]
-            groups = list(part.groupby("snow", sort=False))
-            for (snow, rows), colour in zip(
-                groups, pick_colours(len(groups), "medium"), strict=True
-            ):
-                x, error = rows.wavelength_nm, BAND_SIGMA * rows.stderr
-                top.errorbar(x, rows.model, error, color=colour, label=format_value(snow))
-                bottom.errorbar(x, rows.difference, error, color=colour)
-            first = groups[0][1]
-            top.plot(first.wavelength_nm, first.measured, "ks", ms=2.5, label="measured")
-            bottom.axhline(0, color="black", lw=0.6)
-            top.set_title(f"depth: {1e3 * depth:g} mm" + (" over black" if depth < 0.1 else ""))
-            top.set_ylim(0, 1.05)
-            bottom.set_xlabel("wavelength (nm)")
-            for axes in (top, bottom):
-                axes.spines[["top", "right"]].set_visible(False)
-        panels[0, 0].set_ylabel("albedo")
-        panels[1, 0].set_ylabel("model − measured")
-        panels[0, 1].legend(frameon=False)
-        return annotate_figure(figure, panels.flat, note)

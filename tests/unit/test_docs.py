@@ -22,7 +22,7 @@ from splits.experiments.config.retrieval import NoiseSection, PriorFromSample, R
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.settings import ArchiveAuthor, Settings
 from splits.experiments.config.simulation import FitSection
-from splits.experiments.studies import STUDY_KINDS
+from splits.experiments.config.studies import Study, StudyOutput
 from splits.instruments.pack_run import RESULT_FLAGS
 from splits.simulation.stopping_rule import STOP_REASONS
 
@@ -57,7 +57,8 @@ def test_every_public_name_is_documented():
 
 MODELS = [
     ExperimentConfig, FitSection, FigureSection, RetrieveSection, NoiseSection, PriorFromSample,
-    WavelengthGrid, Settings, Accuracy, ArchiveAuthor, *INSTRUMENT_KINDS.values(),
+    WavelengthGrid, Settings, Accuracy, ArchiveAuthor, Study, StudyOutput,
+    *INSTRUMENT_KINDS.values(),
 ]  # fmt: skip
 
 
@@ -75,12 +76,10 @@ def test_tables_of_keys_show_known_models():
     assert set(MODELS[:1]) < shown and set(MODELS) & shown
 
 
-@pytest.mark.parametrize("study", STUDY_KINDS.values())
-def test_every_key_of_a_study_is_described(study):
-    assert all(field.description for key, field in study.model_fields.items() if key != "kind")
-    assert study.__doc__ and study.MESSAGE
-    shown = [one for one in study.PRODUCTS.values() if one.folder != "data"]
-    assert all(one.title and one.caption for one in shown)
+def test_every_output_of_a_study_has_a_title_and_a_caption():
+    for study in load_settings(read_yaml(CONFIG / "config.yaml")).studies.values():
+        for file, output in study.outputs.items():
+            assert file.endswith(".nc") or (output.title and output.caption), file
 
 
 def test_reasons_of_stopping_and_flags_of_snowpacks_are_listed_in_their_order():

@@ -25,10 +25,10 @@ def list_imports(path):
             yield node.module.split(".")[0]
 
 
-def test_scipy_is_imported_by_one_module_only():
-    """scipy.stats doubles the import time and is needed by one study only."""
+def test_scipy_is_imported_by_no_module():
+    """scipy.stats doubles the import time."""
     importing = [path for path in PACKAGE.rglob("*.py") if "scipy" in list_imports(path)]
-    assert importing == [PACKAGE / "analysis" / "surface_area.py"]
+    assert importing == []
 
 
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: str(path.relative_to(ROOT)))

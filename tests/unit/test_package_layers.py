@@ -21,7 +21,7 @@ INNER_LAYERS = {
         "compiler", "math", "optics", "tallies", "base", "rough_surface", "grains",
         "transport", "vectorized",
     ),
-    "experiments": ("config", "papers"),
+    "experiments": ("config", "report"),
 }  # fmt: skip
 
 

@@ -65,9 +65,11 @@ def test_definitions_that_documents_name_exist():
         for file, name in re.findall(
             r"`(?:splits/)?([a-z_/]+\.py): (\w+)`", path.read_text("utf-8")
         ):
-            source = ROOT / "splits" / file
+            source = next(
+                (one for one in (ROOT / file, ROOT / "splits" / file) if one.is_file()), None
+            )
             pattern = rf"^(?:@.*\n)*(?:def|class) {name}\b|^{name}\b"
-            if not source.is_file() or not re.search(pattern, source.read_text("utf-8"), re.M):
+            if not source or not re.search(pattern, source.read_text("utf-8"), re.M):
                 missing.append(f"{path.relative_to(ROOT)}: {file}: {name}")
     assert not missing
 

@@ -128,17 +128,19 @@ def test_selection_beside_the_target_everything_is_rejected(project):
 
 def test_wrong_value_of_a_study_names_file_and_line(project):
     project.put("good", VALID)
-    study = "seed: 2\nstudies:\n  mine:\n    kind: sobol\n    inputs: {a: good}\n"
+    function = "workflow.papers.splitsnow.make_table1"
+    study = f"seed: 2\nstudies:\n  mine:\n    function: {function}\n    inputs: {{a: good}}\n"
     (project.folder / "mine.yaml").write_text(study, encoding="utf-8")
     run = project.snakemake("--dry-run", "--configfile", "mine.yaml")
     (line,) = [line for line in run.text.splitlines() if "mine.yaml" in line]
-    assert "mine.yaml, line 5: studies.mine.inputs.a = 'good': must be a table" in line
+    assert "mine.yaml, line 5: studies.mine.inputs.a: unknown key, must be one of sample" in line
     check_nothing_ran(run, project)
 
 
 def test_missing_names_of_studies_are_reported(project):
     project.put("good", VALID)
-    study = "studies:\n  mine:\n    kind: sobol\n    inputs: {a: goood}\n"
+    function = "workflow.papers.splitsnow.make_table1"
+    study = f"studies:\n  mine:\n    function: {function}\n    inputs: {{sample: goood}}\n"
     (project.folder / "mine.yaml").write_text(study, encoding="utf-8")
     run = project.snakemake("--dry-run", "--configfile", "mine.yaml")
     assert "study mine is left out: no such experiment: goood (did you mean good?)" in run.text

@@ -30,7 +30,8 @@ def shipped(make_project, tmp_path_factory):
 @pytest.fixture(scope="module")
 def few_datasets(shipped):
     """Run a few experiments and the studies of sand, and return the datasets."""
-    run = shipped.snakemake(*FEW_EXPERIMENTS, "sand_tables", "sand_compositions", "--cores", 2)
+    studies = ("sand_trends", "sand_weights", "sand_colours", "sand_compositions")
+    run = shipped.snakemake(*FEW_EXPERIMENTS, *studies, "--cores", 2)
     assert run.code == 0, run.text
     for name in FEW_EXPERIMENTS:
         for suffix in (".png", ".svg", ".pdf"):
@@ -62,7 +63,7 @@ def test_workflow_plans_all_experiments(shipped):
     ):  # fmt: skip
         assert re.search(rf"^{rule} +{count}$", run.text, re.MULTILINE)
     for rule in (
-        "sensitivity", "agreement", "sand_tables", "sand_compositions", "angular_trends",
+        "sensitivity", "agreement", "sand_trends", "sand_compositions", "angular_trends",
         "layer_trends", "surface_area", "interpretation_ranking", "sobol_indices_by_wavelength",
     ):  # fmt: skip
         assert re.search(rf"^{rule} +1$", run.text, re.MULTILINE)

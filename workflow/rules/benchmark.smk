@@ -36,10 +36,15 @@ rule benchmark:
         call=lambda wildcards: BENCHMARKS[wildcards.name],
         sources=lambda wildcards: hash_files(
             Path(workflow.basedir) / "benchmarks",
-            [BENCHMARKS[wildcards.name][0], "method_table.py", "theories.py"],
+            [
+                BENCHMARKS[wildcards.name][0],
+                "method_table.py",
+                "performance.py",
+                "theories.py",
+            ],
         ),
         physics=hash_physics_sources(),
-        theories=hash_sources(["experiments/papers/performance.py", "analysis/theory"]),
+        theories=hash_sources(["analysis/theory"]),
     message:
         "Benchmark {wildcards.name}"
     script:
@@ -50,17 +55,17 @@ rule figure_benchmark:
     input:
         f"{RESULTS}/benchmarks/{{name}}.csv",
     output:
-        multiext(f"{RESULTS}/benchmarks/{{name}}", *FIGURE_SUFFIXES),
+        figure=multiext(f"{RESULTS}/benchmarks/{{name}}", *FIGURE_SUFFIXES),
+        table=f"{RESULTS}/benchmarks/{{name}}_times.csv",
     log:
         f"{RESULTS}/logs/figure_benchmark/{{name}}.log",
     wildcard_constraints:
-        name="speed_against_error.*",
+        name="speed_against_error(_short)?",
     conda:
         "../../environment.yml"
     params:
-        sources=hash_sources(
-            ["experiments/papers/performance_figure.py", *provenance.FIGURE_SOURCES]
-        ),
+        program=hash_files(Path(workflow.basedir) / "benchmarks", ["performance.py"]),
+        sources=hash_sources(provenance.FIGURE_SOURCES),
     message:
         "Drawing error against time"
     script:

@@ -2,9 +2,13 @@ from splits.core.escaping import escape_json
 from splits.core import provenance
 from splits.core.provenance import hash_files, hash_physics_sources, hash_sources
 from splits.experiments.config.sections import FIGURE_SUFFIXES
+from splits.experiments.config.studies import (
+    describe_missing,
+    find_incomplete_studies,
+    hash_function,
+    select_studies,
+)
 from splits.experiments.run_table import count_parts
-from splits.experiments.studies.checks import find_incomplete_studies, select_studies
-from splits.experiments.studies.study import describe_missing
 
 STUDIES = SETTINGS.studies
 # Studies of which experiments do not exist, with a message for each.
@@ -80,15 +84,20 @@ for NAME, EXPERIMENT in EXPERIMENTS.items() if workflow.is_main_process else ():
         raise WorkflowError(str(error)) from None
 
 
+def list_study_outputs(names):
+    """Return the files of studies."""
+    return [
+        f"{RESULTS}/{path}"
+        for name in names
+        for paths in STUDIES[name].list_product_paths(name).values()
+        for path in paths
+    ]
+
+
 def list_study_products(experiments, groups):
     """Return the products of the studies of these groups, over these experiments only."""
     chosen = {name: EXPERIMENTS[name] for name in experiments}
-    return [
-        f"{RESULTS}/{path}"
-        for name, study in select_studies(COMPLETE_STUDIES, chosen, groups).items()
-        for paths in study.list_product_paths(name).values()
-        for path in paths
-    ]
+    return list_study_outputs(select_studies(COMPLETE_STUDIES, chosen, groups))
 
 
 def list_group_studies(group):
@@ -134,28 +143,23 @@ def choose_threads(name):
     return cores if EXPERIMENTS[name].fit else max(1, cores // n_parallel)
 
 
-def list_study_datasets(name):
-    """Return the datasets that a study reads, by experiment and study."""
-    return {
-        **{one: f"{RESULTS}/data/{one}.nc" for one in STUDIES[name].list_experiments()},
-        **{
-            other: f"{RESULTS}/{path}"
-            for other in STUDIES[name].list_studies()
-            for paths in STUDIES[other].list_product_paths(other).values()
-            for path in paths
-            if path.endswith(".nc")
-        },
-    }
+def choose_study_threads(study):
+    """Return the threads of a study: all if its function uses them."""
+    return count_cores() if "threads" in study.list_run_parameters() else 1
 
 
-def list_study_outputs(name):
-    """Return the products of a study by key."""
-    return {
-        key: [f"{RESULTS}/{path}" for path in paths]
-        for key, paths in STUDIES[name].list_product_paths(name).items()
-    }
+def list_run_values(study):
+    """Return the settings of the run that the function of a study has as parameters."""
+    values = {"seed": SETTINGS.seed, "max_stderr": MAX_STDERR}
+    used = study.list_run_parameters()
+    if "experiments" in used:
+        values["experiments"] = {
+            n: one.dump_simulation() for n, one in SELECTED.items()
+        }
+    return {name: value for name, value in values.items() if name in used}
 
 
 def list_benchmark_files(name):
-    """Return the table and the figure of a benchmark of time against error."""
-    return [f"{RESULTS}/benchmarks/{name}{s}" for s in (".csv", *FIGURE_SUFFIXES)]
+    """Return the tables and the figure of a benchmark of time against error."""
+    suffixes = (".csv", "_times.csv", *FIGURE_SUFFIXES)
+    return [f"{RESULTS}/benchmarks/{name}{suffix}" for suffix in suffixes]

@@ -5,28 +5,32 @@ for NAME, STUDY in COMPLETE_STUDIES.items():
         name:
             NAME
         input:
-            data=list(list_study_datasets(NAME).values()),
-            files=list(STUDY.list_file_paths(SETTINGS.table_folders).values()),
+            data=list_datasets(STUDY.inputs.values()),
+            tables=list(STUDY.list_file_paths(SETTINGS.table_folders).values()),
         output:
-            **list_study_outputs(NAME),
+            list_study_outputs([NAME]),
         log:
             f"{RESULTS}/logs/{NAME}.log",
-        # Without datasets, a study is a table of the selected experiments, which jobs of a cluster
-        # cannot derive: they have no targets.
-        localrule: not list_study_datasets(NAME)
+        # A study of the selected experiments, not of datasets: jobs of a cluster cannot select them,
+        # since they have no targets.
+        localrule: not STUDY.inputs
         conda:
             "../../environment.yml"
-        threads: count_cores() if STUDY.USES_ALL_THREADS else 1
+        threads: lambda wildcards, study=STUDY: choose_study_threads(study)
         params:
-            study=escape_param(STUDY.model_dump(mode="json", exclude=STUDY.TEXT_KEYS)),
-            parameters=escape_param(
-                STUDY.list_parameters(SETTINGS.seed, MAX_STDERR, SELECTED)
+            # Without texts, on which the products do not depend.
+            study=escape_param(
+                STUDY.model_dump(
+                    mode="json", exclude={"outputs", "group", "reproduces"}
+                )
             ),
-            sources=hash_sources(STUDY.list_sources()),
-            inputs=list(list_study_datasets(NAME)),
-            files=list(STUDY.list_file_paths(SETTINGS.table_folders)),
+            outputs=list(STUDY.list_outputs(NAME)),
+            run=lambda wildcards, study=STUDY: escape_json(list_run_values(study)),
+            function=lambda wildcards, study=STUDY: hash_function(study.function),
+            sources=hash_sources(provenance.STUDY_SOURCES),
+            physics=hash_physics_sources(),
         message:
-            STUDY.MESSAGE
+            f"Making {NAME}"
         script:
             "../scripts/study.py"
 
@@ -41,7 +45,7 @@ rule fitted_parameters:
     conda:
         "../../environment.yml"
     params:
-        sources=hash_sources(["experiments/papers"]),
+        sources=hash_sources(["experiments/run_fit.py"]),
     message:
         "Listing the sands fitted by {wildcards.experiment}"
     script:

@@ -1,11 +1,16 @@
-"""Draw error against time (snakemake script)."""
+"""Draw error against time, and write the table of times (snakemake script)."""
 
+import sys
 from pathlib import Path
 
 import pandas as pd
 
-from splits.experiments.papers.performance_figure import draw_speed_against_error
+from splits.io.data_frame import write_data_frame
 from splits.plotting import save_figure
 
-figure = draw_speed_against_error(pd.read_csv(snakemake.input[0]))
-save_figure(figure, Path(snakemake.output[0]).with_suffix(""))
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+from performance import draw_speed_against_error, make_time_table
+
+table = pd.read_csv(snakemake.input[0])
+write_data_frame(make_time_table(table), snakemake.output.table)
+save_figure(draw_speed_against_error(table), Path(snakemake.output.figure[0]).with_suffix(""))

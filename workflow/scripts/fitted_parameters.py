@@ -1,7 +1,7 @@
 """Write the table of fitted parameters (snakemake script)."""
 
 from splits import load
-from splits.experiments.papers.sand_trends import make_fit_table
+from splits.experiments.run_fit import make_fit_table
 from splits.io.data_frame import write_data_frame
 from splits.io.netcdf import exit_if_damaged
 

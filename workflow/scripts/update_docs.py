@@ -3,6 +3,7 @@
 import sys
 from pathlib import Path
 
+sys.path.insert(0, str(Path().resolve()))
 sys.path.insert(0, str(Path("docs").resolve()))
 
 from _numbers.gallery_images import write_gallery

@@ -16,8 +16,7 @@ from splits.experiments.config.experiment import RESERVED_NAMES, ExperimentConfi
 from splits.experiments.config.media import GEOMSPACE_KEY, PACKS_KIND, SAMPLE_KEY, STEP_KEYS
 from splits.experiments.config.settings import Settings
 from splits.experiments.config.simulation import NAME_PATTERN
-from splits.experiments.studies import STUDY_KINDS
-from splits.experiments.studies.study import Study
+from splits.experiments.config.studies import OUTPUT_FOLDERS
 from splits.media import Stack
 from splits.media.kinds import LAYERS_KEY, MEDIUM_FACTORIES
 from splits.media.snow_pack_files import read_snow_packs
@@ -59,20 +58,12 @@ def make_schema(model: type[BaseModel]) -> dict[str, Any]:
             properties[key]["not"] = {"enum": [n for n in RESERVED_NAMES if n not in allowed]}
     else:
         properties["studies"]["propertyNames"] = {"pattern": f"^{NAME_PATTERN.pattern}$"}
-        for study in STUDY_KINDS.values():
-            _add_study_keys(study, definitions[study.__name__]["properties"])
+        suffixes = "|".join(OUTPUT_FOLDERS).replace(".", "")
+        definitions["Study"]["properties"]["outputs"]["propertyNames"] = {
+            "pattern": rf"^{NAME_PATTERN.pattern}\.({suffixes})$"
+        }
     simplified: dict[str, Any] = _simplify(schema, definitions)
     return simplified
-
-
-def _add_study_keys(study: type[Study], properties: dict[str, Any]) -> None:
-    """Add the names of study inputs, tables and products to the schema of a kind of study."""
-    for key, names in (
-        ("inputs", study.INPUTS), ("files", study.FILES), ("outputs", study.PRODUCTS),
-        ("titles", study.PRODUCTS), ("captions", study.PRODUCTS),
-    ):  # fmt: skip
-        if key in properties and names:
-            properties[key]["propertyNames"] = {"enum": list(names)}
 
 
 def _add_media(properties: dict[str, Any], definitions: dict[str, Any]) -> None:

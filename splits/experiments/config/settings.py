@@ -22,9 +22,12 @@ from splits.experiments.config.sections import (
     Whole,
     check_path,
 )
-from splits.experiments.studies import AnyStudy
-from splits.experiments.studies.checks import check_studies, find_incomplete_studies
-from splits.experiments.studies.study import describe_missing
+from splits.experiments.config.studies import (
+    Study,
+    check_studies,
+    describe_missing,
+    find_incomplete_studies,
+)
 from splits.io.ro_crate import Author
 
 DEFAULT_LICENCE = "MIT"
@@ -118,7 +121,7 @@ class Settings(ConfigSection):
     archive_authors: tuple[ArchiveAuthor, ...] = ()
     """authors of the results in an archive, each with `name` and optionally `orcid` and
     `affiliation`"""
-    studies: dict[str, AnyStudy] = Field(default_factory=dict)
+    studies: dict[str, Study] = Field(default_factory=dict)
     """tables and figures made from several experiments"""
     explorer: dict[Label, str] = Field(default_factory=dict)
     """experiments of the tables in `explorer.html`, by label"""
@@ -198,7 +201,7 @@ class Settings(ConfigSection):
         messages = find_incomplete_studies(self.studies, available)
         unused = []
         for name in list(messages):
-            required = self.studies[name].list_experiments()
+            required = self.studies[name].list_experiments(self.studies)
             if not any(one in available or suggest_name(one, available) for one in required):
                 del messages[name]
                 unused.append(name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
+from pathlib import PurePath
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict
@@ -13,7 +14,7 @@ from splits.experiments.config.experiment import OWN_GROUP, ExperimentConfig
 from splits.experiments.config.reproduces import PAPERS, parse_place
 from splits.experiments.config.sections import FIGURE_SUFFIXES
 from splits.experiments.config.settings import Settings
-from splits.experiments.studies.study import Study
+from splits.experiments.config.studies import Study
 
 GROUP_TITLES = {
     OWN_GROUP: "Own experiments",
@@ -27,7 +28,7 @@ GROUP_TITLES = {
 }
 """Titles of the groups of experiments that the package comes with, in the order of the report."""
 REPORT_SOURCES = (
-    "comparison.py", "contents.py", "page.py", "speed.py", "tables.py",
+    "comparison.py", "contents.py", "page.py", "tables.py",
     "page.css", "page.html", "page.js",
 )  # fmt: skip
 """Files of this folder that determine the page."""
@@ -163,7 +164,7 @@ def make_report_contents(
     for name in studies:
         study = settings.studies[name]
         paper = study.reproduces.paper if study.reproduces else None
-        key = paper or study.group or _get_group(study, experiments)
+        key = paper or study.group or _get_group(study, experiments, settings.studies)
         items.setdefault(key, []).extend(_list_study_items(name, study))
     accuracy = settings.accuracies[settings.accuracy]
     return ReportContents(
@@ -181,9 +182,11 @@ def make_report_contents(
     )
 
 
-def _get_group(study: Study, experiments: Mapping[str, ExperimentConfig]) -> str:
+def _get_group(
+    study: Study, experiments: Mapping[str, ExperimentConfig], studies: Mapping[str, Study]
+) -> str:
     """Return the group of a study without one: that of its first experiment."""
-    names = study.list_experiments()
+    names = study.list_experiments(studies)
     return experiments[names[0]].group if names else OWN_GROUP
 
 
@@ -210,20 +213,21 @@ def _make_experiment_item(name: str, experiment: ExperimentConfig) -> ReportItem
 
 
 def _list_study_items(name: str, study: Study) -> list[ReportItem]:
-    paths = study.list_product_paths(name)
+    outputs, paths = study.list_outputs(name), study.list_product_paths(name)
     # A dataset of the study is linked below its figure.
     datasets = _sort_files([path for made in paths.values() for path in made])["datasets"]
+    reproduced = study.reproduces.place if study.reproduces else ""
     items = []
-    for key, made in paths.items():
-        product, files = study.get_product(key), _sort_files(made)
-        if product.title:
+    for file, output in outputs.items():
+        files = _sort_files(paths[file])
+        if not files["datasets"]:
             item = ReportItem(
-                anchor=f"study-{name}-{key}",
+                anchor=f"study-{name}-{file}",
                 name=name,
-                title=product.title,
-                caption=product.caption,
-                place=product.place,
-                is_comparison=product.is_comparison,
+                title=output.title or PurePath(file).stem,
+                caption=output.caption,
+                place=output.place or reproduced,
+                is_comparison=output.comparison,
                 **files | ({"datasets": datasets} if files["figure"] else {}),
             )
             items.append(item)

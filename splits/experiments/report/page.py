@@ -24,8 +24,12 @@ from splits.core.provenance import (
 from splits.experiments.config.reproduces import PAPERS, parse_place
 from splits.experiments.config.sections import FIGURE_SUFFIXES
 from splits.experiments.report.comparison import VERDICTS, compare_papers
-from splits.experiments.report.contents import ReportContents, ReportItem, ReportSection
-from splits.experiments.report.speed import SPEED_CAPTION, SPEED_TABLE, make_speed_table
+from splits.experiments.report.contents import (
+    ReportContents,
+    ReportItem,
+    ReportSection,
+    ReportTable,
+)
 from splits.experiments.report.tables import MAX_ROWS, HtmlTable, read_table
 
 MAX_OPEN_ROWS = 12
@@ -36,6 +40,13 @@ THUMBNAIL_WIDTH_PX = 160
 MIN_WIDE_PX = 1500
 """Width of a figure above which its caption is below it, not beside it."""
 FILE_KINDS = {".png": "PNG", ".svg": "SVG", ".pdf": "PDF", ".nc": "netCDF", ".csv": "CSV"}
+SPEED_CAPTION = (
+    "Largest standard error of a spectrum against the time on one core, on logarithmic axes. "
+    "Filled markers are measured, open ones scaled from another error. Uniform: the papers' "
+    "algorithm with the same number of rays at all wavelengths, as the noisiest wavelength "
+    "requires. Adaptive: a separate number of rays for each wavelength. Grey: theories, with "
+    "their largest deviation from the reference, which is a difference of models."
+)
 DOCUMENTATION = Path("docs", "index.md")
 _MIME_TYPES = {".png": "image/png", ".svg": "image/svg+xml", ".webp": "image/webp"}
 _ASSET_FOLDER = Path(__file__).parent
@@ -226,18 +237,21 @@ def _encode(content: bytes, suffix: str) -> str:
 
 
 def _make_speed_view(paths: Iterable[str], folder: Path) -> ItemView | None:
-    """Return the benchmark of time against error, or None if it is not among the paths."""
-    table = next((path for path in paths if PurePosixPath(path).name == SPEED_TABLE), None)
-    if table is None:
-        return None
-    title, content = "Error against time of all methods", make_speed_table(folder / table)
-    item = ReportItem(
-        anchor="speed-figure", name=Path(SPEED_TABLE).stem, title=title, caption=SPEED_CAPTION,
-        figure=table.removesuffix(".csv"),
-    )  # fmt: skip
-    tables = [TableView(title, "", content, False)] if content.rows else []
+    """Return the benchmark of time against error, or None without paths."""
     links = [(PurePosixPath(path).name, path) for path in paths]
-    return _make_item_view(item, folder)._replace(tables=tables, links=links)
+    figures = [path for path in paths if path.endswith(FIGURE_SUFFIXES[0])]
+    if not figures:
+        return None
+    figure = figures[0].removesuffix(FIGURE_SUFFIXES[0])
+    item = ReportItem(
+        anchor="speed-figure",
+        name=PurePosixPath(figure).name,
+        title="Error against time of all methods",
+        caption=SPEED_CAPTION,
+        figure=figure,
+        tables=(ReportTable(path=f"{figure}_times.csv"),),
+    )
+    return _make_item_view(item, folder)._replace(links=links)
 
 
 def _locate_documentation(folder: Path) -> str:

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import kstest
 from scipy.stats import t as student_t
 
-from splits.analysis.anisotropy import fit_proportional
+from splits.analysis.measured import fit_proportional
 
 
 def test_slope_of_exact_points_is_recovered():

@@ -3,38 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pandas as pd
 import pytest
-import xarray as xr
 from chi2 import compute_z_bound
-from stated_errors import list_variables_with_errors
 
 from splits.analysis.sensitivity import NOISE_THRESHOLD_SIGMA, compute_mean_sensitivity_index
-from splits.experiments.papers.sensitivity_table import (
-    QUANTITY_CONDITIONS,
-    compute_pair_sensitivity,
-    make_sensitivity_table,
-    select_chosen_sensitivities,
-)
-
-WAVELENGTHS = np.array([400.0, 1000.0, 1500.0, 2500.0])
-PAIR = {
-    "parameter": "saturation",
-    "experiment": "e",
-    "interpretation_experiment": "r",
-    "low": 0,
-    "high": 1,
-}
-
-
-def make_spectra(scale, dimension, labels):
-    """Return reflectance scale[i] and half of it as transmittance over two depths."""
-    values = np.asarray(scale)[:, np.newaxis, np.newaxis] * np.ones((1, 2, len(WAVELENGTHS)))
-    dims = (dimension, "depth_m", "wavelength")
-    variables = {"reflectance": values, "transmittance": 0.5 * values}
-    variables |= {f"{name}_stderr": np.full_like(values, 1e-3) for name in QUANTITY_CONDITIONS}
-    coordinates = {dimension: labels, "depth_m": [0.12, 0.02], "wavelength": WAVELENGTHS}
-    return xr.Dataset({name: (dims, v) for name, v in variables.items()}, coordinates)
 
 
 def test_equal_spectra_have_no_sensitivity():
@@ -111,38 +83,3 @@ def test_error_above_the_noise_is_that_of_the_ratio():
     assert compute_mean_sensitivity_index([y], [e], [z], [f]).stderr == pytest.approx(
         exact, rel=1e-4
     )
-
-
-def test_pairs_use_the_published_depth_and_wavelengths():
-    dataset = make_spectra([0.8, 0.4], "saturation", [0.0, 1.0])
-    dataset.reflectance[0, 1] = 0.0
-    assert compute_pair_sensitivity(
-        dataset, "saturation", 0, 1, "reflectance"
-    ).index == pytest.approx(0.5)
-    dataset.transmittance[1, 1, 2:] = 0.0
-    assert compute_pair_sensitivity(
-        dataset, "saturation", 0, 1, "transmittance"
-    ).index == pytest.approx(0.5)
-
-
-def test_sensitivity_table_has_one_chosen_row_per_quantity():
-    ranges = make_spectra([0.8, 0.6, 0.4], "saturation", [0.0, 0.5, 1.0])
-    interpretation = xr.concat(
-        [make_spectra([0.8, 0.2], "saturation", [0.0, 1.0])] * 3,
-        dim=pd.Index(["default", "a", "b"], name="interpretation"),
-    )
-    table = make_sensitivity_table({"e": ranges, "r": interpretation}, {"saturation": PAIR})
-    assert len(table) == 2 * (3 + 2)
-    chosen = table[table.chosen]
-    assert sorted(chosen.quantity) == sorted(QUANTITY_CONDITIONS)
-    np.testing.assert_allclose(chosen.msi, 0.5)
-    np.testing.assert_allclose(table[table.interpretation == "a"].msi, 0.75)
-
-    published = pd.DataFrame(
-        {"published": [0.4, 0.6]}, index=["msi_r_saturation", "msi_t_saturation"]
-    )
-    dataset = select_chosen_sensitivities(table, published)
-    np.testing.assert_allclose(dataset.msi, 0.5)
-    assert dataset.published.sel(quantity="transmittance", parameter="saturation") == 0.6
-    assert all(v.attrs["long_name"] and v.attrs["units"] for v in dataset.data_vars.values())
-    assert list_variables_with_errors(dataset) == {"msi"}

@@ -22,12 +22,13 @@ from splits.core.escaping import (
 from splits.core.yaml import ConfigError
 from splits.experiments import load_experiments, load_settings
 from splits.io.data_frame import write_data_frame
-from splits.plotting import draw_sensitivity_bars, draw_spectra
+from splits.plotting import draw_spectra
 from splits.plotting.interpretation_shifts import draw_shifts
-from splits.plotting.sensitivity import draw_band_selection, draw_sobol_indices
 from splits.plotting.style import format_parameter, format_value, use_style
-from splits.plotting.surface_area import draw_fitted_spectra
 from splits.tables.export import write_csv
+from workflow.papers.information import draw_band_selection, draw_sobol_indices
+from workflow.papers.sensitivity import draw_sensitivity_bars
+from workflow.papers.surface_area import draw_fitted_spectra
 
 WORDS = [
     "</script><script>alert(1)</script>", "<!-- <script>", "<img src=x onerror=alert(1)>",

@@ -22,10 +22,10 @@ from splits.core.uncertainty import (
 )
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.sections import Accuracy
-from splits.experiments.papers.snow_trends import compute_band_mean, compute_steps
 from splits.experiments.run import run
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.simulation.spectral_tally import rescale_deviations
+from workflow.papers.statements import compute_band_mean, compute_steps
 
 WAVELENGTHS = np.arange(400.0, 781.0, 10.0)
 RED = WAVELENGTHS >= 600.0

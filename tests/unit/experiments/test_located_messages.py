@@ -19,17 +19,17 @@ def test_settings_of_several_files_are_located(tmp_path):
     first, second = tmp_path / "config.yaml", tmp_path / "mine.yaml"
     first.write_text((CONFIG / "config.yaml").read_text("utf-8"), "utf-8")
     second.write_text(
-        "seed: 2\nstudies:\n  mine:\n    kind: bands\n    inputs: {a: explorer_snow}\n"
-        "    fixed: {incidence_deg: 99}\n    n_band: 2\n",
+        "seed: 2\nstudies:\n  mine:\n    function: workflow.papers.layer.make_layer_trend_table\n"
+        "    inputs: {lense: layer_fig02_lens}\n    option: {n: 2}\n",
         "utf-8",
     )
     content = read_yaml(first)
     content["studies"] |= read_yaml(second)["studies"]
     files = str(first), str(second)
-    with pytest.raises(ConfigError, match=f"^{re.escape(str(second))}, line 7: studies.mine.n_ba"):
+    with pytest.raises(ConfigError, match=f"^{re.escape(str(second))}, line 6: studies.mine.opt"):
         load_settings(content, *files)
-    del content["studies"]["mine"]["n_band"]
-    second.write_text(second.read_text("utf-8").replace("    n_band: 2\n", ""), "utf-8")
+    del content["studies"]["mine"]["option"]
+    second.write_text(second.read_text("utf-8").replace("    option: {n: 2}\n", ""), "utf-8")
     available = load_experiments(CONFIG / "experiments")
 
     def read_message_of_selection(**changes):
@@ -40,8 +40,8 @@ def test_settings_of_several_files_are_located(tmp_path):
         return str(error.value)
 
     message = read_message_of_selection()
-    assert message.startswith(f"{second}, line 6: studies.mine.fixed.incidence_deg = 99.0: must be")
-    content["studies"]["mine"]["fixed"] = {"incidence_deg": 55}
+    assert message.startswith(f"{second}, line 5: studies.mine.inputs.lense: unknown key")
+    content["studies"]["mine"]["inputs"] = {"lens": "layer_fig02_lens"}
     line = first.read_text("utf-8").splitlines().index("experiments: [papers, own]") + 1
     first.write_text(first.read_text("utf-8").replace("[papers, own]", "[paper, own]"), "utf-8")
     message = read_message_of_selection(experiments=["paper", "own"])

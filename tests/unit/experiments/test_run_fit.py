@@ -16,7 +16,7 @@ from splits.experiments import load_experiment
 from splits.experiments import run_fit as module
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.sections import Accuracy
-from splits.experiments.papers.sand_trends import UNDETERMINED_VERDICT, make_fit_table
+from splits.experiments.run_fit import UNDETERMINED_VERDICT, make_fit_table
 from splits.plotting import draw
 from splits.retrieval.sand_forward_model import Effort
 

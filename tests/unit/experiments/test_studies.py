@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import shutil
+import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
-import xarray as xr
 from shipped import CONFIG
 
 from splits.core.yaml import ConfigError
 from splits.experiments import ExperimentConfig, load_experiments, load_settings
 from splits.experiments.config.load import read_yaml
 from splits.experiments.config.messages import validate_content
-from splits.experiments.papers.brdf_trends import make_brdf_trend_rows
-from splits.experiments.studies.checks import find_incomplete_studies, select_studies
+from splits.experiments.config.studies import (
+    Study,
+    find_incomplete_studies,
+    hash_function,
+    read_parameters,
+    select_studies,
+)
 
 ROOT = Path(__file__).parents[3]
 SETTINGS_CONTENT = read_yaml(CONFIG / "config.yaml")
@@ -76,7 +80,7 @@ def test_shipped_studies_are_complete(shipped):
 
 
 def test_code_does_not_depend_on_experiment_names(shipped):
-    rules = [*(ROOT / "workflow").rglob("*.smk"), *(ROOT / "workflow" / "scripts").glob("*.py")]
+    rules = [*(ROOT / "workflow").rglob("*.smk"), *(ROOT / "workflow").rglob("*.py")]
     for path in [*rules, *(ROOT / "splits").rglob("*.py"), ROOT / "Snakefile"]:
         text = path.read_text(encoding="utf-8")
         for name in shipped:
@@ -95,66 +99,37 @@ def test_experiment_names_of_studies_are_rejected(shipped, name):
         load_settings(SETTINGS_CONTENT).select_experiments({**shipped, name: experiment})
 
 
+LAYERS = "workflow.papers.layer.make_layer_trend_table"
+COMPOSITIONS = SETTINGS_CONTENT["studies"]["sand_compositions"]["function"]
+TABLE1 = {"function": "workflow.papers.splitsnow.make_table1", "inputs": {"sample": "a"}}
+TABLE3 = {**SETTINGS_CONTENT["studies"]["table3"], "outputs": {}}
+
+
 @pytest.mark.parametrize(
     ("study", "message"),
     [
-        ({"kind": "trends"}, r"studies\.mine\.kind = 'trends': must be one of .*angular_trends"),
-        ({"kind": "bands", "inputs": {"a": "explorer_snow"}, "bands": "sentinel"},
-         r"mine\.bands = 'sentinel': must be one of"),
-        ({"kind": "bands", "inputs": {"a": "explorer_snow"}, "noise": 0},
-         r"mine\.noise = 0"),
-        ({"kind": "bands", "inputs": {"a": "explorer_snow"}, "n_bands": 0},
-         r"mine\.n_bands = 0"),
-        ({"kind": "bands", "inputs": {"a": "explorer_snow"}, "fixed": {"incidence": 40}},
-         r"mine\.fixed\.incidence: unknown key.*did you mean incidence_deg"),
-        ({"kind": "bands", "inputs": {"a": "explorer_snow"}, "fixed": {"incidence_deg": 85}},
-         r"mine\.fixed\.incidence_deg = 85.*0 to 82"),
-        ({"kind": "sobol", "inputs": {"a b": "explorer_snow", "a_b": "explorer_sand"}},
-         r"mine\.inputs = \['a b', 'a_b'\]: must be names that differ"),
-        ({"kind": "sobol", "inputs": {"a": "explorer_snow"}, "outputs": {"table": "nul"}},
-         r"mine\.outputs\.table = 'nul': must be lower-case letters"),
-        ({"kind": "sobol", "inputs": {"a": "explorer_snow"}, "n_bands": 2},
-         r"mine\.n_bands = 2: must be left out for sobol \(it belongs to bands\)"),
-        ({"kind": "anisotropy", "inputs": {"directions": "sand_fig11_brdf"},
-          "files": {"directions": "wet_sand_directions.csv"}},
-         r"'sand_fig11_brdf': must be .*over interpretation and saturation"),
-        ({"kind": "anisotropy", "inputs": {"directions": "wet_sand_directions"}},
-         r"mine\.files: missing, must be a mapping"),
-        ({"kind": "anisotropy", "inputs": {"directions": "wet_sand_directions"}, "files": {}},
-         r"mine\.files = {}: must be with directions"),
-        ({"kind": "layer_trends"}, r"mine\.inputs: missing, must be a mapping"),
-        ({"kind": "layer_trends", "inputs": {}},
-         r"mine\.inputs = {}: must be with one of lens, volume"),
-        ({"kind": "angular_trends", "inputs": {"facets": "a"}},
-         r"mine\.inputs\.facets: unknown key.*did you mean facetness"),
-        ({"kind": "angular_trends", "inputs": {"facetness": "fig21_grain_size"}},
-         r"mine\.inputs\.facetness = 'fig21_grain_size': must be .*over facetness"),
-        ({"kind": "angular_trends", "inputs": {"incidence": "fig16_incidence"}},
-         r"incidence = 'fig16_incidence': must be .*incidence_deg = 0"),
-        ({"kind": "angular_trends", "inputs": {"grain_size_infrared": "fig20_grain_size"}},
-         r"'fig20_grain_size': must be an experiment with wavelength 1450 nm"),
-        ({"kind": "angular_trends", "inputs": {"wavelength": "fig08_grain_size"}},
-         r"'fig08_grain_size': must be an experiment with a goniophotometer"),
-        ({"kind": "sand_compositions", "inputs": {"lens": "a"}},
-         r"mine\.inputs = .*: must be left out for sand_compositions \(it belongs to agreement"),
-        ({"kind": "sensitivity"}, r"mine\.pairs: missing, must be a mapping"),
-        ({"kind": "sensitivity", "pairs": {}}, r"mine\.pairs = {}: must be at least one pair"),
-        ({"inputs": {}}, r"mine\.kind: missing, must be one of agreement, interpretation"),
-        ({**SETTINGS_CONTENT["studies"]["agreement"], "outputs": {}, "sensitivity": "agreement"},
-         r"mine\.sensitivity = 'agreement': must be .*sensitivity"),
-        ({"kind": "layer_trends", "sensitivity": "sensitivity", "inputs": {"lens": "a"}},
-         r"mine\.sensitivity = .*: must be left out for layer_trends \(it belongs to agreement"),
-        ({"kind": "sensitivity", "files": {"published": "splitsnow.csv"},
-          "pairs": {"a": {"parameter": "saturation", "experiment": "b", "low": 0, "high": 1}}},
-         r"files\.published = 'splitsnow\.csv': must be one of.*did you mean splitsnow2021\.csv"),
-        ({"kind": "sensitivity", "pairs": {"a": {"parameter": "b"}}},
-         r"studies\.mine\.pairs\.a\.experiment: missing"),
-        ({"kind": "sensitivity", "pairs": {"a": {
-            "parameter": "saturation", "experiment": "fig13_saturation", "low": 0, "high": 0.3}}},
-         r"pairs\.a\.experiment = 'fig13_saturation': must be .*saturation and depth_m"),
-        ({"kind": "sand_compositions", "outputs": {"table": "table2"}},
+        ({"inputs": {}}, r"studies\.mine\.function: missing, must be text"),
+        ({**TABLE1, "outpts": {}}, r"mine\.outpts: unknown key.*did you mean outputs"),
+        ({"function": "layer"}, r"mine\.function = 'layer': must be MODULE\.NAME, a function"),
+        ({"function": LAYERS.replace("layer.", "layers.")}, "there is no module workflow.papers"),
+        ({"function": LAYERS + "s"}, r"function = .*trend_tables': .*did you mean make_layer"),
+        ({"function": "numpy.core_functions.a"}, "there is no module numpy.core_functions"),
+        ({**TABLE1, "function": LAYERS}, r"mine\.inputs\.sample: unknown key, must be one of lens"),
+        ({"function": LAYERS, "options": {"lense": 1}}, r"options\.lense: .*did you mean lens"),
+        ({**TABLE1, "inputs": {}}, r"mine\.inputs = {}: must be with sample, which the function"),
+        ({**TABLE3, "measured": {}}, "inputs = .*: must be with aviris, which the function needs"),
+        ({**TABLE3, "options": {"aviris": 1}}, r"options \(key\) = 'aviris'.*measured has it"),
+        ({**TABLE1, "options": {"threads": 2}}, r"options \(key\) = 'threads'.*the workflow has"),
+        ({**TABLE3, "published": {"published": "splitsnow.csv"}},
+         r"published\.published = 'splitsnow\.csv': .*did you mean splitsnow2021\.csv"),
+        ({**TABLE1, "outputs": {"table": {}}}, r"outputs \(key\) = 'table': must be NAME\.csv"),
+        ({**TABLE1, "outputs": {"nul.csv": {}}}, r"outputs \(key\) = 'nul\.csv': .*lower-case"),
+        ({**TABLE1, "outputs": {"a.csv": {"place": "Figure 3"}}}, r"a\.csv\.place = 'Figure 3'"),
+        ({**TABLE1, "outputs": {"a.csv": {"comparison": True}}},
+         r"outputs\.a\.csv\.comparison = True: must be left out"),
+        ({**TABLE1, "outputs": {"table2.csv": {}}},
          r"studies\.mine: name = 'table2': must be unique \(the study sens"),
-        ({"kind": "sand_compositions", "outputs": {"table": "fig08_grain_size"}},
+        ({**TABLE1, "outputs": {"fig08_grain_size.csv": {}}},
          "experiment fig08_grain_size: name = 'fig08_grain_size': must be unique"),
     ],
 )  # fmt: skip
@@ -165,15 +140,97 @@ def test_invalid_studies_are_rejected_in_one_line(shipped, study, message):
 
 
 def test_missing_experiments_of_a_study_are_reported(shipped):
-    study = {"kind": "angular_trends", "inputs": {"facetness": "fig22_facetnes"}}
+    study = {"function": LAYERS, "inputs": {"lens": "layer_fig02_len"}}
     studies = make_settings({"mine": study}).studies
     assert find_incomplete_studies(studies, shipped) == {
-        "mine": "study mine is left out: no such experiment: fig22_facetnes "
-        "(did you mean fig22_facetness?)"
+        "mine": "study mine is left out: no such experiment: layer_fig02_len "
+        "(did you mean layer_fig02_lens?)"
     }
     incomplete = find_incomplete_studies(studies, {})
-    assert incomplete["sand_compositions"].endswith("no experiment has sand")
-    assert "sensitivity_density" in incomplete["agreement"], "it reads its sensitivity study"
+    assert incomplete["sand_compositions"].endswith("no experiment is in its group papers")
+    assert "sensitivity_density" in incomplete["agreement"], "it reads the dataset of a study"
+
+
+def test_missing_names_are_always_reported(shipped):
+    assert load_settings(SETTINGS_CONTENT).list_warnings(shipped) == []
+    studies = {
+        "a": {"function": LAYERS, "inputs": {"lens": "layer_fig02_len"}},
+        "b": {"function": LAYERS, "group": "exploer", "inputs": {"lens": "layer_fig02_lens"}},
+        "c": {"function": LAYERS, "inputs": {"lens": "zzzzzzz"}},
+    }
+    content = {**SETTINGS_CONTENT, "studies": studies, "explorer": {"snow": "nosuch"}}
+    content["explorer_directions"] = {"snow": "explorer_snow_direction"}
+    assert load_settings(content).list_warnings(shipped) == [
+        "study a is left out: no such experiment: layer_fig02_len (did you mean layer_fig02_lens?)",
+        "study b is left out: no experiment is in its group exploer",
+        "explorer: no such experiment: nosuch",
+        "explorer: no such experiment: explorer_snow_direction (did you mean "
+        "explorer_snow_directions?)",
+        "none of their experiments exists: studies c",
+    ]
+
+
+def test_a_study_may_read_the_dataset_of_a_study_that_reads_one():
+    studies = {
+        "first": Study(function="a.b", inputs={"x": "one"}, outputs={"made.nc": {}}),
+        "second": Study(function="a.b", inputs={"x": "made", "y": "two"}, outputs={"more.nc": {}}),
+        "third": Study(function="a.b", inputs={"x": "more"}),
+        "circle": Study(function="a.b", inputs={"x": "round"}, outputs={"round.nc": {}}),
+    }
+    assert sorted(studies["third"].list_experiments(studies)) == ["one", "two"]
+    assert studies["circle"].list_experiments(studies) == ["round"]
+
+
+MODULE = """\
+import numpy as np
+from . import helpers
+from {package}.more import extra as other
+
+def draw(first, second=1, *, third, fourth=np.pi, **runs):
+    raise RuntimeError
+"""
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """Return the folder of a package of a user."""
+    folder = tmp_path / "users_studies"
+    folder.mkdir()
+    monkeypatch.syspath_prepend(str(tmp_path))
+    module = MODULE.format(package=folder.name)
+    (folder / "mine.py").write_text(module, "utf-8")
+    (folder / "helpers.py").write_text("import json\n", "utf-8")
+    (folder / "more.py").write_text("from .deep import extra\n", "utf-8")
+    (folder / "deep.py").write_text("extra = 1\n", "utf-8")
+    (folder / "other.py").write_text("", "utf-8")
+    (folder / "broken.py").write_text(f"{module}\ndef broken(", "utf-8")
+    return folder
+
+
+@pytest.mark.usefixtures("package")
+def test_functions_of_any_module_are_read_without_importing_it():
+    parameters = read_parameters("users_studies.mine.draw")
+    needed = {"first": True, "second": False, "third": True, "fourth": False, "**": False}
+    assert parameters == needed
+    with pytest.raises(ValueError, match=r"broken\.py, line 8"):
+        read_parameters("users_studies.broken.draw")
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [("mine", True), ("helpers", True), ("more", True), ("deep", True), ("other", False)],
+)
+def test_digest_of_a_function_covers_what_its_module_imports(package, name, changes):
+    before = hash_function("users_studies.mine.draw")
+    assert not {"users_studies", "users_studies.mine"} & sys.modules.keys(), "it is not imported"
+    with open(package / f"{name}.py", "a", encoding="utf-8") as file:
+        file.write("# changed\n")
+    assert (hash_function("users_studies.mine.draw") != before) == changes
+
+
+def test_functions_of_shipped_studies_have_digests(settings):
+    digests = {name: hash_function(one.function) for name, one in settings.studies.items()}
+    assert len(digests["interpretation_ranking"]) == 4, "runs, angles, statements"
 
 
 @pytest.mark.parametrize(
@@ -213,36 +270,8 @@ def test_groups_differ_from_experiments(shipped, name, group):
         load_settings(SETTINGS_CONTENT).select_experiments({**shipped, name: experiment})
 
 
-def test_a_study_of_some_inputs_has_their_rows():
-    polar, azimuth = np.arange(0.0, 90.0, 2.5), np.array([0.0, 180.0])
-    value = 0.3 + 0.1 * np.sin(np.radians(polar))[:, np.newaxis] * np.cos(np.radians(azimuth))
-    shape = (1, *value.shape)
-    coordinates = {"incidence_deg": [0.0, 40.0], "wavelength": [700.0], "polar": polar,
-             "azimuth": azimuth}  # fmt: skip
-    values = np.stack([0.3 + 0.0 * value, value]).reshape(2, *shape)
-    dataset = xr.Dataset(
-        {
-            "brdf": (tuple(coordinates), values),
-            "brdf_stderr": (tuple(coordinates), 0.0 * values + 1e-3),
-        },
-        coordinates,
-    )
-    rows = make_brdf_trend_rows({"incidence": dataset})
-    assert [row["quantity"] for row in rows] == [
-        "nearly Lambertian at 0°, 700 nm: 0.2 less the relative range within 60°",
-        "forward peak above the nadir at 40°, 700 nm",
-        "forward side (60°) over the nadir rises with incidence, 0°, 40°: smallest step",
-    ]
-    assert all(row["verdict"] == "agrees" for row in rows)
-    assert (
-        len(make_brdf_trend_rows({"grazing": dataset.assign_coords(incidence_deg=[20.0, 60.0])}))
-        == 2
-    )
-
-
 def test_names_of_retrieval_tables_are_unique(shipped):
-    study = {"kind": "sobol", "inputs": {"a": "explorer_snow"}}
-    studies = {**SETTINGS_CONTENT["studies"], "retrieved_dozier_retrieved": study}
+    studies = {**SETTINGS_CONTENT["studies"], "retrieved_dozier_retrieved": TABLE1}
     with pytest.raises(ConfigError, match="'retrieved_dozier_retrieved': must be unique"):
         load_settings({**SETTINGS_CONTENT, "studies": studies}).select_experiments(shipped)
 
@@ -252,7 +281,7 @@ def test_tables_of_studies_are_read_before_the_run(shipped, tmp_path):
     file = tmp_path / "measured" / "aviris_ng_varsa2021.csv"
     file.write_text(file.read_text(encoding="utf-8").replace("0.890", "89%"), encoding="utf-8")
     content = {**SETTINGS_CONTENT, "measured_folder": str(tmp_path / "measured")}
-    with pytest.raises(ConfigError, match=r"studies\.agreement\.files\.aviris = .*line 4: refl"):
+    with pytest.raises(ConfigError, match=r"studies\.agreement\.measured\.aviris = .*line 4: refl"):
         load_settings(content).select_experiments(shipped)
 
 
@@ -264,11 +293,11 @@ def test_reserved_device_names_are_rejected(name):
 
 def test_studies_are_selected_with_all_that_they_read(settings, shipped):
     agreement = settings.studies["agreement"]
-    own = {name: shipped[name] for name in agreement.list_experiments()}
-    sensitivity = settings.studies[agreement.sensitivity].list_experiments()
-    both = own | {name: shipped[name] for name in sensitivity}
-    assert set(select_studies(settings.studies, own, ())) == set()
-    assert {"agreement", "sensitivity"} <= set(select_studies(settings.studies, both, ()))
+    both = {name: shipped[name] for name in agreement.list_experiments(settings.studies)}
+    own = {name: one for name, one in both.items() if name in agreement.inputs.values()}
+    alone = {"letcher2022_measured", "measured_bands", "table1"}
+    assert set(select_studies(settings.studies, own, ())) == alone
+    assert {"agreement", "sensitivity", *alone} == set(select_studies(settings.studies, both, ()))
     without_sand = {"fig08_grain_size": shipped["fig08_grain_size"]}
     assert select_studies(settings.studies, without_sand, ()) == {}
 
@@ -287,6 +316,6 @@ def test_archive_keeps_the_groups_of_its_studies(settings, shipped):
 
 
 def test_study_of_a_group_without_experiments_is_incomplete(shipped):
-    settings = make_settings({"a": {"kind": "sand_compositions", "group": "paper"}})
+    settings = make_settings({"a": {"function": COMPOSITIONS, "group": "paper"}})
     messages = find_incomplete_studies(settings.studies, shipped)
     assert messages == {"a": "study a is left out: no experiment is in its group paper"}

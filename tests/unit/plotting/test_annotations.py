@@ -13,22 +13,16 @@ from test_figure_lines import X
 from test_figure_lines import make_dataset as make_spectra
 
 import splits
+from benchmarks.performance import draw_speed_against_error
 from splits.experiments import ExperimentConfig
-from splits.experiments.papers.performance_figure import draw_speed_against_error
-from splits.experiments.papers.sensitivity_table import describe_ranges
-from splits.plotting import (
-    describe_conditions,
-    draw,
-    draw_area_law,
-    draw_fits,
-    draw_fitted_spectra,
-    draw_interpretation_shifts,
-    draw_measured_albedo,
-    draw_sensitivity_bars,
-)
+from splits.plotting import describe_conditions, draw, draw_fits
 from splits.plotting.annotations import format_panel_letter
 from splits.plotting.nodes import find_coarse_nodes
 from splits.plotting.style import ONE_COLUMN_INCHES, SMALL_FONT_PT, TWO_COLUMNS_INCHES
+from workflow.papers.interpretations import draw_interpretation_shifts
+from workflow.papers.sensitivity import describe_ranges, draw_sensitivity_bars
+from workflow.papers.splitsnow import draw_albedo
+from workflow.papers.surface_area import draw_area_law, draw_fitted_spectra
 
 ATTRIBUTES = {
     "medium": "snow", "instrument": "spectrophotometer", "snow_grain_size_um": np.array([300, 750]),
@@ -197,7 +191,7 @@ FIGURES = {
         "range_bias", lambda: make_returns({"density_kg_m3": [100.0, 200.0, 300.0],
                                             "medium": ["dune", "beach"]})),
     "fit": lambda: draw_fits(make_surface_areas_table()),
-    "measured": lambda: draw_measured_albedo(ALBEDO),
+    "measured": lambda: draw_albedo(ALBEDO),
     "surface area": lambda: draw_fitted_spectra(make_surface_area_rows()),
     "law": lambda: draw_area_law(LAW),
     "interpretation": lambda: draw_interpretation_shifts(make_statements()),

@@ -1,1 +1,0 @@
-"""Comparison with the numbers, trends and interpretations of the published papers."""

@@ -11,12 +11,10 @@ import numpy as np
 
 from splits.core.uncertainty import compute_jackknife_stderr, compute_leave_one_out_means
 from splits.discrete_ordinates.adding import Boundary, Element, compute_budget, make_isotropic
-from splits.discrete_ordinates.grain_table import MAX_ABSORPTION, Axis, GrainTable
+from splits.discrete_ordinates.grains import MAX_ABSORPTION, Axis, GrainTable
 from splits.discrete_ordinates.granular_layers import GranularLayer
 from splits.discrete_ordinates.granular_stack import GranularStack
-from splits.discrete_ordinates.layer_optics import LayerOptics
-from splits.discrete_ordinates.slab import solve_slab
-from splits.discrete_ordinates.streams import Streams
+from splits.discrete_ordinates.homogeneous_layer import LayerOptics, Streams, solve_slab
 from splits.kernels.base.scene import WET_PORE
 from splits.kernels.grains.single_grain import N_SCATTERING_BATCHES
 from splits.materials.library import load_dataset

@@ -17,10 +17,9 @@ from splits.discrete_ordinates.applicability import (
     find_profile_obstacle,
     make_granular_stack,
 )
-from splits.discrete_ordinates.grain_table import GrainTable
-from splits.discrete_ordinates.granular_layers import GranularLayer
+from splits.discrete_ordinates.grains import GrainTable
+from splits.discrete_ordinates.granular_layers import GranularLayer, compute_replicate_error
 from splits.discrete_ordinates.granular_stack import find_similarity_error
-from splits.discrete_ordinates.replicates import compute_replicate_error
 from splits.kernels.base.scene import DRY_PORE, MATRIX
 from splits.media.medium import Layer, Medium
 from splits.simulation.scene import compute_material_constants
@@ -188,7 +187,7 @@ def _compute_layer_ratio(
     """Return the ratio of a layer by wavelength.
 
     In dry point grains of one material, a metre of recorded path has κ (1 − ω) losses in grains,
-    where 1/α metres of path in them are one loss (`splits.discrete_ordinates.stack_profile`).  Rays
+    where 1/α metres of path in them are one loss (`splits.discrete_ordinates.profiles`).  Rays
     assume that weights decrease evenly.  They decrease in steps of optical depth d, so that a path
     by weight may be d/(1 − exp(−d)) times as long; above a limit, mean chords are closer.
     """

@@ -9,9 +9,9 @@ import numpy as np
 
 from splits.core.error_target import ErrorTarget
 from splits.discrete_ordinates.applicability import find_direction_obstacle, make_granular_stack
-from splits.discrete_ordinates.geometry import Geometry
 from splits.discrete_ordinates.granular_stack import REVERSED, GranularStack, SpectrumSolution
-from splits.discrete_ordinates.integrals import TINY
+from splits.discrete_ordinates.homogeneous_layer import TINY
+from splits.discrete_ordinates.refraction import Geometry
 from splits.discrete_ordinates.stack_brdf import solve_bidirectional, solve_relative_spectrum
 from splits.instruments.angular_estimate import AngularEstimate, compute_anisotropy
 from splits.media.medium import Medium

@@ -11,7 +11,7 @@ from splits.core.uncertainty import Variable, make_deviation_variable, make_vari
 from splits.core.validation import ROUNDING_TOLERANCE
 from splits.discrete_ordinates.applicability import make_granular_stack
 from splits.discrete_ordinates.granular_stack import GranularStack
-from splits.discrete_ordinates.interval_profile import (
+from splits.discrete_ordinates.profiles import (
     IntervalProfile,
     LayerDivision,
     ProfileSolution,

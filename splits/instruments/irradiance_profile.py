@@ -133,7 +133,7 @@ def irradiance_profile(
     between planes.  Where single grains or pores absorb much of the light that crosses them, both
     are approximate; their errors include this (`splits.instruments.absorption_steps`).  The
     absorptance of an interval is not affected.  With discrete ordinates both follow exactly from
-    the balance of light in each interval (`splits.discrete_ordinates.stack_profile`).
+    the balance of light in each interval (`splits.discrete_ordinates.profiles`).
 
     References
     ----------

@@ -15,12 +15,14 @@ import xarray as xr
 from splits.core.progress import Progress, open_progress
 from splits.core.uncertainty import Variable
 from splits.core.validation import check_choice, invalid
-from splits.discrete_ordinates.many_snowpacks import MAX_ROWS, SpectraSolution, solve_spectra
-from splits.discrete_ordinates.snow_pack_optics import (
+from splits.discrete_ordinates.snow_packs import (
+    MAX_ROWS,
     PackMaterials,
+    SpectraSolution,
     find_spectral_obstacle,
     find_unsupported,
     make_snowpacks,
+    solve_spectra,
 )
 from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO, SOLVERS
 from splits.io.netcdf import ANCILLARY_ATTRIBUTE

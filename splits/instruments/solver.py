@@ -15,10 +15,16 @@ from splits.discrete_ordinates.applicability import (
     is_tabulated,
     make_granular_stack,
 )
-from splits.discrete_ordinates.derivative_errors import WetDerivatives, solve_derivatives
-from splits.discrete_ordinates.granular_stack import SpectrumSolution, compute_optics_error
-from splits.discrete_ordinates.parameter_derivatives import DryDerivatives
-from splits.discrete_ordinates.transmittance_error import solve_with_exponent_error
+from splits.discrete_ordinates.granular_stack import (
+    SpectrumSolution,
+    compute_optics_error,
+    solve_with_exponent_error,
+)
+from splits.discrete_ordinates.parameter_derivatives import (
+    DryDerivatives,
+    WetDerivatives,
+    solve_derivatives,
+)
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.medium import Medium
 from splits.simulation.spectral_tally import Derivatives, SpectralEstimate

@@ -9,8 +9,8 @@ import pytest
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
-from splits.discrete_ordinates.grain_table import Axis
 from splits.discrete_ordinates.grain_tabulation import TableAxes, tabulate_grains
+from splits.discrete_ordinates.grains import Axis
 from splits.discrete_ordinates.granular_stack import load_natural_grains
 from splits.simulation.run_options import RunOptions
 from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK

@@ -8,10 +8,10 @@ from chi2 import NEEDS_JIT, judge_z
 
 import splits
 from splits.discrete_ordinates.applicability import make_granular_stack
-from splits.discrete_ordinates.grain_table import Axis
 from splits.discrete_ordinates.grain_tabulation import N_RAYS, TableAxes, tabulate_grains
-from splits.discrete_ordinates.interval_profile import find_similarity_error
-from splits.discrete_ordinates.transmittance_error import OPTICS_SHARE
+from splits.discrete_ordinates.grains import Axis
+from splits.discrete_ordinates.granular_stack import OPTICS_SHARE
+from splits.discrete_ordinates.profiles import find_similarity_error
 from splits.simulation.run_options import RunOptions
 from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK
 

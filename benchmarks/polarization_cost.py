@@ -38,8 +38,7 @@ from splits.kernels.optics.polarized_interface import (
 from splits.kernels.optics.stokes import UNPOLARIZED
 from splits.kernels.tallies.exits import N_STOKES_COLUMNS, allocate_exits
 from splits.kernels.transport import history
-from splits.simulation.incident_light import IncidentPolarization
-from splits.simulation.scene import build_scene, compute_optical_constants
+from splits.simulation.scene import IncidentPolarization, build_scene, compute_optical_constants
 
 RAYLEIGH = {
     "optical_thickness": 10.0, "phase_function": "rayleigh", "single_scattering_albedo": 0.99,

@@ -15,7 +15,7 @@ import xarray as xr
 from splits.core.uncertainty import compute_weighted_error
 from splits.core.validation import key_prefix
 from splits.materials.csv_table import read_csv, read_numeric_csv
-from splits.simulation.arguments import check_wavelengths
+from splits.simulation.run_options import check_wavelengths
 
 DIFFUSE_FRACTION = 0.85
 """Fraction of diffuse light in the measurements of Letcher et al. (2022)."""

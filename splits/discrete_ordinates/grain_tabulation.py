@@ -21,15 +21,15 @@ from splits.materials.library import load_dataset
 from splits.media.natural_snow import NATURAL_REFRACTIVE_INDICES
 from splits.media.snow import Snow
 from splits.simulation.engine import simulate
-from splits.simulation.run_options import RunOptions
-from splits.simulation.scene import build_scene
-from splits.simulation.single_scattering_tally import (
+from splits.simulation.grain_optics import (
     GRAIN_RAYS_PER_CHUNK,
     WEIGHTED_MEANS,
     SingleScatteringTally,
 )
+from splits.simulation.run_options import RunOptions
+from splits.simulation.scene import build_scene
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.stopping_rule import StoppingRule
+from splits.simulation.strata import StoppingRule
 
 WEAK_ABSORPTION = 1e-6
 """Absorption x at which the derivative of the moments at 0 is taken."""

@@ -14,6 +14,11 @@ from splits.kernels.base.scene import Scene
 from splits.kernels.grains.single_grain import N_SCATTERING_BATCHES
 from splits.media.medium import GranularMedium
 from splits.simulation.engine import simulate
+from splits.simulation.grain_optics import (
+    GRAIN_RAYS_PER_CHUNK,
+    WEIGHTED_MEANS,
+    SingleScatteringTally,
+)
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import (
     N_PORE_MATERIALS,
@@ -21,13 +26,8 @@ from splits.simulation.scene import (
     build_scene,
     compute_material_constants,
 )
-from splits.simulation.single_scattering_tally import (
-    GRAIN_RAYS_PER_CHUNK,
-    WEIGHTED_MEANS,
-    SingleScatteringTally,
-)
 from splits.simulation.spectral_nodes import IndexNodes, choose_nodes
-from splits.simulation.stopping_rule import StoppingRule
+from splits.simulation.strata import StoppingRule
 
 # --------------------------------------------------------------------------------------------------
 # Single scattering by grains of one material, as a function of refractive index and absorption.
@@ -300,7 +300,7 @@ class TracedGrains(NamedTuple):
     def compute_packing_ratio(self, extinction_per_m: np.ndarray) -> np.ndarray:
         """Return the optical thickness relative to that of points, shape (wavelengths,).
 
-        Light advances in grains, too: see `splits.simulation.diffusion.effective_mean_free_path`.
+        Light advances in grains, too: see `splits.simulation.deep_medium.effective_mean_free_path`.
 
         Parameters
         ----------

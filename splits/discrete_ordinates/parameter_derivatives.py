@@ -29,7 +29,7 @@ from splits.discrete_ordinates.granular_stack import (
 from splits.discrete_ordinates.homogeneous_layer import TINY, LayerOptics, Streams
 from splits.media.medium import Medium
 from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
-from splits.simulation.finite_differences import compute_difference_weights
+from splits.simulation.derivatives import compute_difference_weights
 
 PROPERTY_STENCILS = ((-1.0, 1.0), (0.0, 1.0, 2.0), (0.0, -1.0, -2.0))
 """Points of differences in steps: around the value, or on one side where a range ends."""

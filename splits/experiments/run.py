@@ -23,7 +23,7 @@ from splits.experiments.run_points import SimulatedPoints, simulate_points
 from splits.experiments.run_table import run_table, write_table
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
 from splits.simulation.run_options import make_wavelength_coordinate
-from splits.simulation.stopping_rule import STOP_REASONS
+from splits.simulation.strata import STOP_REASONS
 from splits.tables.return_table import TITLE
 
 POINT_VARIABLES = {

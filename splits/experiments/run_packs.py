@@ -22,7 +22,7 @@ from splits.instruments import albedo, spectrophotometer
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
 from splits.media.snow_pack_quality import count_missing_results
 from splits.media.snow_packs import SnowPacks
-from splits.simulation.stopping_rule import STOP_REASONS
+from splits.simulation.strata import STOP_REASONS
 from splits.tables.block import DIGEST_ATTRIBUTE, load_block, make_block_path
 
 LARGEST_ATTRIBUTES = ("max_stderr_reached", "streams", "truncation_error", "optics_error")

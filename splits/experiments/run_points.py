@@ -30,8 +30,8 @@ from splits.instruments.solver import DISCRETE_ORDINATES
 from splits.instruments.spectral_run import SpectralRequest, simulate_spectra
 from splits.io.netcdf import to_netcdf_attributes
 from splits.media.medium import Medium
-from splits.simulation.path_reuse import MediaGroup, group_by_shared_paths
 from splits.simulation.run_options import RunOptions
+from splits.simulation.shared_paths import MediaGroup, group_by_shared_paths
 from splits.tables.return_table import build_return_table
 
 N_BEAM_RAYS = 200_000

@@ -24,11 +24,9 @@ from splits.kernels.tallies.angular import (
     AngularSums,
     tally_angular_bins,
 )
-from splits.simulation.exit_tally import ExitTally
-from splits.simulation.interpolation_bounds import INTERPOLATION_FACTOR
-from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.stopping_rule import Evaluation, StoppingRule
-from splits.simulation.stratum import Stratum
+from splits.simulation.spectral_nodes import INTERPOLATION_FACTOR, IndexNodes
+from splits.simulation.strata import Evaluation, StoppingRule, Stratum
+from splits.simulation.tally import ExitTally
 
 DEFAULT_N_BINS = (18, 72)
 """Bins in polar and in azimuth angle: as many as bins of 5° by 5°."""

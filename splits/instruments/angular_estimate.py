@@ -14,7 +14,7 @@ from splits.instruments.angular_truncation import (
     compute_truncation_errors,
     select_terms,
 )
-from splits.simulation.interpolation_bounds import INTERPOLATION_FACTOR, bound_fraction_error
+from splits.simulation.spectral_nodes import INTERPOLATION_FACTOR, bound_fraction_error
 from splits.simulation.tally import Tally
 
 N_ANGULAR_BATCHES = 64

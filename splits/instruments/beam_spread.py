@@ -13,17 +13,17 @@ from splits.core.validation import check_integer
 from splits.instruments.beam_spread_tally import BeamSpreadTally, compute_quantile_radii
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
-from splits.simulation.arguments import (
+from splits.simulation.engine import simulate
+from splits.simulation.run_options import (
     HALF_WIDTH_RANGE_M,
+    RunOptions,
     check_beam_angle,
     check_half_width,
     check_wavelengths,
 )
-from splits.simulation.engine import simulate
-from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import build_scene, compute_optical_constants
 from splits.simulation.spectral_nodes import choose_nodes
-from splits.simulation.stopping_rule import StoppingRule
+from splits.simulation.strata import StoppingRule
 
 _INTERPOLATION_TOLERANCE = 0.001
 """Bound on the error of a reflectance from interpolation between refractive indices."""

@@ -17,13 +17,10 @@ from splits.core.uncertainty import (
 )
 from splits.instruments.angular_estimate import N_ANGULAR_BATCHES
 from splits.kernels.tallies.radial import RadialSums, tally_radial
-from splits.simulation.exit_tally import ExitTally
-from splits.simulation.interpolation_bounds import bound_fraction_error
-from splits.simulation.rare_light import allow_for_unseen_rays
 from splits.simulation.run_options import make_wavelength_coordinate
-from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.stratum import Stratum
-from splits.simulation.tally import RAYS_PER_CHUNK
+from splits.simulation.spectral_nodes import IndexNodes, bound_fraction_error
+from splits.simulation.strata import Stratum
+from splits.simulation.tally import RAYS_PER_CHUNK, ExitTally, allow_for_unseen_rays
 
 RADIUS_QUANTILES = (0.25, 0.5, 0.75, 0.9)
 """Fractions of the light that leave within the quantile radii."""

@@ -21,9 +21,9 @@ from splits.instruments.delay_tally import DelayTally
 from splits.instruments.slowness import Slowness
 from splits.io.netcdf import ANCILLARY_ATTRIBUTE
 from splits.media.medium import Medium
-from splits.simulation.interpolation_bounds import bound_fraction_error
-from splits.simulation.rare_light import allow_for_unseen_rays
 from splits.simulation.run_options import make_wavelength_coordinate
+from splits.simulation.spectral_nodes import bound_fraction_error
+from splits.simulation.tally import allow_for_unseen_rays
 
 MIN_BATCHES = 8
 """Least number of batches with light for moments to have known errors."""

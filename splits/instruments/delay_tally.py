@@ -7,10 +7,9 @@ import numpy as np
 from splits.core.validation import invalid
 from splits.instruments.angular_estimate import N_ANGULAR_BATCHES
 from splits.kernels.tallies.delays import N_MOMENTS, DelayRecord, DelaySums, tally_delays
-from splits.simulation.exit_tally import ExitTally
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.stratum import Stratum
-from splits.simulation.tally import RAYS_PER_CHUNK
+from splits.simulation.strata import Stratum
+from splits.simulation.tally import RAYS_PER_CHUNK, ExitTally
 
 MAX_TALLY_VALUES = 100_000_000
 """Largest number of sums of a tally."""

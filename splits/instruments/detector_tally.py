@@ -15,11 +15,9 @@ from splits.kernels.base.scene import Scene
 from splits.kernels.transport.history import trace_to_detectors
 from splits.kernels.transport.next_event import Detectors
 from splits.media.medium import ParticleMedium
-from splits.simulation.rare_light import allow_for_unseen_rays
 from splits.simulation.spectral_nodes import make_separate_nodes
-from splits.simulation.stopping_rule import Evaluation, StoppingRule
-from splits.simulation.stratum import Stratum
-from splits.simulation.tally import LOST_MESSAGE, RAYS_PER_CHUNK
+from splits.simulation.strata import Evaluation, StoppingRule, Stratum
+from splits.simulation.tally import LOST_MESSAGE, RAYS_PER_CHUNK, allow_for_unseen_rays
 
 PILOT_BATCHES = 128
 """Batches of the first round."""

@@ -13,16 +13,12 @@ from splits.instruments.expansion_tally import MAX_DEGREE, ExpansionTally
 from splits.instruments.goniophotometer import INTERPOLATION_FRACTION
 from splits.instruments.spectral_run import MAX_ATTEMPTS, SpectralRequest
 from splits.kernels.tallies.angular import make_basis
+from splits.simulation.deep_medium import ERROR_BUDGET_FRACTION, THEORY_UNCERTAINTY, TruncatedMedium
 from splits.simulation.engine import simulate
 from splits.simulation.scene import build_scene
+from splits.simulation.shared_paths import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_nodes import choose_nodes
-from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
-from splits.simulation.stopping_rule import StoppingRule
-from splits.simulation.truncated_medium import (
-    ERROR_BUDGET_FRACTION,
-    THEORY_UNCERTAINTY,
-    TruncatedMedium,
-)
+from splits.simulation.strata import StoppingRule
 
 MAX_ESCAPE_FACTOR = 1.25
 """Radiance of light that escapes from a great depth, over that of isotropic light of equal flux:

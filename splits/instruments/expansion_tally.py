@@ -23,12 +23,9 @@ from splits.instruments.angular_truncation import DirectionGrid
 from splits.kernels.base.work import NO_MAX_ORDER
 from splits.kernels.tallies.angular import AngularSums, tally_expansion
 from splits.kernels.tallies.exits import EXIT_ORDER
-from splits.simulation.exit_tally import ExitTally
-from splits.simulation.interpolation_bounds import INTERPOLATION_FACTOR
-from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.stopping_rule import Evaluation, StoppingRule
-from splits.simulation.stratum import Stratum
-from splits.simulation.tally import RAYS_PER_CHUNK
+from splits.simulation.spectral_nodes import INTERPOLATION_FACTOR, IndexNodes
+from splits.simulation.strata import Evaluation, StoppingRule, Stratum
+from splits.simulation.tally import RAYS_PER_CHUNK, ExitTally
 
 MAX_DEGREE = 24
 """Largest degree of the polynomials, which resolve details of about 180°/24."""

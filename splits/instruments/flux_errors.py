@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from splits.core.uncertainty import compute_batch_stderr
-from splits.simulation.interpolation_bounds import MAX_LOG_SLOPE
-from splits.simulation.rare_light import allow_for_unseen_rays
+from splits.simulation.spectral_nodes import MAX_LOG_SLOPE
+from splits.simulation.tally import allow_for_unseen_rays
 
 MIN_EFFECTIVE_BATCHES = 8
 """Effective number of batches with light below which an error includes that of one more ray."""
@@ -44,7 +44,7 @@ def estimate_unseen_reflection(
     """Return the errors of upward irradiances by rays that grains reflect without entering.
 
     Below strongly absorbed light they are few, and all other light has a small weight
-    (`splits.simulation.rare_light`).
+    (`splits.simulation.tally`).
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ from splits.media.absorbing_matrix_layer import absorb_along_path
 from splits.media.ground import BLACK_OPTICAL_DEPTH, Ground
 from splits.media.medium import Medium
 from splits.media.particle_layer import CLEARANCE_SIGMA
-from splits.simulation.deep_medium import truncate_deep_medium
+from splits.simulation.deep_medium import THEORY_UNCERTAINTY, truncate_deep_medium
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import (
     OpticalConstants,
@@ -27,8 +27,7 @@ from splits.simulation.scene import (
     compute_path_fractions,
     make_height_fields,
 )
-from splits.simulation.spectral_rows import PathSharingMedia
-from splits.simulation.truncated_medium import THEORY_UNCERTAINTY
+from splits.simulation.shared_paths import PathSharingMedia
 
 
 class TracedMedium(NamedTuple):

@@ -19,10 +19,9 @@ from splits.instruments.flux_target import FluxTarget, allocate_flux_rays
 from splits.kernels.base.scene import Scene
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.kernels.tallies.flux import DOWNWELLING, UPWELLING, FluxSums, tally_flux
-from splits.simulation.exit_tally import ExitTally
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.stopping_rule import Evaluation, StoppingRule
-from splits.simulation.stratum import Stratum, compute_absorption_per_mfp
+from splits.simulation.strata import Evaluation, StoppingRule, Stratum, compute_absorption_per_mfp
+from splits.simulation.tally import ExitTally
 
 FLUX_RAYS_PER_CHUNK = 32
 """Rays whose weights are added up together: few, so that a first round of all batches is short."""

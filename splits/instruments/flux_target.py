@@ -10,8 +10,7 @@ import numpy as np
 from splits.core.uncertainty import compute_batch_stderr
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.simulation.engine import MIN_ROUND_GROWTH
-from splits.simulation.ray_allocation import VarianceTerms, allocate_rays
-from splits.simulation.stratum import Stratum
+from splits.simulation.strata import Stratum, VarianceTerms, allocate_rays
 
 _MIN_RELATIVE_VARIANCE = 1e-9
 

@@ -34,23 +34,24 @@ from splits.kernels.base.scene import Scene
 from splits.kernels.tallies.angular import make_basis
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
-from splits.simulation.arguments import (
+from splits.simulation.engine import simulate
+from splits.simulation.run_options import (
+    RunOptions,
     check_dataset_size,
     check_direction_angles,
     check_incidence,
     check_n_bins,
     check_wavelengths,
 )
-from splits.simulation.engine import simulate
-from splits.simulation.incident_light import (
+from splits.simulation.scene import (
+    build_scene,
     check_stokes,
+    compute_optical_constants,
     describe_polarization,
     requests_polarization,
 )
-from splits.simulation.run_options import RunOptions
-from splits.simulation.scene import build_scene, compute_optical_constants
 from splits.simulation.spectral_nodes import choose_nodes
-from splits.simulation.stopping_rule import StoppingRule
+from splits.simulation.strata import StoppingRule
 
 POLAR_DEG = tuple(np.arange(0.0, 90.0, 2.5).tolist())
 AZIMUTH_DEG = tuple(np.arange(0.0, 360.0, 5.0).tolist())

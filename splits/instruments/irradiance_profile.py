@@ -33,9 +33,8 @@ from splits.instruments.solver import (
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
-from splits.simulation.arguments import check_incidence, check_wavelengths
 from splits.simulation.engine import simulate
-from splits.simulation.run_options import RunOptions
+from splits.simulation.run_options import RunOptions, check_incidence, check_wavelengths
 from splits.simulation.scene import add_recording_planes, build_scene
 from splits.simulation.spectral_nodes import (
     INTERPOLATION_FRACTION,
@@ -43,7 +42,7 @@ from splits.simulation.spectral_nodes import (
     IndexNodes,
     choose_nodes,
 )
-from splits.simulation.stopping_rule import StoppingRule
+from splits.simulation.strata import StoppingRule
 
 MAX_DEPTHS = 200
 MAX_TALLY_VALUES = 100_000_000

@@ -29,8 +29,7 @@ from splits.kernels.rough_surface.realization import compute_heights_and_slopes
 from splits.kernels.rough_surface.wave_sums import AMPLITUDE, KX, N_WAVE_LANES, PHASE, WAVE_ROWS
 from splits.media.checks import check_medium
 from splits.media.particle_layer import ParticleLayer
-from splits.simulation.arguments import check_half_width
-from splits.simulation.run_options import RunOptions
+from splits.simulation.run_options import RunOptions, check_half_width
 
 CENTRE_CHOICES = ("crest", "trough", "origin")
 DEFAULT_RAYS = 360

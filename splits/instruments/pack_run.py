@@ -29,8 +29,7 @@ from splits.io.netcdf import ANCILLARY_ATTRIBUTE
 from splits.media.snow_pack_input import FLAG_NAME, LAYER_DIM, ZENITH_KEY
 from splits.media.snow_pack_quality import FLAGS, HORIZON_DEG
 from splits.media.snow_packs import SnowPacks
-from splits.simulation.arguments import check_incidence
-from splits.simulation.run_options import RunOptions
+from splits.simulation.run_options import RunOptions, check_incidence
 from splits.simulation.threads import DaemonThreadPool, limit_blas_threads
 
 UNSUPPORTED = "unsupported"

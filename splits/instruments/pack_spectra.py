@@ -21,8 +21,7 @@ from splits.instruments.pack_run import (
 )
 from splits.instruments.spectral_run import QUANTITY_LABELS
 from splits.media.snow_packs import SnowPacks
-from splits.simulation.arguments import check_wavelengths
-from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
+from splits.simulation.run_options import RunOptions, check_wavelengths, make_wavelength_coordinate
 
 
 def compute_pack_spectra(

@@ -20,8 +20,8 @@ from splits.illumination.bands import SpectralBand
 from splits.illumination.sky import Sky
 from splits.illumination.sky_spectra import sky
 from splits.instruments.solver import DISCRETE_ORDINATES
-from splits.simulation.arguments import check_wavelengths
-from splits.simulation.stopping_rule import STOP_REASONS
+from splits.simulation.run_options import check_wavelengths
+from splits.simulation.strata import STOP_REASONS
 
 DEFAULT_STEP_NM = 10.0
 MAX_DEFAULT_NM = 2495.0

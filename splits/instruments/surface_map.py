@@ -11,8 +11,7 @@ from splits.core.validation import check_integer, invalid
 from splits.kernels.rough_surface.realization import compute_heights_and_slopes
 from splits.media.checks import check_medium
 from splits.media.particle_layer import ParticleLayer
-from splits.simulation.arguments import check_half_width
-from splits.simulation.run_options import RunOptions
+from splits.simulation.run_options import RunOptions, check_half_width
 
 DEFAULT_POINTS = 201
 MAX_REALIZATIONS = 10_000_000

@@ -30,16 +30,15 @@ from splits.instruments.spectrophotometer import spectrophotometer
 from splits.kernels.tallies.delays import DelayRecord, Receiver
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
-from splits.simulation.arguments import check_incidence, check_wavelengths
 from splits.simulation.engine import simulate
-from splits.simulation.run_options import RunOptions
+from splits.simulation.run_options import RunOptions, check_incidence, check_wavelengths
 from splits.simulation.scene import (
     add_recording_planes,
     build_scene,
     compute_optical_constants,
 )
 from splits.simulation.spectral_nodes import choose_nodes
-from splits.simulation.stopping_rule import StoppingRule
+from splits.simulation.strata import StoppingRule
 
 CLEARANCE_MFP = 30.0
 """Mean free paths between the depths that matter and the end of a semi-infinite medium."""

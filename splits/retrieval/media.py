@@ -29,7 +29,7 @@ from splits.retrieval.medium_model import MediumForwardModel
 from splits.retrieval.ordinates_model import MAX_ERROR, OrdinatesForwardModel
 from splits.retrieval.simulation_model import SimulationForwardModel
 from splits.retrieval.state_vector import SCALE, ParameterRange, StateVector
-from splits.simulation.arguments import check_incidence
+from splits.simulation.run_options import check_incidence
 from splits.tables.axes import check_axis_values
 from splits.tables.interpolation import transform_axis
 

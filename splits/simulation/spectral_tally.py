@@ -17,14 +17,23 @@ import numpy as np
 from splits.kernels.base.scene import Scene
 from splits.kernels.tallies.derivatives import tally_derivatives
 from splits.kernels.tallies.exits import BLOCK_SIZE, N_BATCHES, WeightSums, tally_weights
-from splits.simulation.exit_tally import ExitTally
-from splits.simulation.interpolation_bounds import bound_derivative_error, bound_fraction_error
-from splits.simulation.rare_light import allow_for_unseen_rays, find_required_rays
-from splits.simulation.ray_allocation import LARGE_PROBLEM_ROWS, VarianceTerms, allocate_rays
-from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.spectral_rows import SpectralRows
-from splits.simulation.stopping_rule import Evaluation, StoppingRule
-from splits.simulation.stratum import STRATUM_BOUNDS, Stratum, compute_absorption_per_mfp
+from splits.simulation.shared_paths import SpectralRows
+from splits.simulation.spectral_nodes import (
+    IndexNodes,
+    bound_derivative_error,
+    bound_fraction_error,
+)
+from splits.simulation.strata import (
+    LARGE_PROBLEM_ROWS,
+    STRATUM_BOUNDS,
+    Evaluation,
+    StoppingRule,
+    Stratum,
+    VarianceTerms,
+    allocate_rays,
+    compute_absorption_per_mfp,
+)
+from splits.simulation.tally import ExitTally, allow_for_unseen_rays, find_required_rays
 
 PILOT_RAYS = 256
 ANALOG_PILOT_RAYS = 2048

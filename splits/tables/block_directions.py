@@ -13,7 +13,7 @@ from splits.instruments.angular_solver import AngularRequest, AngularResult, sol
 from splits.instruments.directional_spectra import simulate_directions
 from splits.instruments.goniophotometer import make_direction_mask
 from splits.instruments.spectral_run import SpectralRequest
-from splits.simulation.truncated_medium import TruncatedMedium
+from splits.simulation.deep_medium import TruncatedMedium
 from splits.tables.media_cache import MediaCache
 from splits.tables.plan import DIFFUSE, PathGroup
 from splits.tables.views import DIFFUSE_PREFIX, VIEW_AXES, ViewGrid, has_diffuse, list_view_axes

@@ -23,8 +23,7 @@ from splits.instruments.delay_record import (
 from splits.instruments.time_of_flight import DelayRequest, simulate_delays
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.media.medium import Medium
-from splits.simulation.arguments import check_incidence, check_wavelengths
-from splits.simulation.run_options import RunOptions
+from splits.simulation.run_options import RunOptions, check_incidence, check_wavelengths
 from splits.tables.axes import INCIDENCE, ParameterGrid
 from splits.tables.plan import make_point_medium
 

@@ -18,7 +18,7 @@ import splits
 from splits.kernels.optics.fresnel import fresnel
 from splits.kernels.vectorized.eligibility import MAX_INDEX
 from splits.materials.library import _DATASET_LOADERS, load_dataset
-from splits.simulation.arguments import WAVELENGTH_RANGE_NM
+from splits.simulation.run_options import WAVELENGTH_RANGE_NM
 
 pytestmark = NEEDS_JIT
 

@@ -26,8 +26,7 @@ from splits.kernels.math.rng import start_stream
 from splits.kernels.math.vectors import ORIGIN, UP, Vector, linear_combination
 from splits.kernels.optics.stokes import Stokes, compute_azimuth, rotate_reference_to
 from splits.kernels.tallies.exits import compute_path_weight
-from splits.simulation.incident_light import IncidentPolarization
-from splits.simulation.scene import build_scene
+from splits.simulation.scene import IncidentPolarization, build_scene
 
 pytestmark = NEEDS_JIT
 

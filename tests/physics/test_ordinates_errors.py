@@ -23,8 +23,8 @@ from splits.discrete_ordinates.parameter_derivatives import (
     solve_derivatives,
 )
 from splits.discrete_ordinates.snow_packs import solve_spectra
+from splits.simulation.grain_optics import GRAIN_RAYS_PER_CHUNK
 from splits.simulation.run_options import RunOptions
-from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK
 
 GRAZING = [88.3, 88.7, 89.2, 89.5, 89.74, 89.9, 89.96]
 VERY_WET = {

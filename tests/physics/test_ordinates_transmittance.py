@@ -12,8 +12,8 @@ from splits.discrete_ordinates.grain_tabulation import N_RAYS, TableAxes, tabula
 from splits.discrete_ordinates.grains import Axis
 from splits.discrete_ordinates.granular_stack import OPTICS_SHARE
 from splits.discrete_ordinates.profiles import find_similarity_error
+from splits.simulation.grain_optics import GRAIN_RAYS_PER_CHUNK
 from splits.simulation.run_options import RunOptions
-from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK
 
 BEAM = np.array([1.0])
 WAVELENGTHS = np.array([800.0, 1030.0, 1300.0])

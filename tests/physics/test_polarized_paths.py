@@ -34,8 +34,7 @@ from splits.kernels.rough_surface.realization import (
     sample_realization_if_rough,
 )
 from splits.kernels.transport import events, history, rough_top
-from splits.simulation.incident_light import IncidentPolarization
-from splits.simulation.scene import build_scene, compute_optical_constants
+from splits.simulation.scene import IncidentPolarization, build_scene, compute_optical_constants
 
 EPSILON = 2.0**-52
 N_EVENTS = 100_000

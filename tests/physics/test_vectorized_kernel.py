@@ -28,10 +28,10 @@ from splits.kernels.vectorized.lane_state import N_LANES, Lane, Material, Pore
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import build_scene
+from splits.simulation.shared_paths import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_nodes import make_separate_nodes
-from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_tally import SINGLE_STRATUM, SpectralTally
-from splits.simulation.stopping_rule import StoppingRule
+from splits.simulation.strata import StoppingRule
 from splits.simulation.tally import RAYS_PER_CHUNK
 
 pytestmark = NEEDS_JIT

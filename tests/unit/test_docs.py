@@ -25,7 +25,7 @@ from splits.experiments.config.sections import FitSection
 from splits.experiments.config.settings import ArchiveAuthor, Settings
 from splits.experiments.studies import STUDY_KINDS
 from splits.instruments.pack_run import RESULT_FLAGS
-from splits.simulation.stopping_rule import STOP_REASONS
+from splits.simulation.strata import STOP_REASONS
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

@@ -23,7 +23,7 @@ from splits.instruments.delay_record import (
 from splits.instruments.delay_tally import check_tally_size
 from splits.instruments.slowness import compute_slowness
 from splits.media.medium import Medium
-from splits.simulation.arguments import check_half_width
+from splits.simulation.run_options import check_half_width
 
 BeamHalfWidth = Annotated[float, AfterValidator(lambda x: check_half_width("beam_spread", x))]
 

@@ -15,7 +15,7 @@ from splits.experiments.config.sections import FiniteSection
 from splits.instruments.pack_run import SUN
 from splits.media.checks import INFINITE_DEPTH_HINT
 from splits.media.medium import Medium
-from splits.simulation.arguments import check_incidence, check_wavelengths
+from splits.simulation.run_options import check_incidence, check_wavelengths
 
 USE_GRID_HINT = "several values belong under grid"
 MAX_STDERR = 0.5

@@ -37,8 +37,8 @@ from splits.plotting.panels import (
     MIN_POLAR_ANGLES,
     can_map_hemisphere,
 )
-from splits.simulation.arguments import check_direction_angles, check_n_bins
-from splits.simulation.incident_light import ALLOWED_STOKES, check_stokes
+from splits.simulation.run_options import check_direction_angles, check_n_bins
+from splits.simulation.scene import ALLOWED_STOKES, check_stokes
 from splits.tables.axes import ParameterGrid
 from splits.tables.plan import choose_table_solver
 from splits.tables.views import VIEW_AXES, ViewGrid, check_quantities

@@ -48,7 +48,7 @@ from splits.media.kinds import LAYERS_KEY, MEDIUM_CLASSES, get_kind, make_medium
 from splits.media.measured_inputs import override_keywords
 from splits.media.medium import Medium
 from splits.media.snow_packs import SnowPacks
-from splits.simulation.arguments import MAX_DATASET_VALUES, check_beam_angle, check_incidence
+from splits.simulation.run_options import MAX_DATASET_VALUES, check_beam_angle, check_incidence
 from splits.simulation.scene import compute_optical_constants, make_height_fields
 from splits.tables.axes import ParameterGrid
 

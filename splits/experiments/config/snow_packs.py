@@ -22,7 +22,7 @@ from splits.instruments.solver import MONTE_CARLO
 from splits.media.snow_pack_files import read_snow_packs
 from splits.media.snow_pack_input import ZENITH_KEY
 from splits.media.snow_packs import SnowPacks
-from splits.simulation.arguments import MAX_DATASET_VALUES
+from splits.simulation.run_options import MAX_DATASET_VALUES
 
 PACKS_KIND = "snow_packs"
 """Kind of the medium of a file of snowpacks."""

@@ -15,7 +15,7 @@ from splits.instruments.lens import (
     check_screen_depths,
 )
 from splits.instruments.surface_map import DEFAULT_POINTS, MAX_REALIZATIONS
-from splits.simulation.arguments import check_half_width
+from splits.simulation.run_options import check_half_width
 
 MapHalfWidth = Annotated[float, AfterValidator(lambda x: check_half_width("surface_map", x))]
 LensHalfWidth = Annotated[float, AfterValidator(lambda x: check_half_width("lens", x))]

@@ -17,14 +17,11 @@ from splits.kernels.tallies.exits import EXIT_LENGTH, TraceResult
 from splits.kernels.transport import history
 from splits.simulation import engine
 from splits.simulation.engine import MAX_ROUND_GROWTH, ProgressReport, limit_round, simulate
-from splits.simulation.exit_tally import ExitTally
-from splits.simulation.ray_allocation import VarianceTerms, allocate_rays
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import build_scene
 from splits.simulation.spectral_nodes import make_separate_nodes
-from splits.simulation.stopping_rule import Evaluation, StoppingRule
-from splits.simulation.stratum import Stratum
-from splits.simulation.tally import RAYS_PER_CHUNK
+from splits.simulation.strata import Evaluation, StoppingRule, Stratum, VarianceTerms, allocate_rays
+from splits.simulation.tally import RAYS_PER_CHUNK, ExitTally
 
 MANY_RAYS = 10**8
 WAVELENGTHS = [500.0, 1000.0, 1500.0]

@@ -1,13 +1,139 @@
-"""Allocation of rays to strata for the least cost."""
+"""Strata of rays: what they trace, how many rays each gets, and when tracing stops."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.simulation.stratum import Stratum
+from splits.kernels.base.scene import Optics, Scene
+from splits.kernels.base.work import NO_MAX_ORDER
+from splits.kernels.compiler.features import Features
+
+# --------------------------------------------------------------------------------------------------
+# Strata: rays with one random stream, for some wavelengths or some orders of scattering.
+
+STRATUM_BOUNDS = (-1.0, 0.0005, 0.0015, 0.004, 0.01, 0.03, 0.1)
+"""Absorption over one mean distance between grains at which strata of wavelengths begin.  Visible
+light needs few rays and long paths, the near infrared many rays and short paths."""
+INITIAL_SEGMENTS = 400.0
+"""Expected segments per ray, before tracing, of rays that little is absorbed of."""
+
+
+@dataclass(eq=False)
+class Stratum:
+    """Rays with one random stream, for some node rows, or for some orders of scattering.
+
+    Rays for strongly absorbed wavelengths only can be terminated early by roulette, and those for
+    low orders of scattering after the last of these orders.
+
+    Attributes
+    ----------
+    stream : int
+        Number of the random streams.
+    optics : Optics
+    node_rows : slice
+        Node rows that the rays serve.
+    absorption : float, shape (node rows, columns)
+        Their absorption coefficients (1/m).
+    expected_segments : float
+        Expected segments per ray before any was traced.
+    max_order : int
+        Largest order of scattering of a ray.
+    features : Features or None
+        Features of the vectorized kernel, None for the scalar kernel.
+    n_rays, n_segments : int
+        Traced so far.
+    """
+
+    stream: int
+    optics: Optics
+    node_rows: slice
+    absorption: np.ndarray
+    expected_segments: float = INITIAL_SEGMENTS
+    max_order: int = NO_MAX_ORDER
+    features: Features | None = None
+    n_rays: int = 0
+    n_segments: int = 0
+
+
+def compute_absorption_per_mfp(scene: Scene, absorption: np.ndarray) -> np.ndarray:
+    """Return the absorption over the smallest mean free path of a scene, by row.
+
+    Parameters
+    ----------
+    scene : Scene
+    absorption : float, shape (rows, columns)
+        Absorption coefficients (1/m).
+    """
+    materials = np.arange(absorption.shape[1]) != scene.ground_column
+    strength: np.ndarray = absorption[:, materials].max(axis=1)
+    return strength / scene.layers.collision_coefficient.max()
+
+
+# --------------------------------------------------------------------------------------------------
+# When and why tracing stops.
+
+STOP_REASONS = (
+    "converged", "fixed_rays", "unresolved_lobe", "interpolation_bound", "solver_error", "no_light",
+    "max_degree", "max_rays",
+)  # fmt: skip
+"""Why runs stop; "solver_error": discrete ordinates have a larger error than the requested one.
+Where several runs serve one result, the last of their reasons is stated."""
+
+
+class StoppingRule(NamedTuple):
+    """When tracing stops.
+
+    Attributes
+    ----------
+    max_error : float
+        Largest error, absolute or relative as the tally defines it.
+    max_rays : int
+        Number of rays at which tracing stops in any case.
+    fixed : bool
+        Whether `max_rays` rays are traced whatever the error is.
+    """
+
+    max_error: float
+    max_rays: int
+    fixed: bool = False
+
+    def find_reason(self, evaluation: Evaluation, n_rays: int) -> str:
+        """Return why tracing stops after a number of rays, or an empty string."""
+        exhausted = n_rays >= self.max_rays
+        if self.fixed:
+            return "fixed_rays" if exhausted else ""
+        if evaluation.stop_reason:
+            return evaluation.stop_reason
+        if evaluation.error <= self.max_error:
+            return "converged"
+        return "max_rays" if exhausted else ""
+
+
+class Evaluation(NamedTuple):
+    """State of a run after a round of rays, and its result after the last.
+
+    Attributes
+    ----------
+    error : float
+        Largest error reached, as the tally defines it.
+    estimate : object
+        Estimate from all rays so far, which the tally defines.
+    stop_reason : str
+        One of `STOP_REASONS` once a run has stopped.  Before, a reason of the tally other than the
+        error and the number of rays, or an empty string.
+    """
+
+    error: float
+    estimate: Any = None
+    stop_reason: str = ""
+
+
+# --------------------------------------------------------------------------------------------------
+# Allocation of rays to strata for the least cost.
 
 LARGE_PROBLEM_ROWS = 4000
 """Number of rows up to which ray allocation considers all of them."""

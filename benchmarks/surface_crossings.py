@@ -18,7 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from splits.kernels.math.vectors import Vector
+from splits.kernels.arithmetic import Vector
 from splits.kernels.rough_surface.intersection import find_first_intersection
 from splits.kernels.rough_surface.missed_intersections import (
     EVALUATIONS,

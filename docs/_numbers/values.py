@@ -31,7 +31,7 @@ from splits.analysis.directions import select_principal_plane
 from splits.core.validation import invalid
 from splits.experiments.papers.brdf_trends import MAX_LAMBERTIAN_RANGE
 from splits.io.netcdf import load
-from splits.kernels.grains.free_path import MAX_REJECTIONS
+from splits.kernels.grains.spheroid import MAX_REJECTIONS
 
 CODE_SOURCE = ""
 """Source of constants of the code."""

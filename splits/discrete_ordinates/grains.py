@@ -10,8 +10,8 @@ import xarray as xr
 from splits.core.uncertainty import compute_leave_one_out_means
 from splits.discrete_ordinates.homogeneous_layer import TINY
 from splits.discrete_ordinates.refraction import WET
-from splits.kernels.base.scene import Scene
 from splits.kernels.grains.single_grain import N_SCATTERING_BATCHES
+from splits.kernels.scene import Scene
 from splits.media.medium import GranularMedium
 from splits.simulation.engine import simulate
 from splits.simulation.grain_optics import (

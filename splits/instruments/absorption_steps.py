@@ -20,7 +20,7 @@ from splits.discrete_ordinates.applicability import (
 from splits.discrete_ordinates.grains import GrainTable
 from splits.discrete_ordinates.granular_layers import GranularLayer, compute_replicate_error
 from splits.discrete_ordinates.granular_stack import find_similarity_error
-from splits.kernels.base.scene import DRY_PORE, MATRIX
+from splits.kernels.scene import DRY_PORE, MATRIX
 from splits.media.medium import Layer, Medium
 from splits.simulation.scene import compute_material_constants
 

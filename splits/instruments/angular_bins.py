@@ -15,7 +15,7 @@ from splits.instruments.angular_estimate import (
     compute_anisotropy,
 )
 from splits.instruments.linear_polarization import SMALLEST_INTENSITY, StokesEstimate
-from splits.kernels.tallies.angular import (
+from splits.kernels.tallies.distributions import (
     FIRST_PRODUCT,
     FIRST_STOKES,
     FIRST_STOKES_SQUARED,
@@ -47,7 +47,7 @@ class AngularBinTally(AngularTally, ExitTally):
     Attributes
     ----------
     bin_sums : float, shape (2 or more, 2, node rows, polar, azimuth)
-        See `splits.kernels.tallies.angular.tally_angular_bins`.
+        See `splits.kernels.tallies.distributions.tally_angular_bins`.
     unscattered_sums : float, shape (2, 2, node rows)
     """
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splits.kernels.tallies.angular import DiskBasis, evaluate_basis_at
+from splits.kernels.tallies.distributions import DiskBasis, evaluate_basis_at
 
 VARIANCE_PENALTY = 4.0
 """Number of variances by which the squares of coefficients must on average exceed 0 to be kept.

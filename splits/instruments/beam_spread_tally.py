@@ -16,7 +16,7 @@ from splits.core.uncertainty import (
     make_variable,
 )
 from splits.instruments.angular_estimate import N_ANGULAR_BATCHES
-from splits.kernels.tallies.radial import RadialSums, tally_radial
+from splits.kernels.tallies.distributions import RadialSums, tally_radial
 from splits.simulation.run_options import make_wavelength_coordinate
 from splits.simulation.spectral_nodes import IndexNodes, bound_fraction_error
 from splits.simulation.strata import Stratum
@@ -54,7 +54,7 @@ class BeamSpreadTally(ExitTally):
     radial_sums : float, shape (batches, 2, node rows, bins)
     moment_sums : float, shape (batches, 2, node rows)
     map_sums : float, shape (2, 2, node rows, pixels, pixels)
-        See `splits.kernels.tallies.radial.RadialSums`.
+        See `splits.kernels.tallies.distributions.RadialSums`.
     """
 
     first_stream = 6_000_000

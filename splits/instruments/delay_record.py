@@ -16,9 +16,8 @@ from splits.core.arrays import (
     read_columns,
 )
 from splits.core.validation import as_scalar, check_range, invalid
-from splits.kernels.base.scene import Layers
-from splits.kernels.base.work import NO_MAX_ORDER
-from splits.kernels.tallies.delays import Receiver
+from splits.kernels.scene import NO_MAX_ORDER, Layers
+from splits.kernels.tallies.distributions import Receiver
 from splits.materials.csv_table import to_columns
 from splits.media.medium import Medium
 

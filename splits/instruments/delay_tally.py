@@ -6,7 +6,12 @@ import numpy as np
 
 from splits.core.validation import invalid
 from splits.instruments.angular_estimate import N_ANGULAR_BATCHES
-from splits.kernels.tallies.delays import N_MOMENTS, DelayRecord, DelaySums, tally_delays
+from splits.kernels.tallies.distributions import (
+    N_MOMENTS,
+    DelayRecord,
+    DelaySums,
+    tally_delays,
+)
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.strata import Stratum
 from splits.simulation.tally import RAYS_PER_CHUNK, ExitTally
@@ -50,7 +55,7 @@ class DelayTally(ExitTally):
     histogram_sums : float, shape (batches, 2, node rows, bins)
     moment_sums : float, shape (batches, 2, node rows, intervals, 4)
     length_sums : float, shape (batches, 2, node rows, columns)
-        See `splits.kernels.tallies.delays.DelaySums`.
+        See `splits.kernels.tallies.distributions.DelaySums`.
     """
 
     first_stream = 10_000_000

@@ -11,7 +11,7 @@ from splits.core.error_target import ErrorTarget
 from splits.core.validation import invalid
 from splits.instruments.angular_estimate import AngularEstimate, AngularTally, compute_anisotropy
 from splits.instruments.linear_polarization import StokesEstimate
-from splits.kernels.base.scene import Scene
+from splits.kernels.scene import Scene
 from splits.kernels.transport.history import trace_to_detectors
 from splits.kernels.transport.next_event import Detectors
 from splits.media.medium import ParticleMedium

@@ -12,7 +12,7 @@ from splits.instruments.angular_truncation import make_direction_grid
 from splits.instruments.expansion_tally import MAX_DEGREE, ExpansionTally
 from splits.instruments.goniophotometer import INTERPOLATION_FRACTION
 from splits.instruments.spectral_run import MAX_ATTEMPTS, SpectralRequest
-from splits.kernels.tallies.angular import make_basis
+from splits.kernels.tallies.distributions import make_basis
 from splits.simulation.deep_medium import ERROR_BUDGET_FRACTION, THEORY_UNCERTAINTY, TruncatedMedium
 from splits.simulation.engine import simulate
 from splits.simulation.scene import build_scene

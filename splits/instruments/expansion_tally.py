@@ -20,8 +20,8 @@ from splits.instruments.angular_estimate import (
     stack_rows,
 )
 from splits.instruments.angular_truncation import DirectionGrid
-from splits.kernels.base.work import NO_MAX_ORDER
-from splits.kernels.tallies.angular import AngularSums, tally_expansion
+from splits.kernels.scene import NO_MAX_ORDER
+from splits.kernels.tallies.distributions import AngularSums, tally_expansion
 from splits.kernels.tallies.exits import EXIT_ORDER
 from splits.simulation.spectral_nodes import INTERPOLATION_FACTOR, IndexNodes
 from splits.simulation.strata import Evaluation, StoppingRule, Stratum
@@ -52,7 +52,7 @@ class ExpansionTally(AngularTally, ExitTally):
     Attributes
     ----------
     coefficient_sums : float, shape (batches, classes, 2, node rows, polynomials)
-        See `splits.kernels.tallies.angular.tally_expansion`.
+        See `splits.kernels.tallies.distributions.tally_expansion`.
     unscattered_sums : float, shape (batches, 2, node rows)
     """
 

@@ -16,7 +16,7 @@ from splits.instruments.flux_errors import (
 )
 from splits.instruments.flux_media import TracedMedium
 from splits.instruments.flux_target import FluxTarget, allocate_flux_rays
-from splits.kernels.base.scene import Scene
+from splits.kernels.scene import Scene
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.kernels.tallies.flux import DOWNWELLING, UPWELLING, FluxSums, tally_flux
 from splits.simulation.spectral_nodes import IndexNodes

@@ -30,8 +30,8 @@ from splits.instruments.detector_tally import DetectorTally
 from splits.instruments.expansion_tally import MAX_DEGREE, ExpansionTally
 from splits.instruments.next_event import get_detected_layers, make_detectors
 from splits.instruments.solver import AUTO, DISCRETE_ORDINATES, MONTE_CARLO, choose_solver
-from splits.kernels.base.scene import Scene
-from splits.kernels.tallies.angular import make_basis
+from splits.kernels.scene import Scene
+from splits.kernels.tallies.distributions import make_basis
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
 from splits.simulation.engine import simulate

@@ -24,9 +24,15 @@ from splits.instruments.lens_dataset import (
     make_lens_dataset,
     make_ray_variables,
 )
-from splits.kernels.rough_surface.lens import RefractedRays, refract_vertical_rays
-from splits.kernels.rough_surface.realization import compute_heights_and_slopes
-from splits.kernels.rough_surface.wave_sums import AMPLITUDE, KX, N_WAVE_LANES, PHASE, WAVE_ROWS
+from splits.kernels.rough_surface.intersection import RefractedRays, refract_vertical_rays
+from splits.kernels.rough_surface.realization import (
+    AMPLITUDE,
+    KX,
+    N_WAVE_LANES,
+    PHASE,
+    WAVE_ROWS,
+    compute_heights_and_slopes,
+)
 from splits.media.checks import check_medium
 from splits.media.particle_layer import ParticleLayer
 from splits.simulation.run_options import RunOptions, check_half_width

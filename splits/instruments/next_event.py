@@ -12,9 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from splits.core.validation import invalid
-from splits.kernels.base.scene import Scene
-from splits.kernels.optics.forward_peak import separate_peak
-from splits.kernels.optics.polarized_interface import compute_fresnel_mueller
+from splits.kernels.interface import compute_fresnel_mueller
+from splits.kernels.phase_function import separate_peak
+from splits.kernels.scene import Scene
 from splits.kernels.transport.next_event import ABOVE, BELOW, Detectors
 from splits.media.medium import Medium, ParticleMedium
 

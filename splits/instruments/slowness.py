@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.instruments.delay_record import SPEED_OF_LIGHT
-from splits.kernels.base.scene import WET_PORE
+from splits.kernels.scene import WET_PORE
 from splits.materials.group_index import (
     WATER_RANGE_NM,
     GroupIndex,

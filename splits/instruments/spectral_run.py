@@ -10,7 +10,7 @@ import xarray as xr
 
 from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
 from splits.core.validation import check_integer, check_range, invalid
-from splits.kernels.base.scene import NO_GROUND
+from splits.kernels.scene import NO_GROUND
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.medium import Medium
 from splits.simulation.deep_medium import (

@@ -27,7 +27,7 @@ from splits.instruments.delay_record import (
 from splits.instruments.delay_tally import DelayTally
 from splits.instruments.slowness import compute_slowness
 from splits.instruments.spectrophotometer import spectrophotometer
-from splits.kernels.tallies.delays import DelayRecord, Receiver
+from splits.kernels.tallies.distributions import DelayRecord, Receiver
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
 from splits.simulation.engine import simulate

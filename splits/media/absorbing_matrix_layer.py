@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from splits.kernels.base.scene import MATRIX
+from splits.kernels.scene import MATRIX
 from splits.media.ground import Ground
 from splits.media.medium import Layer, Medium
 from splits.media.particle_layer import ParticleLayer

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.core.optional import import_optional
-from splits.kernels.math.rng import make_table_probabilities
+from splits.kernels.rng import make_table_probabilities
 from splits.kernels.rough_surface import realization as kernels
 
 N_QUANTILES = 4097

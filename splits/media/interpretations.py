@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from splits.core.keywords import reject_unknown_keywords
 from splits.core.validation import check_choice, invalid, join_names, suggest_name
-from splits.kernels.base.sampling_rules import (
+from splits.kernels.scene import (
     ENTRY_SAMPLING,
     FACET_SAMPLING,
     GRAIN_EXTENT,

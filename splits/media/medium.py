@@ -16,9 +16,9 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from splits.kernels.grains.population import GrainPopulation
-from splits.kernels.optics.phase_function import PhaseFunction
+from splits.kernels.phase_function import PhaseFunction
 from splits.kernels.rough_surface.realization import HeightFields
+from splits.kernels.scene import GrainPopulation
 from splits.media.ground import Ground
 from splits.media.interpretations import TransportInterpretation
 

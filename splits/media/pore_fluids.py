@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid
-from splits.kernels.base.scene import DRY_PORE
+from splits.kernels.scene import DRY_PORE
 from splits.materials import RefractiveIndex
 from splits.media.medium import Interface
 

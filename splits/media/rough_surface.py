@@ -17,7 +17,7 @@ from splits.core.validation import (
     key_prefix,
     suggest_name,
 )
-from splits.kernels.math.rng import start_stream
+from splits.kernels.rng import start_stream
 from splits.kernels.rough_surface import realization as kernels
 from splits.media.formatting import format_input
 from splits.media.height_spectra import (

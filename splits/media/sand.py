@@ -14,8 +14,7 @@ from splits.core.arrays import check_named_numbers
 from splits.core.equality import ContentEquality
 from splits.core.keywords import reject_unknown_keywords
 from splits.core.validation import check_range, invalid
-from splits.kernels.base.scene import WET_PORE
-from splits.kernels.grains.population import GrainPopulation, GrainTypes
+from splits.kernels.scene import WET_PORE, GrainPopulation, GrainTypes
 from splits.materials import MINERAL_DENSITY_KG_M3, MIXING_RULES
 from splits.media import grain_statistics as statistics
 from splits.media.formatting import find_differences, format_call

@@ -29,7 +29,7 @@ from splits.core.equality import ContentEquality
 from splits.core.paths import expand_path
 from splits.core.validation import check_integer, invalid, join_names
 from splits.io.netcdf import NETCDF_SUFFIXES, open_foreign
-from splits.kernels.optics.phase_function import PhaseFunction, make_tabulated
+from splits.kernels.phase_function import PhaseFunction, make_tabulated
 from splits.materials.csv_table import read_csv, to_columns
 from splits.media.formatting import format_input
 from splits.media.matrix_expansion import COEFFICIENTS, sum_expansion

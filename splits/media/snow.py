@@ -13,7 +13,7 @@ from splits.core.arrays import check_named_numbers
 from splits.core.equality import ContentEquality
 from splits.core.keywords import reject_unknown_keywords
 from splits.core.validation import check_choice, check_range, invalid, suggest_unit
-from splits.kernels.grains.population import GrainPopulation, GrainTypes
+from splits.kernels.scene import GrainPopulation, GrainTypes
 from splits.materials import ice_density
 from splits.materials.impurities import Impurity, describe_impurities, make_impurities
 from splits.media import grain_statistics as statistics

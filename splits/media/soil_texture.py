@@ -17,7 +17,7 @@ import numpy as np
 
 from splits.core.arrays import check_named_numbers
 from splits.core.validation import check_range, invalid
-from splits.kernels.math.rng import make_table_probabilities
+from splits.kernels.rng import make_table_probabilities
 from splits.media.grain_statistics import N_TABLE_POINTS, integrate_with_quantiles
 
 SEPARATE_LIMITS_M = (5e-8, 2e-6, 5e-5, 2e-3)

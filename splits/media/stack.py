@@ -12,7 +12,7 @@ import numpy as np
 
 from splits.core.keywords import reject_unknown_keywords
 from splits.core.validation import check_choice, invalid, key_prefix
-from splits.kernels.base.scene import MATRIX, WET_PORE
+from splits.kernels.scene import MATRIX, WET_PORE
 from splits.media.formatting import format_input
 from splits.media.ground import Ground, describe_ground
 from splits.media.inputs import check_ground_reached

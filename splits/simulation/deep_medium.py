@@ -22,7 +22,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.validation import invalid
-from splits.kernels.base.scene import DRY_PORE, WET_PORE
+from splits.kernels.scene import DRY_PORE, WET_PORE
 from splits.media.ground import Ground
 from splits.media.medium import GranularMedium, Medium
 from splits.simulation.grain_optics import (

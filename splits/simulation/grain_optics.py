@@ -8,18 +8,16 @@ import numpy as np
 import xarray as xr
 
 from splits.core.uncertainty import compute_batch_stderr, compute_leave_one_out_means
-from splits.kernels.base.scene import DRY_PORE, WET_PORE, Scene
-from splits.kernels.grains.matrix_tally import (
+from splits.kernels.grains.single_grain import (
     N_ELEMENTS,
     N_MATRIX_BATCHES,
-    tally_scattering_matrix,
-)
-from splits.kernels.grains.single_grain import (
     N_SCATTERING_BATCHES,
     IsolatedGrain,
     ScatteringSums,
+    tally_scattering_matrix,
     tally_single_scattering,
 )
+from splits.kernels.scene import DRY_PORE, WET_PORE, Scene
 from splits.media.medium import GranularMedium
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
@@ -186,7 +184,7 @@ class ScatteringMatrixTally(Tally):
     Attributes
     ----------
     sums : float, shape (batches, 6, node rows, angles)
-        See `splits.kernels.grains.matrix_tally.tally_scattering_matrix`; rising cosines.
+        See `splits.kernels.grains.single_grain.tally_scattering_matrix`; rising cosines.
     """
 
     first_stream = 3_000_000

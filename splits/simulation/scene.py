@@ -11,13 +11,19 @@ import numpy as np
 from splits.core.arrays import as_1d_array
 from splits.core.incident_stokes import INCIDENT_STOKES
 from splits.core.validation import as_scalar, invalid
-from splits.kernels.base.scene import NO_GROUND, NO_PARTICLES, Layers, ParticleScattering, Scene
-from splits.kernels.grains.population import GrainPopulation
-from splits.kernels.math.vectors import Vector
-from splits.kernels.optics.source import Source
-from splits.kernels.optics.stokes import UNPOLARIZED, Stokes
+from splits.kernels.arithmetic import Vector
 from splits.kernels.rough_surface.realization import HeightFields
-from splits.kernels.transport.rough_top import MAX_HEIGHT_SIGMA
+from splits.kernels.scene import (
+    NO_GROUND,
+    NO_PARTICLES,
+    GrainPopulation,
+    Layers,
+    ParticleScattering,
+    Scene,
+    Source,
+)
+from splits.kernels.stokes import UNPOLARIZED, Stokes
+from splits.kernels.transport.events import MAX_HEIGHT_SIGMA
 from splits.materials.lookup import absorption_coefficient
 from splits.media.interpretations import Interpretation
 from splits.media.medium import Layer, Medium, ParticleMedium

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.core.validation import invalid
-from splits.kernels.base.scene import NO_GROUND
+from splits.kernels.scene import NO_GROUND
 from splits.media.medium import Interface, Medium
 from splits.simulation.scene import (
     OpticalConstants,

@@ -242,7 +242,7 @@ def choose_nodes(
     Parameters
     ----------
     index : complex, shape (wavelengths, materials)
-        Refractive indices (see `splits.kernels.base.scene`).
+        Refractive indices (see `splits.kernels.scene`).
     interfaces : sequence of Interface
         Interfaces of the medium and their fractions.
     tolerance : float

@@ -14,9 +14,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.kernels.base.scene import Scene
-from splits.kernels.tallies.derivatives import tally_derivatives
-from splits.kernels.tallies.exits import BLOCK_SIZE, N_BATCHES, WeightSums, tally_weights
+from splits.kernels.scene import Scene
+from splits.kernels.tallies.exits import (
+    BLOCK_SIZE,
+    N_BATCHES,
+    WeightSums,
+    tally_derivatives,
+    tally_weights,
+)
 from splits.simulation.shared_paths import SpectralRows
 from splits.simulation.spectral_nodes import (
     IndexNodes,

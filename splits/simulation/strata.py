@@ -8,9 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.kernels.base.scene import Optics, Scene
-from splits.kernels.base.work import NO_MAX_ORDER
-from splits.kernels.compiler.features import Features
+from splits.kernels.scene import NO_MAX_ORDER, Features, Optics, Scene
 
 # --------------------------------------------------------------------------------------------------
 # Strata: rays with one random stream, for some wavelengths or some orders of scattering.

@@ -10,13 +10,24 @@ import numpy as np
 
 from splits.core.validation import invalid
 from splits.kernels import vectorized
-from splits.kernels.base.scene import NO_GROUND, Optics, Scene, make_bounding_optics
-from splits.kernels.base.work import N_RAYS, NO_MAX_ORDER
 from splits.kernels.rough_surface.realization import allocate_realization
-from splits.kernels.tallies.crossings import CROSSING_RAY
-from splits.kernels.tallies.exits import EXIT_LENGTH, N_STOKES_COLUMNS, TraceResult, allocate_exits
+from splits.kernels.scene import (
+    N_RAYS,
+    NO_GROUND,
+    NO_MAX_ORDER,
+    Optics,
+    Scene,
+    make_bounding_optics,
+)
+from splits.kernels.tallies.exits import (
+    CROSSING_RAY,
+    EXIT_LENGTH,
+    N_STOKES_COLUMNS,
+    TraceResult,
+    allocate_exits,
+)
 from splits.kernels.transport import history
-from splits.kernels.vectorized.eligibility import select_features
+from splits.kernels.vectorized.trace import select_features
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.strata import (
     INITIAL_SEGMENTS,
@@ -135,7 +146,7 @@ class Tally(ABC):
         Rays of each stratum in the first round.
     first_stream : int
         First number of the random streams, which are identified by seed, stream number and ray
-        (`splits.kernels.math.rng`).  Each class of tallies owns a million numbers, so that with one
+        (`splits.kernels.rng`).  Each class of tallies owns a million numbers, so that with one
         seed no two instruments use the same random numbers.
     shares_kernel : bool
         Whether all strata are traced by one kernel, if possible, so that they fill its lanes.

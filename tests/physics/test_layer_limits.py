@@ -12,8 +12,8 @@ from scattering_matrices import make_matrix
 
 import splits
 from splits.instruments.next_event import make_detectors
-from splits.kernels.base.scene import make_bounding_optics
-from splits.kernels.optics.fresnel import fresnel
+from splits.kernels.interface import fresnel
+from splits.kernels.scene import make_bounding_optics
 from splits.kernels.transport.history import trace_to_detectors
 from splits.kernels.transport.next_event import ABOVE
 from splits.simulation.scene import build_scene, compute_optical_constants

@@ -12,8 +12,8 @@ from events import sample_unit_sphere
 from numba import njit
 from scipy import stats
 
-from splits.kernels.math import rng
-from splits.kernels.math.vectors import Vector, add_scaled, scale
+from splits.kernels import rng
+from splits.kernels.arithmetic import Vector, add_scaled, scale
 from splits.kernels.rough_surface.intersection import NO_HIT, find_first_intersection
 from splits.kernels.rough_surface.missed_intersections import (
     INTERSECTIONS,

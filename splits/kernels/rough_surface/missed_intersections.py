@@ -6,11 +6,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.kernels.arithmetic import (
+    UP,
+    Vector,
+    add_scaled,
+    sample_cosine_lobe,
+    scale,
+)
 from splits.kernels.compiler.jit import entry_point, inline_only
-from splits.kernels.math.rng import start_stream, uniform
-from splits.kernels.math.vectors import UP, Vector, add_scaled, sample_cosine_lobe, scale
-from splits.kernels.optics.interface import ComplexIndex, sample_interface
-from splits.kernels.optics.source import Source, sample_source_direction
+from splits.kernels.interface import ComplexIndex, sample_interface
+from splits.kernels.rng import start_stream, uniform
 from splits.kernels.rough_surface.intersection import (
     NO_HIT,
     STEP_LIMIT_REACHED,
@@ -24,6 +29,7 @@ from splits.kernels.rough_surface.realization import (
     compute_height_and_slope,
     sample_realization,
 )
+from splits.kernels.scene import Source, sample_source_direction
 
 MAX_HITS = 50
 INTERSECTIONS, LEAKS, LOST_RAYS, SEGMENTS, EVALUATIONS = range(5)

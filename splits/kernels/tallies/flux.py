@@ -11,15 +11,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.kernels.arithmetic import exp_float32
 from splits.kernels.compiler.jit import HALF, ONE, ZERO, entry_point, float32_constant, inline
-from splits.kernels.math.elementary import exp_float32
-from splits.kernels.tallies.crossings import (
+from splits.kernels.tallies.exits import (
     CROSSING_CODE,
     CROSSING_LENGTH,
     CROSSING_RAY,
     CROSSING_WEIGHT,
+    EXIT_LENGTH,
+    EXIT_SIDE,
+    EXIT_WEIGHT,
+    transpose_absorption,
 )
-from splits.kernels.tallies.exits import EXIT_LENGTH, EXIT_SIDE, EXIT_WEIGHT, transpose_absorption
 
 DOWNWELLING, UPWELLING = range(2)
 _MAX_SERIES_DEPTH = float32_constant(0.05)
@@ -72,7 +75,7 @@ def tally_flux(exits, crossings, absorption, path_fractions, n_layers, ground_co
     ----------
     exits : float64[rays, columns]
     crossings : float64[crossings, columns]
-        Of these rays, ray by ray, see `splits.kernels.tallies.crossings`.
+        Of these rays, ray by ray, see `splits.kernels.tallies.exits`.
     absorption : float64[wavelengths, materials]
         Absorption coefficients (1/m) of recorded path lengths; −ln of the albedo for a ground.
     path_fractions : float64[materials]

@@ -15,7 +15,7 @@ from splits.instruments.angular_truncation import (
     make_direction_grid,
     select_terms,
 )
-from splits.kernels.tallies.angular import (
+from splits.kernels.tallies.distributions import (
     evaluate_basis_at,
     make_basis,
     tally_angular_bins,

@@ -11,7 +11,7 @@ import xarray as xr
 
 from splits import ParticleLayer
 from splits.core.validation import InvalidValue
-from splits.kernels.optics.phase_function import evaluate_scattering_ratios, make_rayleigh
+from splits.kernels.phase_function import evaluate_scattering_ratios, make_rayleigh
 from splits.media.matrix_expansion import COEFFICIENTS, sum_expansion
 from splits.media.scattering_matrix import ELEMENTS, ScatteringMatrix
 

@@ -11,9 +11,8 @@ from stub_tracing import SEGMENTS, StubTally
 
 import splits
 from splits.core.validation import InvalidValue
-from splits.kernels.compiler.features import ALL_FEATURES
-from splits.kernels.tallies.crossings import CROSSING_LENGTH, CROSSING_RAY
-from splits.kernels.tallies.exits import EXIT_LENGTH, TraceResult
+from splits.kernels.scene import ALL_FEATURES
+from splits.kernels.tallies.exits import CROSSING_LENGTH, CROSSING_RAY, EXIT_LENGTH, TraceResult
 from splits.kernels.transport import history
 from splits.simulation import engine
 from splits.simulation.engine import MAX_ROUND_GROWTH, ProgressReport, limit_round, simulate

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import splits
-from splits.kernels.compiler.features import ALL_FEATURES
+from splits.kernels.scene import ALL_FEATURES
 from splits.simulation.engine import (
     MAX_JOB_BYTES,
     MAX_SEGMENTS_PER_JOB,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import splits
-from splits.kernels.base.scene import Scene
+from splits.kernels.scene import Scene
 from splits.simulation import shared_paths
 from splits.simulation.scene import build_scene
 from splits.simulation.shared_paths import compute_path_signature

@@ -14,7 +14,7 @@ from splits.instruments.angular_bins import AngularBinTally
 from splits.instruments.beam_spread_tally import BeamSpreadTally
 from splits.instruments.expansion_tally import ORDER_CLASSES, ExpansionTally
 from splits.instruments.flux_tally import FluxTally
-from splits.kernels.tallies.angular import make_basis
+from splits.kernels.tallies.distributions import make_basis
 from splits.simulation.grain_optics import SingleScatteringTally
 from splits.simulation.scene import OpticalConstants, build_scene
 from splits.simulation.shared_paths import SpectralRows

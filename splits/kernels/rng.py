@@ -14,8 +14,8 @@ import math
 
 import numpy as np
 
+from splits.kernels.arithmetic import Angle
 from splits.kernels.compiler.jit import inline
-from splits.kernels.math.elementary import Angle
 
 GOLDEN_GAMMA = np.uint64(0x9E3779B97F4A7C15)
 _MIX1 = np.uint64(0xBF58476D1CE4E5B9)

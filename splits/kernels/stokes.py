@@ -19,9 +19,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from splits.kernels.compiler.jit import TINY, inline, inline_only
-from splits.kernels.math.rng import sample_azimuth, uniform
-from splits.kernels.math.vectors import (
+from splits.kernels.arithmetic import (
     Vector,
     add_scaled,
     cross,
@@ -30,11 +28,13 @@ from splits.kernels.math.vectors import (
     make_tangents,
     normalize,
 )
-from splits.kernels.optics.phase_function import (
+from splits.kernels.compiler.jit import TINY, inline, inline_only
+from splits.kernels.phase_function import (
     evaluate_phase_function,
     evaluate_scattering_ratios,
     sample_scattering_cosine,
 )
+from splits.kernels.rng import sample_azimuth, uniform
 
 
 class Stokes(NamedTuple):

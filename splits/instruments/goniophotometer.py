@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Collection, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -10,30 +11,38 @@ import xarray as xr
 from splits.core.error_target import ErrorTarget
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
+from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import (
     check_choice,
     check_integer,
     check_range,
     invalid,
 )
-from splits.instruments.angular_bins import DEFAULT_N_BINS, AngularBinTally, compute_bin_centres
-from splits.instruments.angular_dataset import make_angular_dataset
-from splits.instruments.angular_estimate import AngularEstimate, AngularTally
-from splits.instruments.angular_solver import (
+from splits.instruments.angular_estimate import AngularEstimate, AngularTally, make_direction_grid
+from splits.instruments.angular_tallies import (
+    DEFAULT_N_BINS,
+    MAX_DEGREE,
+    AngularBinTally,
+    ExpansionTally,
+    compute_bin_centres,
+)
+from splits.instruments.detector_tally import DetectorTally, get_detected_layers, make_detectors
+from splits.instruments.solver import (
+    AUTO,
+    DISCRETE_ORDINATES,
+    MONTE_CARLO,
     AngularRequest,
     AngularResult,
+    choose_solver,
     find_angular_obstacle,
     solve_angular_results,
 )
-from splits.instruments.angular_truncation import make_direction_grid
-from splits.instruments.detector_tally import DetectorTally
-from splits.instruments.expansion_tally import MAX_DEGREE, ExpansionTally
-from splits.instruments.next_event import get_detected_layers, make_detectors
-from splits.instruments.solver import AUTO, DISCRETE_ORDINATES, MONTE_CARLO, choose_solver
+from splits.instruments.spectral_run import MAX_ATTEMPTS, SpectralRequest
 from splits.kernels.scene import Scene
 from splits.kernels.tallies.distributions import make_basis
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
+from splits.simulation.deep_medium import ERROR_BUDGET_FRACTION, THEORY_UNCERTAINTY, TruncatedMedium
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import (
     RunOptions,
@@ -42,6 +51,7 @@ from splits.simulation.run_options import (
     check_incidence,
     check_n_bins,
     check_wavelengths,
+    make_wavelength_coordinate,
 )
 from splits.simulation.scene import (
     build_scene,
@@ -50,8 +60,109 @@ from splits.simulation.scene import (
     describe_polarization,
     requests_polarization,
 )
+from splits.simulation.shared_paths import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_nodes import choose_nodes
 from splits.simulation.strata import StoppingRule
+
+# --------------------------------------------------------------------------------------------------
+# Dataset of a goniophotometer.
+
+BEAM_DISTRIBUTIONS = {
+    "brdf": ("bidirectional reflectance distribution function", "sr-1", 0, 1.0),
+    "btdf": ("bidirectional transmittance distribution function", "sr-1", 1, 1.0),
+    "reflectance_factor": ("bidirectional reflectance factor", "1", 0, np.pi),
+}
+DIFFUSE_DISTRIBUTIONS = {
+    "reflectance_factor": ("hemispherical-directional reflectance factor", "1", 0, np.pi),
+    "transmittance_factor": ("hemispherical-directional transmittance factor", "1", 1, np.pi),
+}
+"""Labels, units and sides of distributions, and factors on the estimate, by illumination."""
+BEAM_TOTALS = {
+    "reflectance": ("directional-hemispherical reflectance", 0, 0),
+    "transmittance": ("directional-hemispherical transmittance", 0, 1),
+    "specular_reflectance": ("reflectance without scattering", 2, 0),
+    "direct_transmittance": ("transmittance without scattering", 2, 1),
+}
+DIFFUSE_TOTALS = {
+    "reflectance": ("bihemispherical reflectance", 0, 0),
+    "transmittance": ("bihemispherical transmittance", 0, 1),
+}
+"""Labels of hemispherical quantities, their rows in the estimate, and sides, by illumination."""
+STOKES_LABELS = {
+    "dolp": ("degree of linear polarization", "1"),
+    "aolp": ("angle of linear polarization", "degree"),
+}
+"""Labels and units of variables of polarized light other than Stokes parameters."""
+STOKES_SIDES = {"brdf": "reflected", "btdf": "transmitted"}
+
+
+def make_angular_dataset(
+    estimate: AngularEstimate,
+    stokes: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    wavelengths: np.ndarray,
+    angles: tuple[np.ndarray, np.ndarray],
+    attributes: dict[str, Any],
+    undefined: Collection[str] = (),
+) -> xr.Dataset:
+    """Return the dataset of an estimate.
+
+    Parameters
+    ----------
+    estimate : AngularEstimate
+    stokes : dict
+        Variables of polarized light and their errors by name, shape (wavelengths, directions), see
+        `splits.instruments.angular_tallies.StokesEstimate`.
+    wavelengths : float, shape (wavelengths,)
+        nm.
+    angles : (float, float)
+        Polar and azimuth angles (degrees); azimuth runs fastest in directions.
+    attributes : dict
+        With the incidence.
+    undefined : collection of str
+        Variables that are left out.
+    """
+    polar, azimuth = angles
+    grid = ("wavelength", "polar", "azimuth")
+    shape = (len(wavelengths), len(polar), len(azimuth))
+    is_diffuse = attributes["incidence_deg"] == "diffuse"
+    distributions: dict[str, tuple[str, str, int, Any]] = {
+        **(DIFFUSE_DISTRIBUTIONS if is_diffuse else BEAM_DISTRIBUTIONS),
+    }
+    variables: dict[str, Variable] = {}
+    for name, (long_name, units, side, factor) in distributions.items():
+        mean = (factor * estimate.mean[side]).reshape(shape)
+        stderr = (factor * estimate.stderr[side]).reshape(shape)
+        variables |= make_variable(name, grid, mean, stderr, long_name, units)
+    mean, stderr = (one.reshape(shape) for one in (estimate.anisotropy, estimate.anisotropy_stderr))
+    variables |= make_variable("anisotropy_factor", grid, mean, stderr, "anisotropy factor")
+    for name, (values, error) in stokes.items():
+        function, _, symbol = name.partition("_")
+        label, units = STOKES_LABELS.get(symbol, (f"Stokes {symbol.upper()}", "sr-1"))
+        label = f"{label} of {STOKES_SIDES[function]} light"
+        variables |= make_variable(
+            name, grid, values.reshape(shape), error.reshape(shape), label, units
+        )
+    for name, (long_name, row, side) in (DIFFUSE_TOTALS if is_diffuse else BEAM_TOTALS).items():
+        mean, stderr = estimate.hemispherical[row : row + 2, side]
+        variables |= make_variable(name, "wavelength", mean, stderr, long_name)
+    azimuth_label = "angle from the direction in which the beam travels"
+    coordinates = {
+        "wavelength": make_wavelength_coordinate(wavelengths),
+        "polar": ("polar", polar, {"units": "degree", "long_name": "angle from the normal"}),
+        "azimuth": ("azimuth", azimuth, {"units": "degree", "long_name": azimuth_label}),
+    }
+    # Without a BTDF, its polarization is undefined, too.
+    kept = {
+        name: variable
+        for name, variable in variables.items()
+        if name.removesuffix("_stderr") not in undefined
+        and not ("btdf" in undefined and name.startswith("btdf"))
+    }
+    return xr.Dataset(kept, coordinates, attributes)
+
+
+# --------------------------------------------------------------------------------------------------
+# Virtual goniophotometer: angular distributions of reflected and transmitted light.
 
 POLAR_DEG = tuple(np.arange(0.0, 90.0, 2.5).tolist())
 AZIMUTH_DEG = tuple(np.arange(0.0, 360.0, 5.0).tolist())
@@ -170,7 +281,7 @@ def goniophotometer(
         Next-event estimation and bins of polarized light add ``brdf_q``, ``brdf_u``, ``brdf_v``,
         Stokes parameters with Q > 0 along the plane that contains the normal; ``brdf_dolp`` and
         ``brdf_aolp``, degree (0 to 1) and angle (degrees from that plane, 0 to 180) of linear
-        polarization, see `splits.instruments.linear_polarization`; and the same of the BTDF.
+        polarization, see `splits.instruments.angular_tallies`; and the same of the BTDF.
 
         Over a diffuse bottom the BTDF is that of the light that the bottom absorbs, a fraction of
         the light that arrives there, at angles within the layer; next-event estimation does not
@@ -328,4 +439,92 @@ def _make_directions(
         return compute_bin_centres(n_bins)
     return check_direction_angles("polar_deg", polar_deg, 90.0), check_direction_angles(
         "azimuth_deg", azimuth_deg, 360.0
+    )
+
+
+# --------------------------------------------------------------------------------------------------
+# Simulation of reflectance factors and reflectances together, of media that share paths.
+
+MAX_ESCAPE_FACTOR = 1.25
+"""Radiance of light that escapes from a great depth, over that of isotropic light of equal flux:
+(2 + 3 µ)/4 at the normal (diffusion theory)."""
+
+
+class DirectionalSimulation(NamedTuple):
+    """Result of a simulation.
+
+    Attributes
+    ----------
+    estimate : AngularEstimate
+        Rows are the wavelengths of one medium after the other.
+    rays : int
+    stop_reason : str
+    """
+
+    estimate: AngularEstimate
+    rays: int
+    stop_reason: str
+
+
+def simulate_directions(
+    path_sharing: PathSharingMedia,
+    truncation: TruncatedMedium | None,
+    request: SpectralRequest,
+    polar_deg: np.ndarray,
+    azimuth_deg: np.ndarray,
+    target: ErrorTarget,
+) -> DirectionalSimulation:
+    """Return reflectance factors to an absolute error, with the reflectance of the same paths.
+
+    Parameters
+    ----------
+    path_sharing : PathSharingMedia
+    truncation : TruncatedMedium or None
+        Their truncation.
+    request : SpectralRequest
+        `max_stderr` applies to the target.
+    polar_deg, azimuth_deg : float, shape (angles,)
+    target : ErrorTarget
+        With absolute errors.
+    """
+    traced = path_sharing if truncation is None else truncation.path_sharing
+    rows = SpectralRows.from_media(traced, request.wavelengths)
+    above_truncation = (1.0 - (MAX_ESCAPE_FACTOR * ERROR_BUDGET_FRACTION) ** 2) ** 0.5
+    max_error = request.max_stderr * (1.0 if truncation is None else above_truncation)
+    directions = make_direction_grid(polar_deg, azimuth_deg, make_basis(MAX_DEGREE))
+    scene = build_scene(traced.media[0], request.incidence, False)
+    for _ in range(MAX_ATTEMPTS):
+        nodes = choose_nodes(rows.index, rows.interfaces, INTERPOLATION_FRACTION * max_error)
+        tally = ExpansionTally(nodes, rows.absorption, directions, request.incidence, target)
+        evaluation = simulate(scene, tally, StoppingRule(max_error, request.max_rays), request.run)
+        estimate: AngularEstimate = evaluation.estimate
+        if truncation is None:
+            break
+        estimate = _add_truncation_error(estimate, truncation)
+        reached = estimate.compute_max_error(target) <= request.max_stderr
+        if reached or evaluation.stop_reason != "converged":
+            break
+        max_error *= 0.5
+    return DirectionalSimulation(estimate, tally.n_rays, evaluation.stop_reason)
+
+
+def _add_truncation_error(
+    estimate: AngularEstimate, truncation: TruncatedMedium
+) -> AngularEstimate:
+    """Return an estimate with the error of the light from below the truncation depth."""
+    n_media = truncation.path_sharing.n_reported
+    entering = estimate.hemispherical[0, 1]
+    error = THEORY_UNCERTAINTY * entering * truncation.escape_probability[:n_media].ravel()
+    hemispherical = estimate.hemispherical.copy()
+    hemispherical[1, 0] = np.hypot(hemispherical[1, 0], error)
+    by_direction = MAX_ESCAPE_FACTOR / np.pi * error[:, np.newaxis]
+    stderr = estimate.stderr.copy()
+    stderr[0] = np.hypot(stderr[0], by_direction)
+    # Missing light changes the reflectance of the anisotropy factor, too.
+    relative = (error / np.maximum(hemispherical[0, 0], np.finfo(float).tiny))[:, np.newaxis]
+    change = np.maximum(MAX_ESCAPE_FACTOR, estimate.anisotropy) * np.minimum(relative, 1.0)
+    return estimate._replace(
+        stderr=stderr,
+        hemispherical=hemispherical,
+        anisotropy_stderr=np.hypot(estimate.anisotropy_stderr, change),
     )

@@ -11,7 +11,7 @@ import xarray as xr
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, invalid, to_text_keys
-from splits.instruments.pack_spectra import check_no_paths, compute_pack_spectra
+from splits.instruments.snow_packs import check_no_paths, compute_pack_spectra
 from splits.instruments.solver import (
     DISCRETE_ORDINATES,
     choose_solver,

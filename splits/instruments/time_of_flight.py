@@ -13,7 +13,6 @@ from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import InvalidValue, check_integer, invalid
-from splits.instruments.delay_dataset import make_delay_dataset
 from splits.instruments.delay_record import (
     SPEED_OF_LIGHT,
     Pulse,
@@ -21,11 +20,11 @@ from splits.instruments.delay_record import (
     check_granular_layers,
     check_record,
     compute_max_order,
+    compute_slowness,
     describe_record,
     make_receiver,
 )
-from splits.instruments.delay_tally import DelayTally
-from splits.instruments.slowness import compute_slowness
+from splits.instruments.delay_tally import DelayTally, make_delay_dataset
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.kernels.tallies.distributions import DelayRecord, Receiver
 from splits.media.checks import check_medium

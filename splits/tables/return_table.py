@@ -12,7 +12,6 @@ import xarray as xr
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback, report_whole_table
 from splits.core.validation import check_integer
-from splits.instruments.delay_dataset import FLAG_NAME
 from splits.instruments.delay_record import (
     Pulse,
     check_granular_layers,
@@ -20,6 +19,7 @@ from splits.instruments.delay_record import (
     describe_record,
     make_receiver,
 )
+from splits.instruments.delay_tally import FLAG_NAME
 from splits.instruments.time_of_flight import DelayRequest, simulate_delays
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.media.medium import Medium

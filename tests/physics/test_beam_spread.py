@@ -7,7 +7,7 @@ import pytest
 from chi2 import NEEDS_JIT, judge_scatter, judge_z
 
 import splits
-from splits.instruments.beam_spread_tally import N_MAP_PIXELS
+from splits.instruments.beam_spread import N_MAP_PIXELS
 from splits.kernels.tallies.distributions import tally_radial
 from splits.kernels.tallies.exits import (
     EXIT_DIRECTION,

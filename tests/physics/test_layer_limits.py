@@ -11,7 +11,7 @@ from chi2 import NEEDS_JIT, compute_z_bound, judge_scatter, judge_z
 from scattering_matrices import make_matrix
 
 import splits
-from splits.instruments.next_event import make_detectors
+from splits.instruments.detector_tally import make_detectors
 from splits.kernels.interface import fresnel
 from splits.kernels.scene import make_bounding_optics
 from splits.kernels.transport.history import trace_to_detectors

@@ -9,9 +9,10 @@ from splits.core.error_target import ErrorTarget
 from splits.instruments.angular_estimate import (
     N_ANGULAR_BATCHES,
     estimate_row,
+    is_significant,
+    make_direction_grid,
     stack_rows,
 )
-from splits.instruments.angular_truncation import is_significant, make_direction_grid
 from splits.kernels.tallies.distributions import make_basis
 
 POLAR = np.array([0.0, 20.0, 40.0, 60.0, 65.0, 70.0, 72.5, 75.0, 77.5, 80.0])

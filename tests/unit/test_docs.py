@@ -24,7 +24,7 @@ from splits.experiments.config.retrieve import NoiseSection, PriorFromSample, Re
 from splits.experiments.config.sections import FitSection
 from splits.experiments.config.settings import ArchiveAuthor, Settings
 from splits.experiments.studies import STUDY_KINDS
-from splits.instruments.pack_run import RESULT_FLAGS
+from splits.instruments.snow_packs import RESULT_FLAGS
 from splits.simulation.strata import STOP_REASONS
 
 ROOT = Path(__file__).parents[2]

@@ -12,16 +12,16 @@ from splits.core.validation import key_prefix
 from splits.experiments.config.grid import expand_spacing
 from splits.experiments.config.instrument import OpticalInstrument, Rays
 from splits.experiments.config.sections import FiniteSection
-from splits.instruments.beam_spread_tally import N_MAP_PIXELS, SIDES
+from splits.instruments.beam_spread import N_MAP_PIXELS, SIDES
 from splits.instruments.delay_record import (
     Pulse,
     check_depths,
     check_granular_layers,
     check_record,
+    compute_slowness,
     make_receiver,
 )
 from splits.instruments.delay_tally import check_tally_size
-from splits.instruments.slowness import compute_slowness
 from splits.media.medium import Medium
 from splits.simulation.run_options import check_half_width
 

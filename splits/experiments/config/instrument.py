@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from splits.core.validation import check_choice, invalid
 from splits.experiments.config.grid import make_even_spacing
 from splits.experiments.config.sections import FiniteSection
-from splits.instruments.pack_run import SUN
+from splits.instruments.snow_packs import SUN
 from splits.media.checks import INFINITE_DEPTH_HINT
 from splits.media.medium import Medium
 from splits.simulation.run_options import check_incidence, check_wavelengths

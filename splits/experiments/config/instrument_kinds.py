@@ -20,15 +20,14 @@ from splits.experiments.config.instrument import (
 )
 from splits.experiments.config.sections import check_different
 from splits.experiments.config.surface_instruments import Lens, SurfaceMap
-from splits.instruments.angular_bins import DEFAULT_N_BINS
-from splits.instruments.angular_solver import find_angular_obstacle
+from splits.instruments.angular_tallies import DEFAULT_N_BINS
+from splits.instruments.detector_tally import get_detected_layers
 from splits.instruments.goniophotometer import (
     AZIMUTH_DEG,
     POLAR_DEG,
     check_polarized_estimator,
 )
-from splits.instruments.next_event import get_detected_layers
-from splits.instruments.solver import MONTE_CARLO, choose_solver
+from splits.instruments.solver import MONTE_CARLO, choose_solver, find_angular_obstacle
 from splits.instruments.spectrophotometer import find_path_obstacle
 from splits.media.medium import Medium
 from splits.plotting.panels import (

@@ -8,13 +8,14 @@ from pydantic import AfterValidator, Field, model_validator
 
 from splits.core.validation import invalid
 from splits.experiments.config.instrument import Instrument, Seed
-from splits.instruments.lens import (
+from splits.instruments.rough_surfaces import (
+    DEFAULT_POINTS,
     DEFAULT_RAYS,
+    MAX_REALIZATIONS,
     check_ring_radius,
     check_ring_size,
     check_screen_depths,
 )
-from splits.instruments.surface_map import DEFAULT_POINTS, MAX_REALIZATIONS
 from splits.simulation.run_options import check_half_width
 
 MapHalfWidth = Annotated[float, AfterValidator(lambda x: check_half_width("surface_map", x))]

@@ -5,7 +5,7 @@ directions above and below layers of particles with smooth boundaries.  A scatte
 contributes the density of its phase function towards each detector (Eq 5), and a reflection at the
 bottom a cosine over π (Eq 4), attenuated on the way to the next boundary.  From there to the
 detector, light is refracted and may be reflected any number of times
-(`splits.instruments.next_event.compute_transmission`).
+(`splits.instruments.detector_tally.compute_transmission`).
 """
 
 from __future__ import annotations

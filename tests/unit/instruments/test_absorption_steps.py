@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 
 import splits
-from splits.instruments.absorption_steps import (
-    CHORD_ERROR,
-    PathRatio,
-    compute_absorption_steps,
-)
+from splits.instruments.flux_media import CHORD_ERROR, PathRatio, compute_absorption_steps
 from splits.media.absorbing_matrix_layer import absorb_along_path
 from splits.simulation.scene import compute_optical_constants
 

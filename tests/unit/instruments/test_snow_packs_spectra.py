@@ -11,7 +11,7 @@ import splits
 from splits.core.progress import Progress
 from splits.discrete_ordinates import snow_packs
 from splits.discrete_ordinates.snow_packs import estimate_bytes
-from splits.instruments.pack_run import RESULT_FLAGS
+from splits.instruments.snow_packs import RESULT_FLAGS
 
 TIMES = pd.date_range("2024-02-01", periods=6, freq="h")
 WAVELENGTHS = [400.0, 700.0, 900.0, 1300.0, 1800.0]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import splits
-from splits.instruments.slowness import SPEED_OF_LIGHT, compute_slowness
+from splits.instruments.delay_record import SPEED_OF_LIGHT, compute_slowness
 from splits.materials.group_index import (
     WATER_RANGE_NM,
     compute_group_index,

@@ -10,9 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 
 import splits
-from splits.instruments.angular_bins import AngularBinTally
-from splits.instruments.beam_spread_tally import BeamSpreadTally
-from splits.instruments.expansion_tally import ORDER_CLASSES, ExpansionTally
+from splits.instruments.angular_tallies import ORDER_CLASSES, AngularBinTally, ExpansionTally
+from splits.instruments.beam_spread import BeamSpreadTally
 from splits.instruments.flux_tally import FluxTally
 from splits.kernels.tallies.distributions import make_basis
 from splits.simulation.grain_optics import SingleScatteringTally

@@ -1,7 +1,8 @@
-"""Vertical profiles of irradiance, and the absorptance between depths."""
+"""Vertical profiles inside a medium: irradiance and absorptance, under a beam or under a sky."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ import xarray as xr
 from splits.core.arrays import as_1d_array, check_axis
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
+from splits.core.uncertainty import Variable, compute_weighted_error, make_variable
 from splits.core.validation import (
     ROUNDING_TOLERANCE,
     check_choice,
@@ -18,11 +20,18 @@ from splits.core.validation import (
     invalid,
 )
 from splits.discrete_ordinates.applicability import find_obstacle, find_profile_obstacle
-from splits.instruments.flux_dataset import make_flux_dataset
+from splits.illumination.sky import Sky
+from splits.instruments.flux_dataset import make_flux_dataset, solve_flux
 from splits.instruments.flux_media import TracedMedium, prepare_medium
-from splits.instruments.flux_solver import solve_flux
-from splits.instruments.flux_tally import FluxTally
-from splits.instruments.flux_target import FluxTarget
+from splits.instruments.flux_tally import FluxTally, FluxTarget
+from splits.instruments.sky_mixing import (
+    as_sky,
+    choose_wavelengths,
+    compute_band_weights,
+    make_coverage_variable,
+    make_sky_attributes,
+    mix_direct_and_diffuse,
+)
 from splits.instruments.solver import (
     AUTO,
     DISCRETE_ORDINATES,
@@ -43,6 +52,9 @@ from splits.simulation.spectral_nodes import (
     choose_nodes,
 )
 from splits.simulation.strata import StoppingRule
+
+# --------------------------------------------------------------------------------------------------
+# Vertical profiles of irradiance, and the absorptance between depths.
 
 MAX_DEPTHS = 200
 MAX_TALLY_VALUES = 100_000_000
@@ -130,7 +142,7 @@ def irradiance_profile(
     coefficient = absorptance, with both solvers.  Paths measure it in other media, where, as for
     the absorptance of each material, absorption is assumed to be evenly distributed along the path
     between planes.  Where single grains or pores absorb much of the light that crosses them, both
-    are approximate; their errors include this (`splits.instruments.absorption_steps`).  The
+    are approximate; their errors include this (`splits.instruments.flux_media`).  The
     absorptance of an interval is not affected.  With discrete ordinates both follow exactly from
     the balance of light in each interval (`splits.discrete_ordinates.profiles`).
 
@@ -272,3 +284,174 @@ def _check_memory(traced_medium: TracedMedium, n_layers: int, nodes: IndexNodes)
             f"at most {max_wavelengths} with these depths and layers",
             "use several calls",
         )  # fmt: skip
+
+
+# --------------------------------------------------------------------------------------------------
+# Vertical profiles of radiation under a sky: irradiances at depths and absorbed power.
+
+OUTPUT_VARIABLES = {
+    "downward_irradiance": ("downward_irradiance", "depth", "downward irradiance"),
+    "upward_irradiance": ("upward_irradiance", "depth", "upward irradiance"),
+    "absorptance": ("absorbed_power", "interval", "absorbed power of the interval"),
+}
+"""Variables of an irradiance profile; names, dimensions and labels of those under a sky."""
+POWER_ERROR_QUANTITIES = ("absorbed_power", "irradiance")
+"""Quantities to which the largest error applies; the last means all of them."""
+
+
+@reject_unknown_arguments
+def radiation_profile(
+    medium: Medium,
+    sky: Sky | str | Mapping[str, Any],
+    depth_m: Any,
+    wavelength_nm: Any = None,
+    max_stderr: float = 0.005,
+    seed: int = 1,
+    *,
+    solver: str = "auto",
+    target: str = "absorbed_power",
+    total_w_m2: float | None = None,
+    bands: Mapping[str, Any] | str | None = None,
+    max_rays: int = 20_000_000,
+    threads: int | None = None,
+    progress: ProgressCallback = None,
+) -> xr.Dataset:
+    """Simulate the irradiances inside a medium under a sky, and the power that it absorbs.
+
+    Parameters
+    ----------
+    medium : Medium
+        For example `splits.Snow` or `splits.Stack`; see `splits.irradiance_profile`.
+    sky : Sky, str or mapping
+        See `splits.sky`.
+    depth_m : array_like
+        Strictly increasing depths (m) inside the medium; its top and, if it is finite, its bottom
+        are added.  Include the boundaries between the layers of a stack to obtain the power that
+        each layer absorbs.
+    wavelength_nm : array_like, optional
+        Strictly increasing vacuum wavelengths (nm), at least two; by default every 10 nm from the
+        first of the sky to 2495.  Other light is ignored, see ``irradiance_covered``.
+    max_stderr : float
+        Largest standard error in any band, relative to the band's incident irradiance; see
+        `target`.
+    seed : int
+        Non-negative; diffuse light uses the next one.
+    solver : {"auto", "discrete_ordinates", "monte_carlo"}
+        As for `splits.irradiance_profile`.
+    target : {"absorbed_power", "irradiance"}
+        Quantities to which `max_stderr` applies: absorbed power and the light reflected at the
+        top, or also irradiances at all depths.  In thick, weakly absorbing media the latter need
+        many times as many rays, since light crosses each plane many times.
+    total_w_m2 : float, optional
+        Incident irradiance at all wavelengths of the sky (W m⁻²), to which it is scaled; the
+        skies of SNICAR require it.
+    bands : mapping or str, optional
+        As for `splits.albedo`: ``{"photosynthetic": (400, 700)}``.
+    max_rays : int
+        Number of rays after which the simulation of sunlight, and of diffuse light, stops.
+    threads : int, optional
+        Default: every CPU that this process may use.
+    progress : callable or bool, optional
+        True shows a progress bar; a function is called periodically with a `Progress`.
+
+    Returns
+    -------
+    xarray.Dataset
+        Over ``band``, the first of which is "broadband", and ``depth``: ``downward_irradiance`` and
+        ``upward_irradiance`` (W m⁻²).  Over ``band`` and ``interval``, between successive depths:
+        ``absorbed_power`` (W m⁻²).  All with standard errors ``…_stderr``.  Over ``band``
+        ``irradiance_covered``, the fraction of the band's light within the wavelengths.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range, or wavelengths outside the spectrum of the sky.
+
+    Examples
+    --------
+    >>> import splits
+    >>> snow = splits.Snow.natural(specific_surface_area_m2_kg=30, depth_m=0.1)
+    >>> sky = splits.sky("midlatitude_winter")
+    >>> ds = splits.radiation_profile(snow, sky, [0.02], [400, 700, 1000], 0.05, total_w_m2=400)
+    >>> ds.absorbed_power.dims
+    ('band', 'interval')
+    """
+    check_medium(medium, allow_semi_infinite=True)
+    sky_spectrum = as_sky(sky).scale_to(total_w_m2)
+    wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 2)
+    max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
+    check_choice("target", target, POWER_ERROR_QUANTITIES)
+    limit_irradiance = target == POWER_ERROR_QUANTITIES[1]
+    run = RunOptions.from_arguments(seed, threads, progress=progress)
+    max_rays = check_integer("max_rays", max_rays, 1)
+    named = sky_spectrum.make_bands(bands)
+    sky_spectrum.check_bands(named, wavelengths)
+    weights, band_irradiance = compute_band_weights(sky_spectrum, named, wavelengths)
+    direct_fraction = sky_spectrum.compute_direct_fraction(wavelengths)
+    targets = make_sky_targets(direct_fraction, weights, limit_irradiance)
+
+    def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
+        request = FluxRequest.from_arguments(
+            medium, wavelengths, depth_m, incidence, max_stderr, max_rays
+        )
+        return simulate_flux(request, targets[number], run._replace(seed=run.seed + number), solver)
+
+    dataset = mix_direct_and_diffuse(
+        sky_spectrum, wavelengths, simulate_component, list(OUTPUT_VARIABLES)
+    )
+    variables = _make_variables(dataset, wavelengths, weights)
+    variables |= make_coverage_variable(weights, band_irradiance)
+    attributes = {
+        **run.make_attributes("Sunlight inside", "radiation_profile", medium),
+        **make_sky_attributes(sky_spectrum),
+        "irradiance_w_m2": band_irradiance[0],
+        "max_stderr": max_stderr,
+        "target": target,
+        "max_rays": max_rays,
+        **dataset.attrs,
+    }
+    coordinates: dict[str, Any] = {
+        name: dataset[name] for name in ("depth", "interval_top", "interval_bottom")
+    }
+    return xr.Dataset(variables, {**coordinates, "band": list(named)}, attributes)
+
+
+def _make_variables(
+    dataset: xr.Dataset, wavelengths: np.ndarray, weights: np.ndarray
+) -> dict[str, Variable]:
+    """Return irradiances and absorbed power by band, with their errors."""
+    variables: dict[str, Variable] = {}
+    band_weights = xr.DataArray(weights, {"wavelength": wavelengths}, ("band", "wavelength"))
+    for name, (label, dim, long_name) in OUTPUT_VARIABLES.items():
+        mean = (band_weights * dataset[name]).sum("wavelength")
+        # Band by band, which limits the memory for many depths.
+        errors = [compute_weighted_error(dataset, name, one) for one in band_weights]
+        dims = ("band", dim)
+        values, stderr = (one.transpose(*dims).values for one in (mean, xr.concat(errors, "band")))
+        variables |= make_variable(label, dims, values, stderr, long_name, "W m-2")
+    return variables
+
+
+def make_sky_targets(
+    direct_fraction: np.ndarray, band_weights: np.ndarray, limit_irradiance: bool
+) -> list[FluxTarget]:
+    """Return the targets for sunlight and for diffuse light.
+
+    Each may contribute to a band's variance in proportion to its fraction of the band's light.
+
+    Parameters
+    ----------
+    direct_fraction : float, shape (wavelengths,)
+        Fraction of direct sunlight.
+    band_weights : float, shape (bands, wavelengths)
+        Irradiance of each band by wavelength.
+    limit_irradiance : bool
+        Whether errors of irradiances are limited, too.
+    """
+    normalized = band_weights / band_weights.sum(axis=1, keepdims=True)
+    targets = []
+    for fraction in (direct_fraction, 1.0 - direct_fraction):
+        band_fraction = (normalized * fraction).sum(axis=1)
+        variance_fraction = np.where(band_fraction > 0.0, band_fraction, 1.0)
+        targets.append(FluxTarget(limit_irradiance, normalized * fraction, variance_fraction))
+    return targets

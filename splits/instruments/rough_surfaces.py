@@ -1,7 +1,4 @@
-"""The statistical lens: a ring of parallel rays through a wavy surface onto a screen.
-
-Budak & Grimailo 2020, section 3.1 and Fig 2.
-"""
+"""Instruments of rough surfaces alone: height maps and the statistical lens."""
 
 from __future__ import annotations
 
@@ -18,12 +15,8 @@ from splits.core.arrays import (
     match_labels,
 )
 from splits.core.keywords import reject_unknown_arguments
+from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import check_choice, check_integer, check_range, invalid
-from splits.instruments.lens_dataset import (
-    MIN_DETECTED_FRACTION,
-    make_lens_dataset,
-    make_ray_variables,
-)
 from splits.kernels.rough_surface.intersection import RefractedRays, refract_vertical_rays
 from splits.kernels.rough_surface.realization import (
     AMPLITUDE,
@@ -36,6 +29,182 @@ from splits.kernels.rough_surface.realization import (
 from splits.media.checks import check_medium
 from splits.media.particle_layer import ParticleLayer
 from splits.simulation.run_options import RunOptions, check_half_width
+
+# --------------------------------------------------------------------------------------------------
+# Height map of a realization of a rough surface, and the roughness of realizations.
+
+DEFAULT_POINTS = 201
+MAX_REALIZATIONS = 10_000_000
+
+
+@reject_unknown_arguments
+def surface_map(
+    medium: ParticleLayer,
+    half_width_m: float,
+    *,
+    points: int = DEFAULT_POINTS,
+    realizations: int = 100,
+    seed: int = 1,
+) -> xr.Dataset:
+    """Return the heights of the rough surface of a layer around the origin.
+
+    Parameters
+    ----------
+    medium : ParticleLayer
+        A `splits.ParticleLayer` with a rough surface.
+    half_width_m : float
+        Half the side of the mapped square (m).
+    points : int
+        Number of points per side, at least 2.
+    realizations : int
+        Number of realizations, at least 2, from which the roughness is estimated; the first is
+        mapped.
+    seed : int
+
+    Returns
+    -------
+    xarray.Dataset
+        ``height`` (m) over ``x`` and ``y``; ``rms_height`` (m) and ``rms_slope`` (of the gradient)
+        of each realization, over the square.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range, or a layer with a smooth surface.
+
+    References
+    ----------
+    Budak & Grimailo 2020, Eq 3 and Fig 1.
+    """
+    check_medium(medium, ParticleLayer)
+    width = check_half_width("surface_map", half_width_m)
+    points = check_integer("points", points, 2, 3000)
+    realizations = check_integer("realizations", realizations, 2, MAX_REALIZATIONS)
+    run = RunOptions.from_arguments(seed, threads=1)
+    if medium.surface is None:
+        raise invalid("surface", None, "given for a map")
+    positions = np.linspace(-width, width, points)
+    x, y = (axis.ravel() for axis in np.meshgrid(positions, positions, indexing="ij"))
+    # Roughness needs fewer points than a map.
+    coarse_line = np.linspace(-width, width, 41)
+    u, v = (axis.ravel() for axis in np.meshgrid(coarse_line, coarse_line, indexing="ij"))
+    roughness = np.empty((2, realizations))
+    for realization in range(realizations):
+        waves = medium.surface.sample_realization(run.seed, realization)
+        if realization == 0:
+            height = compute_heights_and_slopes(waves, x, y).height.reshape(points, points)
+        z, slope = compute_heights_and_slopes(waves, u, v)
+        mean_squares = np.mean(z**2), np.mean(slope.x**2 + slope.y**2)
+        roughness[:, realization] = np.sqrt(mean_squares)
+    attributes = {
+        **run.make_attributes("Rough surface", "surface_map", medium),
+        "realizations": realizations,
+        "rays": 0,
+    }
+    dim, (rms_height, rms_slope) = "realization", roughness
+    variables = {
+        **make_variable("height", ("x", "y"), height, None, "height of the surface", "m"),
+        **make_variable("rms_height", dim, rms_height, None, "rms height of the square", "m"),
+        **make_variable("rms_slope", dim, rms_slope, None, "rms slope of the square"),
+    }
+    distance = {"units": "m", "long_name": "horizontal distance"}
+    coordinates = {"x": ("x", positions, distance), "y": ("y", positions, distance)}
+    return xr.Dataset(variables, coordinates, attributes)
+
+
+# --------------------------------------------------------------------------------------------------
+# Dataset of the statistical lens.
+
+MIN_DETECTED_FRACTION = 0.5
+"""Fraction of a ring that must reach a screen for a realization to be included there."""
+
+
+def make_ray_variables(
+    hit_points: np.ndarray, screen_points: np.ndarray, detected: np.ndarray
+) -> dict[str, Variable]:
+    """Return the rays at one realization of the surface as variables, for figures.
+
+    Parameters
+    ----------
+    hit_points : float, shape (rays, 3)
+        Where rays hit the surface (m).
+    screen_points : float, shape (screens, rays, 2)
+        Where they hit the screens (m); 0 where they do not reach one.
+    detected : bool, shape (screens, rays)
+        Whether they reach them.
+    """
+    points = np.where(detected[..., np.newaxis], screen_points, 0.0)
+    by_ray, is_detected = ("screen_depth", "ray"), detected.astype(float)
+    return _make_variables(
+        {
+            "surface_position": (("ray", "point"), hit_points, None, "point of the surface", "m"),
+            "screen_position": ((*by_ray, "axis"), points, None, "position on the screen", "m"),
+            "detected": (by_ray, is_detected, None, "whether a ray reaches it"),
+        }
+    )
+
+
+def make_lens_dataset(
+    contraction: np.ndarray,
+    detected_fraction: np.ndarray,
+    ray_variables: dict[str, Variable],
+    depths: np.ndarray,
+    attributes: dict[str, Any],
+) -> xr.Dataset:
+    """Return the results as a labelled dataset."""
+    is_valid, dim = detected_fraction >= MIN_DETECTED_FRACTION, "screen_depth"
+    size = _average_realizations(contraction, is_valid)
+    concentration = _invert_with_error(*_average_realizations(contraction**2, is_valid))
+    by_realization = (("realization", dim), detected_fraction, None)
+    variables = _make_variables(
+        {
+            "contraction": (dim, *size, "size of the image over the ring's"),
+            "concentration": (dim, *concentration, "inverse mean square size of the image"),
+            "detected_fraction": (*by_realization, "fraction of rays on the screen"),
+        }
+    )
+    coordinates = {
+        dim: (dim, depths, {"long_name": "depth of the screen below the surface", "units": "m"}),
+        "axis": ("axis", ["x", "y"], {"long_name": "axis on the screen"}),
+        "point": ("point", ["x", "y", "z"], {"long_name": "axis in space"}),
+    }
+    return xr.Dataset(variables | ray_variables, coordinates, attributes)
+
+
+def _make_variables(results: dict[str, tuple[Any, ...]]) -> dict[str, Variable]:
+    """Return variables from the arguments of `make_variable` after the name."""
+    variables: dict[str, Variable] = {}
+    for name, result in results.items():
+        variables |= make_variable(name, *result)
+    return variables
+
+
+def _average_realizations(
+    values: np.ndarray, valid: np.ndarray
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the mean over valid realizations with its standard error, None for a single one."""
+    count = valid.sum(axis=0)
+    mean = np.where(valid, values, 0.0).sum(axis=0) / count
+    if len(values) == 1:
+        return mean, None
+    square = np.where(valid, (values - mean) ** 2, 0.0).sum(axis=0)
+    # Of a single valid realization the error is its value.
+    stderr = np.sqrt(square / np.maximum(count - 1, 1) / count)
+    return mean, np.where(count > 1, stderr, mean)
+
+
+def _invert_with_error(
+    mean: np.ndarray, stderr: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return 1/mean and its standard error to first order."""
+    inverse = 1.0 / np.maximum(mean, np.finfo(float).tiny)
+    return inverse, None if stderr is None else stderr * inverse**2
+
+
+# --------------------------------------------------------------------------------------------------
+# The statistical lens: a ring of parallel rays through a wavy surface onto a screen.
+#
+# Budak & Grimailo 2020, section 3.1 and Fig 2.
 
 CENTRE_CHOICES = ("crest", "trough", "origin")
 DEFAULT_RAYS = 360

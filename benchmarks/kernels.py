@@ -41,7 +41,7 @@ from splits.kernels.scene import NO_MAX_ORDER, Features, Optics, make_bounding_o
 from splits.kernels.tallies.exits import allocate_exits
 from splits.kernels.transport import history
 from splits.kernels.vectorized.trace import select_features
-from splits.materials.lookup import absorption_coefficient
+from splits.materials.library import absorption_coefficient
 from splits.simulation.scene import build_scene
 from splits.simulation.threads import count_cpus
 

@@ -22,12 +22,11 @@ from splits.discrete_ordinates.granular_stack import (
     solve_spectrum,
     spread_truncation,
 )
-from splits.materials.density import interpolate_ice_density
 from splits.materials.impurities import make_impurities
-from splits.materials.lookup import absorption_coefficient
-from splits.media.measured_inputs import MAX_SURFACE_AREA_M2_KG
+from splits.materials.library import absorption_coefficient, interpolate_ice_density
+from splits.media.natural_snow import MAX_SURFACE_AREA_M2_KG
 from splits.media.snow import Snow
-from splits.media.snow_pack_arrays import SnowPackArrays
+from splits.media.snow_packs import SnowPackArrays
 
 # --------------------------------------------------------------------------------------------------
 # Optical inputs of many snowpacks of natural snow, from arrays of their properties.

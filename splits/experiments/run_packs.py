@@ -20,8 +20,7 @@ from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.config.snow_packs import PACKS_PER_BLOCK, count_pack_parts
 from splits.instruments import albedo, spectrophotometer
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
-from splits.media.snow_pack_quality import count_missing_results
-from splits.media.snow_packs import SnowPacks
+from splits.media.snow_packs import SnowPacks, count_missing_results
 from splits.simulation.strata import STOP_REASONS
 from splits.tables.block import DIGEST_ATTRIBUTE, load_block, make_block_path
 

@@ -24,7 +24,7 @@ from splits.instruments.sky_mixing import (
 from splits.instruments.snow_packs import compute_pack_albedo
 from splits.instruments.solver import MONTE_CARLO
 from splits.instruments.spectrophotometer import spectrophotometer
-from splits.media.checks import check_medium
+from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.media.snow_packs import SnowPacks
 from splits.simulation.run_options import RunOptions, make_wavelength_coordinate

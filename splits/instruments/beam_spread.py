@@ -20,7 +20,7 @@ from splits.core.uncertainty import (
 from splits.core.validation import check_integer
 from splits.instruments.angular_estimate import N_ANGULAR_BATCHES
 from splits.kernels.tallies.distributions import RadialSums, tally_radial
-from splits.media.checks import check_medium
+from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import (

@@ -19,14 +19,14 @@ from splits.core.validation import as_scalar, check_range, invalid
 from splits.kernels.scene import NO_MAX_ORDER, WET_PORE, Layers
 from splits.kernels.tallies.distributions import Receiver
 from splits.materials.csv_table import to_columns
-from splits.materials.group_index import (
+from splits.materials.library import is_dataset
+from splits.materials.refractive_index import (
     WATER_RANGE_NM,
     GroupIndex,
     compute_group_index,
     compute_temperature_effect,
     compute_water_group_index,
 )
-from splits.materials.library import is_dataset
 from splits.media.medium import Medium
 from splits.media.snow import Snow
 from splits.simulation.scene import compute_path_fractions

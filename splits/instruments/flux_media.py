@@ -23,10 +23,10 @@ from splits.discrete_ordinates.grains import GrainTable
 from splits.discrete_ordinates.granular_layers import GranularLayer, compute_replicate_error
 from splits.discrete_ordinates.granular_stack import find_similarity_error
 from splits.kernels.scene import DRY_PORE, MATRIX
-from splits.media.absorbing_matrix_layer import absorb_along_path
 from splits.media.ground import BLACK_OPTICAL_DEPTH, Ground
 from splits.media.medium import Layer, Medium
 from splits.media.particle_layer import CLEARANCE_SIGMA
+from splits.media.stack import absorb_along_path
 from splits.simulation.deep_medium import THEORY_UNCERTAINTY, truncate_deep_medium
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import (

@@ -40,7 +40,7 @@ from splits.instruments.solver import (
 from splits.instruments.spectral_run import MAX_ATTEMPTS, SpectralRequest
 from splits.kernels.scene import Scene
 from splits.kernels.tallies.distributions import make_basis
-from splits.media.checks import check_medium
+from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.simulation.deep_medium import ERROR_BUDGET_FRACTION, THEORY_UNCERTAINTY, TruncatedMedium
 from splits.simulation.engine import simulate

@@ -40,7 +40,7 @@ from splits.instruments.solver import (
     choose_solver,
 )
 from splits.kernels.tallies.exits import N_BATCHES
-from splits.media.checks import check_medium
+from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions, check_incidence, check_wavelengths

@@ -26,7 +26,7 @@ from splits.kernels.rough_surface.realization import (
     WAVE_ROWS,
     compute_heights_and_slopes,
 )
-from splits.media.checks import check_medium
+from splits.media.kinds import check_medium
 from splits.media.particle_layer import ParticleLayer
 from splits.simulation.run_options import RunOptions, check_half_width
 

@@ -10,7 +10,7 @@ import xarray as xr
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import check_choice, check_flag, check_integer, invalid
-from splits.media.checks import check_medium
+from splits.media.kinds import check_medium
 from splits.media.medium import GranularMedium
 from splits.media.scattering_matrix import ANGLE, ELEMENTS
 from splits.simulation.grain_optics import (

@@ -17,8 +17,7 @@ from splits.core.uncertainty import (
 )
 from splits.core.validation import invalid
 from splits.illumination.bands import SpectralBand
-from splits.illumination.sky import Sky
-from splits.illumination.sky_spectra import sky
+from splits.illumination.sky import Sky, sky
 from splits.instruments.solver import DISCRETE_ORDINATES
 from splits.simulation.run_options import check_wavelengths
 from splits.simulation.strata import STOP_REASONS

@@ -25,8 +25,7 @@ from splits.discrete_ordinates.snow_packs import (
     solve_spectra,
 )
 from splits.illumination.bands import SpectralBand
-from splits.illumination.sky import BROADBAND, MAX_ZENITH_DEG, Sky
-from splits.illumination.sky_spectra import ASTM_G173, CLEAR_SKY, sky
+from splits.illumination.sky import ASTM_G173, BROADBAND, CLEAR_SKY, MAX_ZENITH_DEG, Sky, sky
 from splits.instruments.sky_mixing import (
     as_sky,
     choose_wavelengths,
@@ -38,8 +37,7 @@ from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO, SOLVERS
 from splits.instruments.spectral_run import QUANTITY_LABELS
 from splits.io.netcdf import ANCILLARY_ATTRIBUTE
 from splits.media.snow_pack_input import FLAG_NAME, LAYER_DIM, ZENITH_KEY
-from splits.media.snow_pack_quality import FLAGS, HORIZON_DEG
-from splits.media.snow_packs import SnowPacks
+from splits.media.snow_packs import FLAGS, HORIZON_DEG, SnowPacks
 from splits.simulation.run_options import (
     RunOptions,
     check_incidence,

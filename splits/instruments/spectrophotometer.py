@@ -19,7 +19,7 @@ from splits.instruments.solver import (
     solve_estimate,
 )
 from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest, make_spectrum
-from splits.media.checks import check_medium
+from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.media.snow_packs import SnowPacks
 from splits.simulation.derivatives import (

@@ -27,7 +27,7 @@ from splits.instruments.delay_record import (
 from splits.instruments.delay_tally import DelayTally, make_delay_dataset
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.kernels.tallies.distributions import DelayRecord, Receiver
-from splits.media.checks import check_medium
+from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions, check_incidence, check_wavelengths

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from splits.core.validation import check_integer, invalid
-from splits.media.checks import check_medium
+from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions, check_incidence, check_wavelengths

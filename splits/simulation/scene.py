@@ -24,7 +24,7 @@ from splits.kernels.scene import (
 )
 from splits.kernels.stokes import UNPOLARIZED, Stokes
 from splits.kernels.transport.events import MAX_HEIGHT_SIGMA
-from splits.materials.lookup import absorption_coefficient
+from splits.materials.library import absorption_coefficient
 from splits.media.interpretations import Interpretation
 from splits.media.medium import Layer, Medium, ParticleMedium
 

@@ -10,7 +10,7 @@ import numpy as np
 from splits.core.validation import invalid, suggest_name
 from splits.discrete_ordinates.applicability import find_direction_obstacle
 from splits.instruments.solver import DISCRETE_ORDINATES, choose_solver
-from splits.media.checks import check_medium
+from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.simulation.run_options import check_incidence
 from splits.simulation.shared_paths import (

@@ -28,7 +28,7 @@ from splits.kernels.scene import (
     make_ray,
 )
 from splits.kernels.transport import history
-from splits.materials.lookup import absorption_coefficient
+from splits.materials.library import absorption_coefficient
 from splits.simulation.scene import build_scene
 
 

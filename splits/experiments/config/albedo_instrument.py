@@ -9,7 +9,7 @@ from pydantic import AfterValidator
 from splits.core.validation import check_choice, invalid
 from splits.experiments.config.instrument import SpectralInstrument, WavelengthGrid
 from splits.illumination.bands import as_bands
-from splits.illumination.sky_spectra import CLEAR_SKY, list_sky_names
+from splits.illumination.sky import CLEAR_SKY, list_sky_names
 from splits.media.medium import Medium
 
 SKIES = (CLEAR_SKY, *list_sky_names())

@@ -13,7 +13,7 @@ from splits.core.validation import check_choice, invalid
 from splits.experiments.config.grid import make_even_spacing
 from splits.experiments.config.sections import FiniteSection
 from splits.instruments.snow_packs import SUN
-from splits.media.checks import INFINITE_DEPTH_HINT
+from splits.media.kinds import INFINITE_DEPTH_HINT
 from splits.media.medium import Medium
 from splits.simulation.run_options import check_incidence, check_wavelengths
 

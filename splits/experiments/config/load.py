@@ -26,9 +26,8 @@ from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.config.unused_settings import check_replaced_settings, check_unused_keywords
 from splits.experiments.run_fit import check_fit
 from splits.materials.csv_table import read_numeric_csv
-from splits.media.kinds import LAYERS_KEY, get_kind, iter_layers
-from splits.media.measured_inputs import override_keywords
-from splits.media.named_media import NAMED_MEDIA, read_named_medium
+from splits.media.kinds import LAYERS_KEY, NAMED_MEDIA, get_kind, iter_layers, read_named_medium
+from splits.media.natural_snow import override_keywords
 from splits.retrieval.measurement import MAX_REFLECTANCE
 
 MAX_MESSAGE_CHARS = 450

@@ -14,7 +14,7 @@ from splits.core.validation import check_choice, format_key, invalid, unknown_ke
 from splits.materials.csv_table import is_csv_path
 from splits.media.interpretations import merge_interpretations
 from splits.media.kinds import LAYER_CLASSES, LAYERS_KEY, get_kind, iter_layers
-from splits.media.measured_inputs import override_keywords
+from splits.media.natural_snow import override_keywords
 
 SAMPLE_KEY = "medium"
 """Grid dimension whose values are media: their settings replace those of the base medium."""

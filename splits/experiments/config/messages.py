@@ -18,8 +18,8 @@ from splits.core.validation import (
     suggest_number,
     unknown_key,
 )
+from splits.media.formatting import NAMED_MEDIA
 from splits.media.kinds import MEDIUM_CLASSES
-from splits.media.suggestions import NAMED_MEDIA
 
 TYPE_DESCRIPTIONS = {
     int: ("a whole number", "whole numbers"),

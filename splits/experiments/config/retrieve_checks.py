@@ -11,7 +11,7 @@ from splits.experiments.config.instrument_kinds import TableInstrument
 from splits.experiments.config.measured_return import RetrieveReturnSection
 from splits.experiments.config.retrieve import RetrieveSection, parse_incidence_deg
 from splits.experiments.config.simulation import SimulationConfig
-from splits.media.measured_inputs import OPTICAL_RADIUS_KEY, SURFACE_AREA_KEY
+from splits.media.natural_snow import OPTICAL_RADIUS_KEY, SURFACE_AREA_KEY
 from splits.retrieval.forward_model import get_grid_ranges
 from splits.retrieval.least_squares import check_enough_values
 from splits.retrieval.measurement import Measurement

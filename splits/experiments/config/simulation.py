@@ -43,10 +43,9 @@ from splits.experiments.config.medium import (
 )
 from splits.experiments.config.sections import ConfigSection, FitSection, match_pattern
 from splits.experiments.config.snow_packs import PACKS_KIND, check_pack_experiment, load_packs
-from splits.media.checks import check_thickness
-from splits.media.kinds import LAYERS_KEY, MEDIUM_CLASSES, get_kind, make_medium
-from splits.media.measured_inputs import override_keywords
+from splits.media.kinds import LAYERS_KEY, MEDIUM_CLASSES, check_thickness, get_kind, make_medium
 from splits.media.medium import Medium
+from splits.media.natural_snow import override_keywords
 from splits.media.snow_packs import SnowPacks
 from splits.simulation.run_options import MAX_DATASET_VALUES, check_beam_angle, check_incidence
 from splits.simulation.scene import compute_optical_constants, make_height_fields

@@ -16,7 +16,7 @@ from splits.experiments.config.albedo_instrument import Albedo
 from splits.experiments.config.instrument import Instrument
 from splits.experiments.config.instrument_kinds import Spectrophotometer
 from splits.experiments.config.medium import list_table_paths
-from splits.illumination.sky_spectra import CLEAR_SKY
+from splits.illumination.sky import CLEAR_SKY
 from splits.instruments.snow_packs import SUN, check_pack_wavelengths
 from splits.instruments.solver import MONTE_CARLO
 from splits.media.snow_pack_files import read_snow_packs

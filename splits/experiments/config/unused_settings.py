@@ -11,7 +11,7 @@ from splits.experiments.config.medium import MERGED_KEYWORDS, SAMPLE_KEY
 from splits.experiments.config.simulation import SimulationConfig
 from splits.media import ParticleLayer
 from splits.media.kinds import LAYERS_KEY
-from splits.media.measured_inputs import REPLACED_FIELDS
+from splits.media.natural_snow import REPLACED_FIELDS
 from splits.tables.axes import INCIDENCE
 
 UNUSED_KEYWORDS: tuple[tuple[tuple[str, ...], Callable[[ParticleLayer], bool], str], ...] = (

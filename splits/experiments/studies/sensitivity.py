@@ -23,7 +23,7 @@ from splits.experiments.studies.study import (
 )
 from splits.experiments.studies.study_files import PUBLISHED_TABLE
 from splits.experiments.studies.study_input import StudyInput, check_input
-from splits.illumination.sensors import SENSORS
+from splits.illumination.bands import SENSORS
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -22,9 +22,9 @@ from splits.kernels.interface import fresnel
 from splits.kernels.rng import make_table_probabilities, sample_half_normal
 from splits.kernels.scene import UNWEIGHTED_FACETS
 from splits.materials import ice_density
-from splits.materials.mixing import maxwell_garnett
+from splits.materials.refractive_index import maxwell_garnett
 from splits.media import grain_statistics as statistics
-from splits.media.soil_texture import SEPARATE_LIMITS_M, make_size_distribution
+from splits.media.sand_composition import SEPARATE_LIMITS_M, make_size_distribution
 
 M = mp.mpf
 RELATIVE = 1e-12

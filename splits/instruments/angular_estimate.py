@@ -290,9 +290,10 @@ class AngularEstimate(NamedTuple):
     stopping_error : float, shape (2, wavelengths, directions)
         Error for the stopping rule: the power of dropped terms is distributed evenly over
         directions.
-    hemispherical : float, shape (4, 2, wavelengths)
-        Directional-hemispherical reflectance and transmittance, their standard errors, and the
-        same for their unscattered parts.
+    hemispherical, hemispherical_stderr : float, shape (2, wavelengths)
+        Directional-hemispherical reflectance and transmittance.
+    unscattered, unscattered_stderr : float, shape (2, wavelengths)
+        Their unscattered parts.
     degree : int, shape (2, wavelengths)
         Largest degree of a polynomial that was kept.
     truncation_error : float, shape (2, wavelengths, directions)
@@ -306,6 +307,9 @@ class AngularEstimate(NamedTuple):
     stderr: np.ndarray
     stopping_error: np.ndarray
     hemispherical: np.ndarray
+    hemispherical_stderr: np.ndarray
+    unscattered: np.ndarray
+    unscattered_stderr: np.ndarray
     degree: np.ndarray
     truncation_error: np.ndarray
     anisotropy: np.ndarray
@@ -313,7 +317,7 @@ class AngularEstimate(NamedTuple):
 
     def compute_scattered(self) -> np.ndarray:
         """Return the reflectance and the transmittance of scattered light."""
-        return self.hemispherical[0] - self.hemispherical[2]
+        return self.hemispherical - self.unscattered
 
     def compute_reference(self, target: ErrorTarget) -> np.ndarray:
         """Return the reference of errors, shape (wavelengths, directions of the target)."""
@@ -342,8 +346,7 @@ class AngularEstimate(NamedTuple):
 
 
 WAVELENGTH_AXES = {
-    "mean": 1, "stderr": 1, "stopping_error": 1, "hemispherical": 2, "degree": 1,
-    "truncation_error": 1, "anisotropy": 0, "anisotropy_stderr": 0,
+    **dict.fromkeys(AngularEstimate._fields, 1), "anisotropy": 0, "anisotropy_stderr": 0,
 }  # fmt: skip
 """Axis of the wavelengths in the arrays of an estimate."""
 
@@ -391,7 +394,7 @@ def estimate_row(
         noise, total, keep, directions, axisymmetric
     )
     scattered = total[..., 0].sum(axis=1) / directions.basis.norms[0]
-    hemispherical, sparse, unsampled = _compute_hemispherical(scattered, unscattered, n_rays)
+    totals, sparse, unsampled = _compute_hemispherical(scattered, unscattered, n_rays)
     detail = np.sqrt(np.maximum(stderr[0] ** 2 - noise[0] ** 2, 0.0) + (sparse[0] / np.pi) ** 2)
     reflectance = scattered[:, 0] + unscattered[:, 0]
     common = _compute_relative_noise(values[:, 0], reflectance)
@@ -402,7 +405,7 @@ def estimate_row(
         values.mean(axis=0),
         np.hypot(stderr, sparse[:, np.newaxis] / np.pi),
         np.hypot(stopping_error, unsampled[:, np.newaxis] / np.pi),
-        hemispherical,
+        *totals,
         np.where(keep, directions.basis.degrees, 0).max(axis=(0, -1)),
         truncation_error,
         anisotropy,
@@ -440,14 +443,15 @@ def add_interpolation_error(
         See `splits.simulation.spectral_nodes.IndexNodes`.
     """
     error = INTERPOLATION_FACTOR * interpolation_bound[:, np.newaxis] * estimate.mean
-    hemispherical = estimate.hemispherical.copy()
-    hemispherical[1::2] = np.hypot(
-        hemispherical[1::2], bound_fraction_error(interpolation_bound, hemispherical[::2])
+    of_totals, of_unscattered = (
+        bound_fraction_error(interpolation_bound, fractions)
+        for fractions in (estimate.hemispherical, estimate.unscattered)
     )
     return estimate._replace(
         stderr=np.hypot(estimate.stderr, error),
         stopping_error=np.hypot(estimate.stopping_error, error),
-        hemispherical=hemispherical,
+        hemispherical_stderr=np.hypot(estimate.hemispherical_stderr, of_totals),
+        unscattered_stderr=np.hypot(estimate.unscattered_stderr, of_unscattered),
         anisotropy_stderr=np.hypot(
             estimate.anisotropy_stderr,
             INTERPOLATION_FACTOR * interpolation_bound[:, np.newaxis] * estimate.anisotropy,
@@ -487,7 +491,7 @@ def _compute_relative_noise(brdf: np.ndarray, reflectance: np.ndarray) -> np.nda
 
 def _compute_hemispherical(
     scattered: np.ndarray, unscattered: np.ndarray, n_rays: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[Sequence[np.ndarray], np.ndarray, np.ndarray]:
     """Return hemispherical quantities at one wavelength, and allowances for sparse light.
 
     If no light was recorded, the error is that of one more ray in an unknown direction.  The
@@ -503,7 +507,8 @@ def _compute_hemispherical(
 
     Returns
     -------
-    hemispherical : float, shape (4, 2)
+    totals : sequence of 4 arrays, shape (2,)
+        Reflectance and transmittance, their errors, and the same for their unscattered parts.
     sparse, unsampled : float, shape (2,)
         Light recorded in too few batches, or not at all; only the latter enters the stopping rule.
     """
@@ -515,5 +520,5 @@ def _compute_hemispherical(
     unscattered_errors = np.hypot(
         compute_batch_stderr(unscattered), ~unscattered.any(axis=0) / n_rays[0]
     )
-    sums = np.array([total.mean(axis=0), errors, unscattered.mean(axis=0), unscattered_errors])
-    return sums, unsampled + sparse, unsampled
+    totals = (total.mean(axis=0), errors, unscattered.mean(axis=0), unscattered_errors)
+    return totals, unsampled + sparse, unsampled

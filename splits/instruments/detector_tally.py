@@ -305,15 +305,19 @@ class DetectorTally(AngularTally):
 
     def make_estimate(self) -> AngularEstimate:
         """Return BRDF and BTDF, the same at all wavelengths."""
-        *detectors, hemispherical = self._estimate_detectors()
+        *detectors, totals, total_errors = self._estimate_detectors()
         shape = (2, self.n_wavelengths, self.shape[1])
         mean, stderr, stopping_error = (
             np.broadcast_to(one[:, np.newaxis, :, 0], shape) for one in detectors
         )
-        totals = np.repeat(hemispherical.reshape(4, 2, 1), self.n_wavelengths, axis=2)
+        hemispherical, unscattered = (
+            [np.repeat(one[:, np.newaxis], self.n_wavelengths, axis=1) for one in pair]
+            for pair in zip(totals, total_errors, strict=True)
+        )
         return AngularEstimate(
-            mean, stderr, stopping_error, totals, np.zeros(shape[:2], dtype=int), np.zeros(shape),
-            *compute_anisotropy(mean[0], stderr[0], totals[0, 0]),
+            mean, stderr, stopping_error, *hemispherical, *unscattered,
+            np.zeros(shape[:2], dtype=int), np.zeros(shape),
+            *compute_anisotropy(mean[0], stderr[0], hemispherical[0][0]),
         )  # fmt: skip
 
     def make_stokes(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -356,8 +360,8 @@ class DetectorTally(AngularTally):
         Returns
         -------
         mean, stderr, stopping_error : float, shape (2, detectors, 4)
-        hemispherical : float, shape (2, 2, 2)
-            [all light, unscattered light][mean, error][reflected, transmitted].
+        totals, total_errors : float, shape (2, 2)
+            [all light, unscattered light][reflected, transmitted].
         """
         batch_mean = self.sums / (self.n_rays // RAYS_PER_CHUNK)
         (mean, hemispherical_mean), (stderr, hemispherical_stderr), (stopping_error, _) = (
@@ -371,8 +375,7 @@ class DetectorTally(AngularTally):
             hemispherical_stderr = np.sqrt(
                 allow_for_unseen_rays(hemispherical_stderr**2, 1.0 / self.n_rays**2)
             )
-        hemispherical = np.stack([hemispherical_mean.T, hemispherical_stderr.T], axis=1)
-        return mean, stderr, stopping_error, hemispherical
+        return mean, stderr, stopping_error, hemispherical_mean.T, hemispherical_stderr.T
 
     def _split(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the values of detectors, and the hemispherical ones."""

@@ -78,16 +78,16 @@ DIFFUSE_DISTRIBUTIONS = {
 }
 """Labels, units and sides of distributions, and factors on the estimate, by illumination."""
 BEAM_TOTALS = {
-    "reflectance": ("directional-hemispherical reflectance", 0, 0),
-    "transmittance": ("directional-hemispherical transmittance", 0, 1),
-    "specular_reflectance": ("reflectance without scattering", 2, 0),
-    "direct_transmittance": ("transmittance without scattering", 2, 1),
+    "reflectance": ("directional-hemispherical reflectance", "hemispherical", 0),
+    "transmittance": ("directional-hemispherical transmittance", "hemispherical", 1),
+    "specular_reflectance": ("reflectance without scattering", "unscattered", 0),
+    "direct_transmittance": ("transmittance without scattering", "unscattered", 1),
 }
 DIFFUSE_TOTALS = {
-    "reflectance": ("bihemispherical reflectance", 0, 0),
-    "transmittance": ("bihemispherical transmittance", 0, 1),
+    "reflectance": ("bihemispherical reflectance", "hemispherical", 0),
+    "transmittance": ("bihemispherical transmittance", "hemispherical", 1),
 }
-"""Labels of hemispherical quantities, their rows in the estimate, and sides, by illumination."""
+"""Labels of hemispherical quantities, their fields in the estimate, and sides, by illumination."""
 STOKES_LABELS = {
     "dolp": ("degree of linear polarization", "1"),
     "aolp": ("angle of linear polarization", "degree"),
@@ -142,8 +142,9 @@ def make_angular_dataset(
         variables |= make_variable(
             name, grid, values.reshape(shape), error.reshape(shape), label, units
         )
-    for name, (long_name, row, side) in (DIFFUSE_TOTALS if is_diffuse else BEAM_TOTALS).items():
-        mean, stderr = estimate.hemispherical[row : row + 2, side]
+    totals = DIFFUSE_TOTALS if is_diffuse else BEAM_TOTALS
+    for name, (long_name, field, side) in totals.items():
+        mean, stderr = (getattr(estimate, one)[side] for one in (field, f"{field}_stderr"))
         variables |= make_variable(name, "wavelength", mean, stderr, long_name)
     azimuth_label = "angle from the direction in which the beam travels"
     coordinates = {
@@ -513,18 +514,18 @@ def _add_truncation_error(
 ) -> AngularEstimate:
     """Return an estimate with the error of the light from below the truncation depth."""
     n_media = truncation.path_sharing.n_reported
-    entering = estimate.hemispherical[0, 1]
+    entering = estimate.hemispherical[1]
     error = THEORY_UNCERTAINTY * entering * truncation.escape_probability[:n_media].ravel()
-    hemispherical = estimate.hemispherical.copy()
-    hemispherical[1, 0] = np.hypot(hemispherical[1, 0], error)
+    hemispherical_stderr = estimate.hemispherical_stderr.copy()
+    hemispherical_stderr[0] = np.hypot(hemispherical_stderr[0], error)
     by_direction = MAX_ESCAPE_FACTOR / np.pi * error[:, np.newaxis]
     stderr = estimate.stderr.copy()
     stderr[0] = np.hypot(stderr[0], by_direction)
     # Missing light changes the reflectance of the anisotropy factor, too.
-    relative = (error / np.maximum(hemispherical[0, 0], np.finfo(float).tiny))[:, np.newaxis]
+    relative = (error / np.maximum(estimate.hemispherical[0], np.finfo(float).tiny))[:, np.newaxis]
     change = np.maximum(MAX_ESCAPE_FACTOR, estimate.anisotropy) * np.minimum(relative, 1.0)
     return estimate._replace(
         stderr=stderr,
-        hemispherical=hemispherical,
+        hemispherical_stderr=hemispherical_stderr,
         anisotropy_stderr=np.hypot(estimate.anisotropy_stderr, change),
     )

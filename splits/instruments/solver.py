@@ -33,7 +33,6 @@ from splits.discrete_ordinates.parameter_derivatives import (
 from splits.discrete_ordinates.refraction import Geometry
 from splits.discrete_ordinates.stack_brdf import solve_bidirectional, solve_relative_spectrum
 from splits.instruments.angular_estimate import AngularEstimate, compute_anisotropy
-from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.medium import Medium
 from splits.simulation.spectral_tally import Derivatives, SpectralEstimate
 from splits.simulation.threads import limit_blas_threads
@@ -129,8 +128,7 @@ def solve_estimate(
             media[0], parameters, wavelength_nm, incidence
         )
         values, bound = solve_derivatives(of_medium, solutions[0])
-    derivatives = Derivatives(values, np.zeros((N_BATCHES, *values.shape)), bound)
-    return replace(estimate, derivatives=derivatives)
+    return replace(estimate, derivatives=Derivatives.from_solution(values, bound))
 
 
 def make_estimate(solutions: Sequence[SpectrumSolution], column: int) -> SpectralEstimate:
@@ -141,15 +139,16 @@ def make_estimate(solutions: Sequence[SpectrumSolution], column: int) -> Spectra
     ]
     reflectance, transmittance = (np.clip(side, 0.0, 1.0) for side in sides)
     mean = np.stack([reflectance, transmittance, 1.0 - reflectance - transmittance])
-    n_rows = mean.shape[1]
     parts = np.split(mean, np.cumsum([one.error.size for one in solutions])[:-1], axis=1)
     stderr = np.concatenate(
         [one.bound_errors(part) for one, part in zip(solutions, parts, strict=True)], axis=1
     )
-    return SpectralEstimate(
-        mean, stderr, np.zeros_like(stderr), np.zeros((N_BATCHES, 2, n_rows)),
-        _make_no_derivatives(n_rows), np.zeros(n_rows), _describe(solutions),
-    )  # fmt: skip
+    attributes = {
+        "streams": max(one.n_streams for one in solutions),
+        "truncation_error": float(max(one.truncation.max() for one in solutions)),
+        "optics_error": float(max(one.optics_error.max() for one in solutions)),
+    }
+    return SpectralEstimate.from_solution(mean, stderr, attributes)
 
 
 def get_derivative_method(medium: Medium) -> str:
@@ -157,21 +156,6 @@ def get_derivative_method(medium: Medium) -> str:
     layers: Any = medium.scene_layers
     is_wet = any(layer.wet_fraction > 0.0 for layer in layers)
     return "finite_difference" if is_wet else "analytic"
-
-
-def _make_no_derivatives(n_rows: int) -> Derivatives:
-    none = np.zeros((2, 0, n_rows))
-    return Derivatives(none, np.zeros((N_BATCHES, 2, 0, n_rows)), none)
-
-
-def _describe(solutions: Sequence[SpectrumSolution]) -> dict[str, Any]:
-    """Return the attributes of spectra by discrete ordinates."""
-    return {
-        "rays": 0,
-        "streams": max(one.n_streams for one in solutions),
-        "truncation_error": float(max(one.truncation.max() for one in solutions)),
-        "optics_error": float(max(one.optics_error.max() for one in solutions)),
-    }
 
 
 # --------------------------------------------------------------------------------------------------
@@ -361,13 +345,11 @@ def _make_estimate(
     """
     mean, stderr, anisotropy, anisotropy_stderr = by_direction
     totals = _select_totals(spectrum, column)
-    hemispherical = np.zeros((4, *totals.shape))
-    hemispherical[0] = totals
-    hemispherical[1] = spectrum.bound_errors(totals)
-    hemispherical[2] = direct
     return AngularEstimate(
-        np.maximum(mean, 0.0), stderr, stderr, hemispherical, np.zeros(totals.shape, dtype=int),
-        np.zeros_like(mean), np.maximum(anisotropy, 0.0), anisotropy_stderr,
+        np.maximum(mean, 0.0), stderr, stderr,
+        totals, spectrum.bound_errors(totals), direct + np.zeros(totals.shape),
+        np.zeros(totals.shape), np.zeros(totals.shape, dtype=int), np.zeros_like(mean),
+        np.maximum(anisotropy, 0.0), anisotropy_stderr,
     )  # fmt: skip
 
 

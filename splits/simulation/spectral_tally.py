@@ -88,6 +88,11 @@ class Derivatives(NamedTuple):
             np.concatenate(bias_bound, axis=1),
         )
 
+    @classmethod
+    def from_solution(cls, mean: np.ndarray, bias_bound: np.ndarray) -> Derivatives:
+        """Return derivatives without noise."""
+        return cls(mean, np.zeros((N_BATCHES, *mean.shape)), bias_bound)
+
     @property
     def stderr(self) -> np.ndarray:
         """Standard errors, shaped like the means."""
@@ -124,6 +129,18 @@ class SpectralEstimate:
     derivatives: Derivatives
     interpolation_bound: np.ndarray
     rays: dict[str, Any]
+
+    @classmethod
+    def from_solution(
+        cls, mean: np.ndarray, stderr: np.ndarray, attributes: dict[str, Any]
+    ) -> SpectralEstimate:
+        """Return a solution of the equation of transfer: no rays, no noise, no interpolation."""
+        sides, none = mean[:2], mean[:2, np.newaxis][:, :0]
+        return cls(
+            mean, stderr, np.zeros_like(stderr), np.zeros((N_BATCHES, *sides.shape)),
+            Derivatives.from_solution(none, none), np.zeros(mean.shape[1]),
+            {"rays": 0, **attributes},
+        )  # fmt: skip
 
     def get_stop_reason(self, max_stderr: float, max_rays: int) -> str:
         """Return why tracing stopped: the rows reached an error, which others may not have.

@@ -102,7 +102,7 @@ def make_view_variables(
 ) -> dict[str, Any]:
     """Return the variables of a block with their errors, over ``point``, views and wavelength."""
     values = {
-        "reflectance": (estimate.hemispherical[0, 0], estimate.hemispherical[1, 0]),
+        "reflectance": (estimate.hemispherical[0], estimate.hemispherical_stderr[0]),
         "reflectance_factor": (np.pi * estimate.mean[0], np.pi * estimate.stderr[0]),
         "anisotropy_factor": (estimate.anisotropy, estimate.anisotropy_stderr),
     }

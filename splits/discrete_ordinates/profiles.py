@@ -59,22 +59,6 @@ class StackProfile(NamedTuple):
     grain_absorption: np.ndarray
 
 
-class _Levels(NamedTuple):
-    """Values at the levels of a stack: above each element, and below the last one.
-
-    Attributes
-    ----------
-    net : float, shape (levels, states, wavelengths)
-        Net downward flux of each state.
-    downward, upward : float, shape (levels, wavelengths)
-        Of light that is transmitted, not reflected, by the element that ends at the level.
-    """
-
-    net: np.ndarray
-    downward: np.ndarray
-    upward: np.ndarray
-
-
 def compute_pack_profile(
     snowpack: GranularStack, incidence: float | None, n_streams: int
 ) -> StackProfile:
@@ -91,23 +75,22 @@ def compute_pack_profile(
     cosines = np.array([] if incidence is None else [incidence])
     column = -1 if incidence is None else 0
     stack = snowpack.build(cosines, n_streams)
-    budget, levels = stack.compute_budget(), _compute_levels(stack, column)
+    budget, (net, downward, upward) = stack.compute_budget(), _compute_levels(stack, column)
     # Levels above the layers: interfaces have none of their own.
     layers = [i for i, element in enumerate(stack.elements) if element.emission is not None]
     absorption = budget.absorption[..., column]
     paths, in_pores, in_grains = [], [], []
     for part, (level, layer) in enumerate(zip(layers, snowpack.layers, strict=True)):
-        optics, loss = stack.optics[part], levels.net[level] - levels.net[level + 1]
+        optics, loss = stack.optics[part], net[level] - net[level + 1]
         path = compute_pore_path(optics, loss, absorption[part])
         by_pore = path * layer.pore_absorption[..., : path.shape[-1]]
         paths.append(path)
         in_pores.append(by_pore)
         in_grains.append(absorption[part] - by_pore.sum(axis=-1))
-    downward, upward = levels.downward[layers], levels.upward[layers]
+    bottom, downward, upward = downward[-1:], downward[layers], upward[layers]
     # Above the top are the incident light and the reflectance.
     downward[0], upward[0] = 1.0, budget.reflectance[..., column]
     if np.isfinite(snowpack.layers[-1].depth_m):
-        bottom = levels.downward[-1:]
         downward = np.concatenate([downward, bottom])
         upward = np.concatenate([upward, snowpack.ground * bottom])
     return StackProfile(
@@ -140,10 +123,27 @@ def compute_pore_path(optics: LayerOptics, loss: np.ndarray, absorption: np.ndar
     return np.stack([dry, wet], axis=-1)
 
 
-def _compute_levels(stack: StackElements, column: int) -> _Levels:
-    """Return the values at the levels, of one column of the beams and of diffuse light (last)."""
+def _compute_levels(stack: StackElements, column: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return fluxes at the levels of a stack: above each element, and below the last one.
+
+    Parameters
+    ----------
+    stack : StackElements
+    column : int
+        Of the beams and of diffuse light (last).
+
+    Returns
+    -------
+    net : float, shape (levels, states, wavelengths)
+        Net downward flux of each state.
+    downward, upward : float, shape (levels, wavelengths)
+        Of light that is transmitted, not reflected, by the element that ends at the level.
+    """
     outside = stack.boundaries, stack.ground, stack.n_streams
-    state = _label_states(stack)
+    # States of the radiances, of streams and then of directions.
+    n_states = stack.optics[0].extinction.shape[-1]
+    sizes = stack.n_streams, stack.isotropic[0].shape[-1] - stack.n_streams
+    state = np.concatenate([np.repeat(np.arange(n_states), size // n_states) for size in sizes])
     net, downward, upward = [], [], []
     above = None
     for number, (outlet, reflection) in enumerate(
@@ -153,7 +153,7 @@ def _compute_levels(stack: StackElements, column: int) -> _Levels:
         radiance, reflected = stack.isotropic[number], row @ reflection
         net.append([
             apply_rows(row - reflected, radiance * (state == one))[..., 0]
-            for one in range(state.max() + 1)
+            for one in range(n_states)
         ])  # fmt: skip
         element = stack.elements[number - 1] if number else None
         if element is not None and element.emission is None and above is not None:
@@ -161,30 +161,16 @@ def _compute_levels(stack: StackElements, column: int) -> _Levels:
             source = apply_rows(element.transmission_up, radiance)
             downward.append(apply_rows(above, source)[..., 0])
         elif number == len(stack.elements):
-            downward.append(_receive_at_ground(stack, row))
+            # The ground, below the lower boundary, which reflects light back to it.
+            boundary = stack.boundaries[1]
+            gain = 1.0 / (1.0 - stack.ground * boundary.outer_reflectance[..., -1])
+            passing = gain[..., np.newaxis] * boundary.transmission * radiance
+            downward.append(apply_rows(row, passing)[..., 0])
         else:
             downward.append(apply_rows(row, radiance)[..., 0])
         upward.append(downward[-1] - sum(net[-1]))
         above = row
-    return _Levels(np.array(net), np.array(downward), np.array(upward))
-
-
-def _receive_at_ground(stack: StackElements, row: np.ndarray) -> np.ndarray:
-    """Return the irradiance of the ground, below the lower boundary."""
-    bottom = stack.boundaries[1]
-    gain = 1.0 / (1.0 - stack.ground * bottom.outer_reflectance[..., -1])
-    passing = gain[..., np.newaxis] * bottom.transmission * stack.isotropic[-1]
-    return apply_rows(row, passing)[..., 0]
-
-
-def _label_states(stack: StackElements) -> np.ndarray:
-    """Return the state of each radiance, of streams and then of directions."""
-    n_states = stack.optics[0].extinction.shape[-1]
-    n_directions = stack.isotropic[0].shape[-1] - stack.n_streams
-    states = np.arange(n_states)
-    return np.concatenate([
-        np.repeat(states, stack.n_streams // n_states), np.repeat(states, n_directions // n_states)
-    ])  # fmt: skip
+    return np.array(net), np.array(downward), np.array(upward)
 
 
 # --------------------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -306,16 +306,25 @@ def goniophotometer(
     wavelengths, incidence = check_wavelengths(wavelength_nm), check_incidence(incidence_deg)
     relative_stderr = check_range("relative_stderr", relative_stderr, 1e-4, 0.5)
     has_ground = medium.reflecting_ground is not None
-    side = _get_target_side(target, has_ground)
+    side = TARGET_SIDES[check_choice("target", target, TARGET_SIDES)]
+    if has_ground and side == 1:
+        raise invalid("target", target, "brdf over a ground", "no light leaves through a ground")
     max_rays = check_integer("max_rays", max_rays, 1)
     if rays is not None:
         check_integer("rays", rays, 1)
     run = RunOptions.from_arguments(seed, threads, kernel, progress)
     polarization = check_stokes(stokes, medium, incidence)
-    _check_estimator(estimator, incidence)
+    check_choice("estimator", estimator, ANGULAR_ESTIMATORS)
+    if isinstance(incidence, str) and estimator != "expansion":
+        allowed = "an angle for this estimator"
+        raise invalid("incidence_deg", incidence, allowed, "expansion allows it")
     check_polarized_estimator(stokes, estimator, medium)
     bins = check_n_bins(n_bins) if estimator == "bins" else None
-    polar, azimuth = _make_directions(polar_deg, azimuth_deg, bins)
+    if bins is not None:
+        polar, azimuth = compute_bin_centres(bins)
+    else:
+        polar = check_direction_angles("polar_deg", polar_deg, 90.0)
+        azimuth = check_direction_angles("azimuth_deg", azimuth_deg, 360.0)
     check_dataset_size(len(wavelengths), len(polar) * len(azimuth))
     direction_mask = make_direction_mask(polar, azimuth) | (estimator == "next_event")
     request = AngularRequest(
@@ -332,8 +341,16 @@ def goniophotometer(
         check_medium(medium)
         scene = build_scene(medium, incidence, False, polarization)
         tally = _make_angular_tally(medium, scene, incidence, request, estimator, bins)
-        stop = _make_stopping_rule(relative_stderr, rays, max_rays, bins)
-        result = _simulate_angular_result(tally, scene, request.target, stop, run)
+        # Bins have no error that a run could reach.
+        is_fixed = rays is not None or bins is not None
+        limit = (rays or DEFAULT_BIN_RAYS) if is_fixed else max_rays
+        stop = StoppingRule(relative_stderr, limit, fixed=is_fixed)
+        evaluation = simulate(scene, tally, stop, run)
+        result = AngularResult(
+            evaluation.estimate, tally.make_stokes(), tally.undefined_variables,
+            {"degree": evaluation.estimate.degree[side],
+             **tally.describe_run(evaluation.stop_reason)},
+        )  # fmt: skip
     attributes = {
         **run.make_attributes("Virtual goniophotometer", "goniophotometer", medium),
         "incidence_deg": incidence,
@@ -351,15 +368,6 @@ def goniophotometer(
     return make_angular_dataset(
         result.estimate, result.stokes, wavelengths, angles, attributes, undefined
     )
-
-
-def _make_stopping_rule(
-    relative_stderr: float, rays: int | None, max_rays: int, bins: tuple[int, int] | None
-) -> StoppingRule:
-    """Return the rule of a run: a number of rays where it is given or for bins, or an error."""
-    if rays is None and bins is None:
-        return StoppingRule(relative_stderr, max_rays, fixed=False)
-    return StoppingRule(relative_stderr, rays or DEFAULT_BIN_RAYS, fixed=True)
 
 
 def _make_angular_tally(
@@ -385,35 +393,10 @@ def _make_angular_tally(
     return ExpansionTally(nodes, absorption, directions, incidence, target)
 
 
-def _simulate_angular_result(
-    tally: AngularTally,
-    scene: Scene,
-    target: ErrorTarget,
-    stop: StoppingRule,
-    run: RunOptions,
-) -> AngularResult:
-    """Return the result of a simulation with paths, see `goniophotometer`."""
-    evaluation = simulate(scene, tally, stop, run)
-    estimate: AngularEstimate = evaluation.estimate
-    attributes = {
-        "degree": estimate.degree[target.side],
-        **tally.describe_run(evaluation.stop_reason),
-    }
-    return AngularResult(estimate, tally.make_stokes(), tally.undefined_variables, attributes)
-
-
 def make_direction_mask(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
     """Return the directions of the stopping rule: all if only steeper ones are requested."""
     low = polar <= MAX_CONVERGED_POLAR_DEG
     return np.repeat(low if low.any() else ~low, len(azimuth))
-
-
-def _check_estimator(estimator: str, incidence: float | str) -> None:
-    """Check the estimator, and that it supports the incidence."""
-    check_choice("estimator", estimator, ANGULAR_ESTIMATORS)
-    if isinstance(incidence, str) and estimator != "expansion":
-        allowed = "an angle for this estimator"
-        raise invalid("incidence_deg", incidence, allowed, "expansion allows it")
 
 
 def check_polarized_estimator(stokes: Any, estimator: str, medium: Medium) -> None:
@@ -424,47 +407,12 @@ def check_polarized_estimator(stokes: Any, estimator: str, medium: Medium) -> No
         raise invalid("estimator", estimator, allowed)
 
 
-def _get_target_side(target: str, has_ground: bool) -> int:
-    """Return the side of the sample of the target, which must not be that of a ground."""
-    side = TARGET_SIDES[check_choice("target", target, TARGET_SIDES)]
-    if has_ground and side == 1:
-        raise invalid("target", target, "brdf over a ground", "no light leaves through a ground")
-    return side
-
-
-def _make_directions(
-    polar_deg: Any, azimuth_deg: Any, n_bins: tuple[int, int] | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the requested directions (degrees), or those of bin centres."""
-    if n_bins is not None:
-        return compute_bin_centres(n_bins)
-    return check_direction_angles("polar_deg", polar_deg, 90.0), check_direction_angles(
-        "azimuth_deg", azimuth_deg, 360.0
-    )
-
-
 # --------------------------------------------------------------------------------------------------
 # Simulation of reflectance factors and reflectances together, of media that share paths.
 
 MAX_ESCAPE_FACTOR = 1.25
 """Radiance of light that escapes from a great depth, over that of isotropic light of equal flux:
 (2 + 3 µ)/4 at the normal (diffusion theory)."""
-
-
-class DirectionalSimulation(NamedTuple):
-    """Result of a simulation.
-
-    Attributes
-    ----------
-    estimate : AngularEstimate
-        Rows are the wavelengths of one medium after the other.
-    rays : int
-    stop_reason : str
-    """
-
-    estimate: AngularEstimate
-    rays: int
-    stop_reason: str
 
 
 def simulate_directions(
@@ -474,7 +422,7 @@ def simulate_directions(
     polar_deg: np.ndarray,
     azimuth_deg: np.ndarray,
     target: ErrorTarget,
-) -> DirectionalSimulation:
+) -> tuple[AngularEstimate, int, str]:
     """Return reflectance factors to an absolute error, with the reflectance of the same paths.
 
     Parameters
@@ -487,6 +435,13 @@ def simulate_directions(
     polar_deg, azimuth_deg : float, shape (angles,)
     target : ErrorTarget
         With absolute errors.
+
+    Returns
+    -------
+    AngularEstimate
+        Rows are the wavelengths of one medium after the other.
+    rays : int
+    stop_reason : str
     """
     traced = path_sharing if truncation is None else truncation.path_sharing
     rows = SpectralRows.from_media(traced, request.wavelengths)
@@ -506,7 +461,7 @@ def simulate_directions(
         if reached or evaluation.stop_reason != "converged":
             break
         max_error *= 0.5
-    return DirectionalSimulation(estimate, tally.n_rays, evaluation.stop_reason)
+    return estimate, tally.n_rays, evaluation.stop_reason
 
 
 def _add_truncation_error(

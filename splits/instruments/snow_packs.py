@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
@@ -378,11 +378,12 @@ class PackSkies(NamedTuple):
     def from_input(cls, value: Any, packs: SnowPacks) -> PackSkies:
         """Return the skies for a user's value, see `splits.albedo`."""
         zenith = packs.dataset[ZENITH_KEY].values if ZENITH_KEY in packs.dataset else None
-        make = _find_maker(value)
-        if zenith is None and (callable(value) or (isinstance(value, str) and value == CLEAR_SKY)):
+        name = value if isinstance(value, str) else None
+        if zenith is None and (callable(value) or name == CLEAR_SKY):
             allowed = f"a splits.Sky for snowpacks without {ZENITH_KEY}"
             raise invalid("sky", value, allowed, "or packs.with_sun_zenith(angles)")
-        if make is None or zenith is None:
+        # These have one angle of the sun; all others are made for that of each snowpack.
+        if zenith is None or isinstance(value, Sky) or name == ASTM_G173:
             one = as_sky(value)
             incidence: float | str = one.zenith_deg if one.direct.any() else DIFFUSE
             return cls([one], np.zeros(int(packs.is_good.sum()), dtype=int), incidence)
@@ -391,7 +392,11 @@ class PackSkies(NamedTuple):
         if not values.size:
             values = np.zeros(1)
         angles = np.minimum(values * ZENITH_STEP_DEG, MAX_ZENITH_DEG).round(9).tolist()
-        skies = [_check_sky(make(angle)) for angle in angles]
+        skies = [value(angle) if callable(value) else sky(value, angle) for angle in angles]
+        for one in skies:
+            if not isinstance(one, Sky):
+                allowed = "a function that returns a splits.Sky"
+                raise invalid("sky", type(one).__name__, allowed)
         has_sun = any(one.direct.any() for one in skies)
         return cls(skies, number, SUN if has_sun else DIFFUSE)
 
@@ -446,22 +451,6 @@ class PackSkies(NamedTuple):
             attributes["zenith_deg"] = "sun zenith of each snowpack"
             attributes["sky_zenith_step_deg"] = ZENITH_STEP_DEG
         return attributes
-
-
-def _find_maker(value: Any) -> Callable[[float], Sky] | None:
-    """Return the function of the zenith angle that makes a sky, None for a sky of one angle."""
-    if isinstance(value, Sky) or (isinstance(value, str) and value == ASTM_G173):
-        return None
-    if callable(value):
-        return value
-    return lambda zenith: sky(value, zenith)
-
-
-def _check_sky(value: Any) -> Sky:
-    """Return a sky made by a function of the user, after checking its type."""
-    if not isinstance(value, Sky):
-        raise invalid("sky", type(value).__name__, "a function that returns a splits.Sky")
-    return value
 
 
 # --------------------------------------------------------------------------------------------------

@@ -46,13 +46,6 @@ class NormalWave(NamedTuple):
     b2: float
 
 
-class ReflectanceFraction(NamedTuple):
-    """Numerator and denominator of a reflectance."""
-
-    numerator: float
-    denominator: float
-
-
 class FresnelResult(NamedTuple):
     """Reflectance and refraction at an interface.
 
@@ -135,7 +128,7 @@ def unpolarized_reflectance(m, g, k, cos_i, sin2, wave):
     plus = a_cos + sin2
     p_minus = fma(minus, minus, b2_cos2)
     p_plus = fma(plus, plus, b2_cos2)
-    return ReflectanceFraction(contrast * (p_minus + p_plus), s_plus * s_plus * (p_plus + p_plus))
+    return contrast * (p_minus + p_plus), s_plus * s_plus * (p_plus + p_plus)
 
 
 @inline
@@ -160,11 +153,9 @@ def fresnel(n1, n2, k2, cos_i):
     wave = normal_component(m, g, k, cos_i, k != ZERO)
     if wave.a == ZERO:
         return FresnelResult(1.0, 0.0, 0.0)
-    reflectance = unpolarized_reflectance(m, g, k, cos_i, sin2, wave)
+    numerator, denominator = unpolarized_reflectance(m, g, k, cos_i, sin2, wave)
     ratio = rsqrt(fma(wave.a, wave.a, sin2))
-    return FresnelResult(
-        min(reflectance.numerator / reflectance.denominator, 1.0), ratio, wave.a * ratio
-    )
+    return FresnelResult(min(numerator / denominator, 1.0), ratio, wave.a * ratio)
 
 
 @inline

@@ -7,7 +7,7 @@ its licence.  Nothing is downloaded.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -117,17 +117,13 @@ def _drop_invalid_rows(
     return w[keep], n[keep], k[keep]
 
 
-def _load_ice_warren_2008() -> TabulatedIndex:
-    return _load_table("ice", "warren_brandt_2008")
-
-
 def _load_ice_picard_2016() -> TabulatedIndex:
     """Return Warren & Brandt 2008 with the absorption of Picard et al. 2016 below 600 nm.
 
     Picard's table begins at 320 nm.  Its first value is used from 200 to 320 nm, a range of about
     0.5 % of sunlight.
     """
-    warren = _load_ice_warren_2008()
+    warren = _load_table("ice", "warren_brandt_2008")
     (short, absorption), reference = _load_columns("ice_picard_2016")
     short, absorption = short[short < 600.0], absorption[short < 600.0]
     extrapolated = np.arange(200.0, short[0], 10.0)
@@ -144,14 +140,6 @@ def _load_ice_picard_2016() -> TabulatedIndex:
     return TabulatedIndex("warren_brandt_2008_picard_2016", source, w, n, k)
 
 
-def _load_water_hale() -> TabulatedIndex:
-    return _load_table("water", "hale_querry_1973")
-
-
-def _load_water_segelstein() -> TabulatedIndex:
-    return _load_table("water", "segelstein_1981")
-
-
 def _make_quartz_ordinary() -> SellmeierIndex:
     terms = (1.07044083, 1.00585997e-2), (1.10202242, 100.0)
     return SellmeierIndex(
@@ -166,27 +154,16 @@ def _make_quartz_extraordinary() -> SellmeierIndex:
     )
 
 
-def _load_hematite_ordinary() -> TabulatedIndex:
-    return _load_table("hematite", "querry_1985_ordinary")
-
-
-def _load_hematite_extraordinary() -> TabulatedIndex:
-    return _load_table("hematite", "querry_1985_extraordinary")
-
-
 def _make_hematite_mean() -> TabulatedIndex:
     """Return the index of randomly oriented crystals, √((2 ε_o + ε_e)/3), in the common range."""
-    ordinary, extraordinary = _load_hematite_ordinary(), _load_hematite_extraordinary()
+    ordinary = _load_table("hematite", "querry_1985_ordinary")
+    extraordinary = _load_table("hematite", "querry_1985_extraordinary")
     tables = (ordinary.wavelength_nm, extraordinary.wavelength_nm)
     w = np.union1d(*tables)
     w = w[(w >= max(t[0] for t in tables)) & (w <= min(t[-1] for t in tables))]
     index = np.sqrt((2.0 * ordinary(w) ** 2 + extraordinary(w) ** 2) / 3.0)
     source = "mean dielectric constant (2 ordinary + extraordinary)/3 of " + ordinary.source
     return TabulatedIndex("querry_1985", source, w, index.real, index.imag)
-
-
-def _load_magnetite() -> TabulatedIndex:
-    return _load_table("magnetite", "querry_1985")
 
 
 def _make_kaolinite() -> ConstantIndex:
@@ -201,21 +178,24 @@ def _make_kaolinite() -> ConstantIndex:
 
 _DATASET_LOADERS: dict[str, dict[str, Callable[[], RefractiveIndex]]] = {
     "ice": {
-        "warren_brandt_2008": _load_ice_warren_2008,
+        "warren_brandt_2008": partial(_load_table, "ice", "warren_brandt_2008"),
         "warren_brandt_2008_picard_2016": _load_ice_picard_2016,
     },
-    "water": {"hale_querry_1973": _load_water_hale, "segelstein_1981": _load_water_segelstein},
+    "water": {
+        "hale_querry_1973": partial(_load_table, "water", "hale_querry_1973"),
+        "segelstein_1981": partial(_load_table, "water", "segelstein_1981"),
+    },
     "quartz": {
         "ghosh_1999_ordinary": _make_quartz_ordinary,
         "ghosh_1999_extraordinary": _make_quartz_extraordinary,
     },
     "hematite": {
         "querry_1985": _make_hematite_mean,
-        "querry_1985_ordinary": _load_hematite_ordinary,
-        "querry_1985_extraordinary": _load_hematite_extraordinary,
+        "querry_1985_ordinary": partial(_load_table, "hematite", "querry_1985_ordinary"),
+        "querry_1985_extraordinary": partial(_load_table, "hematite", "querry_1985_extraordinary"),
     },
     "goethite": {"oscillators": make_goethite},
-    "magnetite": {"querry_1985": _load_magnetite},
+    "magnetite": {"querry_1985": partial(_load_table, "magnetite", "querry_1985")},
     "kaolinite": {"egan_hilgeman_1979": _make_kaolinite},
 }
 

@@ -94,7 +94,9 @@ class Ground(ContentEquality):
             value = value.sort_index()
             value = {"wavelength_nm": value.index.to_numpy(), "albedo": value.to_numpy()}
         if isinstance(value, Path) or (isinstance(value, str) and is_csv_path(value)):
-            return _load_ground(Path(value))
+            path = Path(value)
+            (w, albedo), digest = read_user_table("ground", path, ("wavelength_nm", "albedo"))
+            return _make_tabulated_ground(path.name, "table of the user", w, albedo, digest)
         if isinstance(value, str):
             return _find_ground(value)
         if isinstance(value, Mapping):
@@ -215,12 +217,6 @@ def _make_tabulated_ground(
         raise invalid("ground", f"{w.size} wavelengths, {values.size} albedos", allowed)
     values = check_array_range("ground.albedo", values, 0.0, 1.0)
     return Ground(name, source, values, w, sha256)
-
-
-def _load_ground(path: Path) -> Ground:
-    """Return the ground of a CSV file."""
-    (w, albedo), digest = read_user_table("ground", path, ("wavelength_nm", "albedo"))
-    return _make_tabulated_ground(path.name, "table of the user", w, albedo, digest)
 
 
 # --------------------------------------------------------------------------------------------------

@@ -193,7 +193,13 @@ def load_medium(name: str | Path, **keywords: Any) -> Medium:
     >>> splits.load_medium("wet_beach", saturation=0).saturation
     0.0
     """
-    content = _read_yaml_file(name) if _is_yaml_file(name) else read_named_medium(name)
+    if isinstance(name, str | Path) and str(name).endswith((".yaml", ".yml")):
+        import_optional("ruamel.yaml", "experiments", "medium files need")
+        from splits.core.yaml import read_yaml
+
+        content = read_yaml(expand_path(name, "name"))
+    else:
+        content = read_named_medium(name)
     kind = get_kind(content)
     settings = {key: value for key, value in content.items() if key != "kind"}
     return make_medium(kind, override_keywords(settings, keywords))
@@ -213,14 +219,3 @@ def read_named_medium(name: Any) -> dict[str, Any]:
 
 def _read_named_file(name: str) -> dict[str, Any]:
     return tomllib.loads((NAMED_MEDIA_FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
-
-
-def _is_yaml_file(name: object) -> bool:
-    return isinstance(name, str | Path) and str(name).endswith((".yaml", ".yml"))
-
-
-def _read_yaml_file(path: str | Path) -> dict[str, Any]:
-    import_optional("ruamel.yaml", "experiments", "medium files need")
-    from splits.core.yaml import read_yaml
-
-    return read_yaml(expand_path(path, "name"))

@@ -254,6 +254,8 @@ def _make_layers(
     if height_fields is not None:
         # Above the highest point that a realization of the surface may have.
         boundaries[0] = MAX_HEIGHT_SIGMA * np.linalg.norm(height_fields.rms_height)
+    # Rows of the particle table.
+    has_particles = np.array([not layer.has_grains for layer in media])
     return Layers(
         boundaries=boundaries,
         collision_coefficient=np.clip(
@@ -264,7 +266,7 @@ def _make_layers(
         first_type=np.cumsum([0, *n_types])[:-1],
         first_pore_material=first_materials[:-1],
         pore_cdf=_compute_pore_cdf(media),
-        particle_row=_find_particle_rows(media),
+        particle_row=np.where(has_particles, np.cumsum(has_particles) - 1, NO_PARTICLES),
     )
 
 
@@ -295,12 +297,6 @@ def add_recording_planes(scene: Scene, depths_m: Sequence[float]) -> Scene:
         name: getattr(layers, name)[original] for name in layers._fields if name != "boundaries"
     }
     return scene._replace(layers=Layers(boundaries=boundaries, **rows), record_crossings=True)
-
-
-def _find_particle_rows(media: Sequence[Layer]) -> np.ndarray:
-    """Return the row of each layer in the particle table, `NO_PARTICLES` for granular layers."""
-    has_particles = np.array([not layer.has_grains for layer in media])
-    return np.where(has_particles, np.cumsum(has_particles) - 1, NO_PARTICLES)
 
 
 def make_particle_table(layers: Sequence[ParticleMedium]) -> ParticleScattering:

@@ -259,7 +259,13 @@ def choose_nodes(
         assignment.try_node(new, chosen)
         chosen.append(new)
         if len(chosen) > MAX_NODES:
-            _check_separate_nodes(len(distinct), tolerance)
+            if len(distinct) > MAX_SEPARATE_NODES:
+                raise invalid(
+                    "wavelength_nm", f"{len(distinct)} wavelengths",
+                    f"at most {MAX_SEPARATE_NODES} for this error",
+                    f"interpolation errors up to {tolerance:.1g} require separate paths for each; "
+                    "choose a larger error or fewer wavelengths",
+                )  # fmt: skip
             assignment.assign_separate_nodes()
     rows = assignment.get_used_nodes()
     return IndexNodes(
@@ -267,17 +273,6 @@ def choose_nodes(
         assignment.compute_weights(rows)[:, inverse],
         assignment.interpolation_bound[inverse],
     )
-
-
-def _check_separate_nodes(n_wavelengths: int, tolerance: float) -> None:
-    """Check that there are not too many wavelengths for an ensemble of paths each."""
-    if n_wavelengths > MAX_SEPARATE_NODES:
-        raise invalid(
-            "wavelength_nm", f"{n_wavelengths} wavelengths",
-            f"at most {MAX_SEPARATE_NODES} for this error",
-            f"interpolation errors up to {tolerance:.1g} require separate paths for each; "
-            "choose a larger error or fewer wavelengths",
-        )  # fmt: skip
 
 
 def make_nodes(

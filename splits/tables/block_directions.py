@@ -62,16 +62,13 @@ def trace_directions(
     truncation: TruncatedMedium | None,
 ) -> tuple[AngularEstimate, dict[str, Any]]:
     """Return the estimate of a path group by Monte Carlo, as `solve_directions`."""
-    simulation = simulate_directions(
+    estimate, rays, stop_reason = simulate_directions(
         group.path_sharing, truncation, request, *views, _make_target(views)
     )
     # With enough rays, only light from below a truncation depth leaves a larger error.
-    converged = simulation.stop_reason == "converged"
-    otherwise = "interpolation_bound" if converged else simulation.stop_reason
-    attributes = {"rays": simulation.rays} | _describe_error(
-        simulation.estimate, request.max_stderr, views, otherwise
-    )
-    return simulation.estimate, attributes
+    otherwise = "interpolation_bound" if stop_reason == "converged" else stop_reason
+    attributes = _describe_error(estimate, request.max_stderr, views, otherwise)
+    return estimate, {"rays": rays, **attributes}
 
 
 def _make_target(views: ViewGrid) -> ErrorTarget:

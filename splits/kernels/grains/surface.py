@@ -381,8 +381,10 @@ def reflect_or_refract(d, interface, facet, media, u, mirror_wrong_side, feature
     normal, cos_facet, lobe = facet.normal, facet.cos_facet, interface.in_lobe
     sin2 = max((ONE - cos_facet) * (ONE + cos_facet), ZERO)
     wave, ratio = compute_transmitted_wave(media, cos_facet, sin2, features)
-    reflectance = unpolarized_reflectance(media.m, media.m_minus_1, media.k, cos_facet, sin2, wave)
-    reflected = (u * reflectance.denominator < reflectance.numerator) | (wave.a == ZERO)
+    numerator, denominator = unpolarized_reflectance(
+        media.m, media.m_minus_1, media.k, cos_facet, sin2, wave
+    )
+    reflected = (u * denominator < numerator) | (wave.a == ZERO)
     if features.mixed is not None:
         reflected = reflected & (not media.equal)
     transmitted = not reflected

@@ -79,6 +79,7 @@ def fill_legendre(x, values):
     values[0] = 1.0
     if values.size > 1:
         values[1] = x
+    # Bonnet's recurrence, stable upwards in the order.
     for order in range(2, values.size):
         values[order] = (
             (2 * order - 1) * x * values[order - 1] - (order - 1) * values[order - 2]

@@ -154,11 +154,13 @@ def tally_expansion(exits, absorption, max_orders, basis):
             for i in range(wavelengths):
                 unscattered[side, i] += compute_path_weight(lengths, roulette_weight, absorption, i)
             continue
+        # Rays of one class of orders share their noise; each class keeps its own polynomials.
         order_class = 0
         while row[EXIT_ORDER] > max_orders[order_class]:
             order_class += 1
         dx, dy = row[EXIT_DIRECTION], row[EXIT_DIRECTION + 1]
         evaluate_basis(basis, dx, dy, abs(row[EXIT_DIRECTION + 2]), values)
+        # The coefficient of a polynomial is its mean over the exits, weighted by their light.
         for i in range(wavelengths):
             weight = compute_path_weight(lengths, roulette_weight, absorption, i)
             total = sums[order_class, side, i]
@@ -198,6 +200,7 @@ def tally_angular_bins(exits, absorption, n_polar, n_azimuth, polarized):
         if side < 0:
             continue
         dx, dy = row[EXIT_DIRECTION], row[EXIT_DIRECTION + 1]
+        # Equal steps of azimuth and of the polar cosine have equal solid angles, dω = dφ dμ.
         turn = math.atan2(dy, dx) / (2.0 * math.pi) + 0.5 / n_azimuth
         azimuth_bin = min(int((turn - math.floor(turn)) * n_azimuth), n_azimuth - 1)
         polar_bin = min(int(abs(row[EXIT_DIRECTION + 2]) * n_polar), n_polar - 1)
@@ -304,6 +307,7 @@ def tally_radial(
             radial[side, i, radial_bin] += weight
             first_moment[side, i] += weight * radius
             if inside and n_pixels > 0:
+                # The plane of incidence is one of symmetry: each mirror image has half the light.
                 mirrored = n_pixels - 1 - across
                 if across == mirrored:
                     exit_map[WEIGHT, side, i, along, across] += weight

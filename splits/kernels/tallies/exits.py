@@ -279,6 +279,7 @@ def tally_weights(exits, crossings, absorption, weighted, ground_column):
                 sides[0, i] += sides[1, i]
             score_moments(moments[2], sides[0])
             update_minimum(min_weight, sides[0])
+        # What the block has added to the totals: a difference in double precision.
         if (j + 1) % BLOCK_SIZE == 0 or j + 1 == rays:
             for side in range(2):
                 for i in range(wavelengths):
@@ -346,6 +347,7 @@ def _add_ground_absorption(crossings, first, ray, alpha, ground_column, total):
     while first < crossings.shape[0] and crossings[first, CROSSING_RAY] == ray:
         row = crossings[first]
         compute_path_weights(row[CROSSING_LENGTH:], row[CROSSING_WEIGHT], alpha, weight)
+        # At each hit the ground absorbs weight·(1 − a), with its albedo a = exp(−α).
         for i in range(total.size):
             total[i] += weight[i] * (ONE - exp_float32(-alpha[ground_column, i]))
         first += 1

@@ -203,6 +203,8 @@ def sample_next_event(state, ray, scene, optics):
         if collision.accepted:
             kind, distance, height = COLLISION, collision.distance, collision.height
             break
+        # Segments are memoryless (SPLITSnow Eq 1): sampling goes on behind a boundary that does not
+        # refract, with the mean distance of the next layer.
         if collision.leaves_layer:
             boundary_hit = compute_boundary_hit(ray, geometry)
             distance, height = boundary_hit.distance, boundary_hit.position.z

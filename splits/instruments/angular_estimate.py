@@ -491,7 +491,7 @@ def _compute_relative_noise(brdf: np.ndarray, reflectance: np.ndarray) -> np.nda
 
 def _compute_hemispherical(
     scattered: np.ndarray, unscattered: np.ndarray, n_rays: np.ndarray
-) -> tuple[Sequence[np.ndarray], np.ndarray, np.ndarray]:
+) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray, np.ndarray]:
     """Return hemispherical quantities at one wavelength, and allowances for sparse light.
 
     If no light was recorded, the error is that of one more ray in an unknown direction.  The
@@ -507,7 +507,7 @@ def _compute_hemispherical(
 
     Returns
     -------
-    totals : sequence of 4 arrays, shape (2,)
+    totals : four arrays, shape (2,)
         Reflectance and transmittance, their errors, and the same for their unscattered parts.
     sparse, unsampled : float, shape (2,)
         Light recorded in too few batches, or not at all; only the latter enters the stopping rule.

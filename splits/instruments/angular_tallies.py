@@ -208,12 +208,13 @@ class AngularBinTally(AngularTally, ExitTally):
         mean, stderr = self._compute_bin_means(*self.bin_sums[:FIRST_STOKES])
         n_rows = len(self.absorption)
         total = self.bin_sums[:FIRST_STOKES].sum(axis=(-2, -1)) + self.unscattered_sums
-        hemispherical, unscattered = (
+        (fraction, error), (unscattered, unscattered_error) = (
             self.combine_moments(*sums) for sums in (total, self.unscattered_sums)
         )
         estimate = AngularEstimate(
-            mean, stderr, stderr, *hemispherical, *unscattered, np.zeros((2, n_rows), dtype=int),
-            np.zeros_like(mean), *compute_anisotropy(mean[0], stderr[0], hemispherical[0][0]),
+            mean, stderr, stderr, fraction, error, unscattered, unscattered_error,
+            np.zeros((2, n_rows), dtype=int), np.zeros_like(mean),
+            *compute_anisotropy(mean[0], stderr[0], fraction[0]),
         )  # fmt: skip
         return add_interpolation_error(estimate, self.nodes.interpolation_bound)
 

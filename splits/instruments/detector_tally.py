@@ -310,14 +310,14 @@ class DetectorTally(AngularTally):
         mean, stderr, stopping_error = (
             np.broadcast_to(one[:, np.newaxis, :, 0], shape) for one in detectors
         )
-        hemispherical, unscattered = (
-            [np.repeat(one[:, np.newaxis], self.n_wavelengths, axis=1) for one in pair]
-            for pair in zip(totals, total_errors, strict=True)
+        fraction, unscattered, error, unscattered_error = (
+            np.repeat(one[:, np.newaxis], self.n_wavelengths, axis=1)
+            for one in (*totals, *total_errors)
         )
         return AngularEstimate(
-            mean, stderr, stopping_error, *hemispherical, *unscattered,
+            mean, stderr, stopping_error, fraction, error, unscattered, unscattered_error,
             np.zeros(shape[:2], dtype=int), np.zeros(shape),
-            *compute_anisotropy(mean[0], stderr[0], hemispherical[0][0]),
+            *compute_anisotropy(mean[0], stderr[0], fraction[0]),
         )  # fmt: skip
 
     def make_stokes(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:

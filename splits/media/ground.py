@@ -95,8 +95,8 @@ class Ground(ContentEquality):
             value = {"wavelength_nm": value.index.to_numpy(), "albedo": value.to_numpy()}
         if isinstance(value, Path) or (isinstance(value, str) and is_csv_path(value)):
             path = Path(value)
-            (w, albedo), digest = read_user_table("ground", path, ("wavelength_nm", "albedo"))
-            return _make_tabulated_ground(path.name, "table of the user", w, albedo, digest)
+            (w, values), digest = read_user_table("ground", path, ("wavelength_nm", "albedo"))
+            return _make_tabulated_ground(path.name, "table of the user", w, values, digest)
         if isinstance(value, str):
             return _find_ground(value)
         if isinstance(value, Mapping):

@@ -330,7 +330,7 @@ def compute_mueller(m, g, k, cos_i):
     Returns
     -------
     InterfaceMueller
-        R₊ and the `FresnelResult` agree with `fresnel.fresnel`; R₋ ≤ 0, T₊ = 1 − R₊, T₋ = −R₋.
+        R₊ and the `FresnelResult` agree with `fresnel`; R₋ ≤ 0, T₊ = 1 − R₊, T₋ = −R₋.
     """
     if g == 0.0 and k == 0.0:
         return InterfaceMueller(

@@ -413,7 +413,7 @@ class Ray(NamedTuple):
     layer : int
         Layer of the scene in which the ray is.
     pore_variate : float
-        Random number that selects the pore medium, see `state.pore_material`.
+        Random number that selects the pore medium, see `grain_path.pore_material`.
     weight : float
         Statistical weight without absorption in materials: the inverse probability of survival,
         times the single-scattering albedos of the particles hit and the reflectances of an opaque

@@ -247,7 +247,7 @@ WET_PORE_MODELS = ("saturation", "equilibrium")
 class GrainOpticsRequest(NamedTuple):
     """Request for single-scattering properties, see `splits.instruments.single_scattering`.
 
-    The number of rays is a multiple of `single_scattering_tally.GRAIN_RAYS_PER_CHUNK`, or a smaller
+    The number of rays is a multiple of `GRAIN_RAYS_PER_CHUNK`, or a smaller
     one of `N_SCATTERING_BATCHES`.
     """
 

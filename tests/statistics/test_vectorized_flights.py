@@ -56,7 +56,7 @@ def make_deep_scene(medium):
 
 
 class HitGrains(NamedTuple):
-    """Grains that rays have hit, as in `lane_state.Lane`, and the distances to them (m)."""
+    """Grains that rays have hit, as in `lanes.Lane`, and the distances to them (m)."""
 
     q: np.ndarray
     w: np.ndarray

@@ -25,7 +25,7 @@ from splits.kernels.compiler.cache import enable_caching
 # Reference counting is enabled only in functions that allocate or return arrays.  Numba counts
 # references to an array in and out of every function that takes it.  Kernels pass the dozens of
 # arrays of a scene to small functions at every step, and the counting took half of the run time.
-# Only functions that allocate or return arrays count (`jit.inline_allocating`, `jit.entry_point`);
+# Only functions that allocate or return arrays count (`inline_allocating`, `entry_point`);
 # all others borrow their arguments (Numba's option `_nrt`).  A function without reference counting
 # must not return an array, which is checked here; nor does it call NumPy functions on arrays, which
 # are compiled separately and cannot be checked.

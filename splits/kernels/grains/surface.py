@@ -344,7 +344,7 @@ def relative_index(near, far):
 
 @inline
 def compute_transmitted_wave(media, cos_facet, sin2, features):
-    """Return the `TransmittedWave`; its ratio is `sine_ratio` of `fresnel.FresnelResult`."""
+    """Return the `TransmittedWave`; its ratio is `sine_ratio` of `FresnelResult`."""
     if features.mixed is None and features.absorbing is None:
         wave = normal_component(media.m, media.m_minus_1, ZERO, cos_facet, False)
         return TransmittedWave(wave, media.inverse)

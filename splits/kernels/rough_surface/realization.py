@@ -362,7 +362,7 @@ class SurfaceRealization(NamedTuple):
     Attributes
     ----------
     waves : float64[4, columns]
-        Rows `wave_sums.WAVE_ROWS`.
+        Rows `WAVE_ROWS`.
     bands : float64[4, bands]
         A column per band, the finest first.  A band contains all waves up to `BAND_END`;
         `FINER_HEIGHT` (m) is the maximum height of the other waves; `MAX_SLOPE` and `MAX_CURVATURE`

@@ -330,7 +330,7 @@ class Detectors(NamedTuple):
     peak_probability : float
         Probability that light at a particle is scattered into the peak.
     peak_directions : float64[orders, 3]
-        Buffer of `peak_next_event.sample_peak_directions`.
+        Buffer of `sample_peak_directions`.
     """
 
     direction: np.ndarray

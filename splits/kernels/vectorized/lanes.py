@@ -73,7 +73,7 @@ class Lane(StructureOfArrays, n_elements=N_LANES):
     order: int = 0  # Order of scattering.
     max_order: int  # Order after which it counts as absorbed.
 
-    # As in `base.ray.Ray`, with its previous segment.
+    # As in `scene.Ray`, with its previous segment.
     position: Vector = ORIGIN
     exit_offset: Vector = ORIGIN
     direction: Vector
@@ -123,7 +123,7 @@ class Lane(StructureOfArrays, n_elements=N_LANES):
     # Grain at which the ray is.
     grain: Spheroid
     roughness: float  # Half of its facetness.
-    shell: float  # Position among its shells, see `grains.interaction.InterfaceState`.
+    shell: float  # Position among its shells, see `surface.InterfaceState`.
     side: float
     grain_type: int
     core_shell: float  # Shell number of the core.

@@ -129,7 +129,7 @@ def draw_grain_properties(state, width, features, tables, type_cdf):
     Parameters
     ----------
     state, width, features
-        See `flight.run_flight_pass`.
+        See `run_flight_pass`.
     tables : tuple of 3 float32[rows, m]
         Curvature, flattening and half facetness at the probabilities of
         `rng.make_table_probabilities`.
@@ -251,7 +251,7 @@ def run_flight_pass(state, width, features, rules):
     Parameters
     ----------
     state : uint32[STATE_SIZE]
-        Array of `lane_state.Lane`.
+        Array of `lanes.Lane`.
     width : int
         Lanes in use, from the first on: a multiple of `STRIDE`.
     features, rules : Features, SamplingRules
@@ -418,7 +418,7 @@ def run_surface_pass(state, width, features, rules):
     Parameters
     ----------
     state, width, features, rules
-        See `flight.run_flight_pass`.
+        See `run_flight_pass`.
     """
     prefer_512_bit_vectors()
     for first_lane in range(0, width, STRIDE):

@@ -33,12 +33,11 @@ from splits.kernels.tallies.exits import (
 )
 from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
 from splits.simulation.engine import simulate
-from splits.simulation.exit_tally import ExitTally
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import build_scene, compute_optical_constants
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.stopping_rule import StoppingRule
-from splits.simulation.stratum import Stratum
+from splits.simulation.strata import StoppingRule, Stratum
+from splits.simulation.tally import ExitTally
 
 WAVELENGTHS_NM = [450.0, 600.0, 700.0, 800.0, 900.0, 1000.0]
 INCIDENCE_DEG = 40.0

@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 import splits
-from splits.kernels.optics import forward_peak
+from splits.kernels import phase_function
 
 PHASE_TABLE = Path(__file__).parents[1] / "tests" / "physics" / "reference" / "cloud_c1.csv"
 CASES = {
@@ -75,7 +75,7 @@ def main() -> None:
         )  # fmt: skip
         results = []
         for threshold in (math.inf, 20.0):
-            forward_peak.PEAK_THRESHOLD_PER_SR = threshold
+            phase_function.PEAK_THRESHOLD_PER_SR = threshold
             results.append(measure_layer(layer, rays // 10 if quick else rays, SEEDS))
         mean = results[1][0].mean(axis=0)
         gain = (

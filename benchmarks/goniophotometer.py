@@ -19,7 +19,7 @@ import xarray as xr
 
 import splits
 from splits.analysis.directions import select_principal_plane
-from splits.instruments.angular_bins import DEFAULT_N_BINS, compute_bin_centres
+from splits.instruments.angular_tallies import DEFAULT_N_BINS, compute_bin_centres
 
 MAX_POLAR_DEG = 80.0
 TABLE1 = splits.Snow()

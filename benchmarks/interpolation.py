@@ -18,14 +18,17 @@ import numpy as np
 import splits
 from splits.simulation.engine import simulate
 from splits.simulation.fixed_budget import estimate_fixed_budget
-from splits.simulation.interpolation_bounds import MAX_LOG_CURVATURE, MAX_LOG_SLOPE
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import build_scene
-from splits.simulation.spectral_nodes import IndexNodes, choose_nodes
-from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
+from splits.simulation.shared_paths import PathSharingMedia, SpectralRows
+from splits.simulation.spectral_nodes import (
+    MAX_LOG_CURVATURE,
+    MAX_LOG_SLOPE,
+    IndexNodes,
+    choose_nodes,
+)
 from splits.simulation.spectral_tally import SpectralTally
-from splits.simulation.stopping_rule import StoppingRule
-from splits.simulation.stratum import STRATUM_BOUNDS
+from splits.simulation.strata import STRATUM_BOUNDS, StoppingRule
 
 # Wider apart than in any spectrum, so that the curvature is larger than the noise.
 MATERIALS = {

@@ -28,8 +28,8 @@ import xarray as xr
 
 import splits
 from splits.core.uncertainty import compute_error_parts
-from splits.instruments.flux_target import FluxTarget
-from splits.instruments.irradiance_profile import FluxRequest, simulate_flux
+from splits.instruments.flux_tally import FluxTarget
+from splits.instruments.profiles import FluxRequest, simulate_flux
 from splits.simulation.run_options import RunOptions
 
 WAVELENGTHS_NM = np.arange(400.0, 2501.0, 10.0)

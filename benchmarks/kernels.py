@@ -37,13 +37,11 @@ import splits
 from splits.core.paths import expand_path
 from splits.io.data_frame import write_data_frame
 from splits.kernels import vectorized
-from splits.kernels.base.scene import Optics, make_bounding_optics
-from splits.kernels.base.work import NO_MAX_ORDER
-from splits.kernels.compiler.features import Features
+from splits.kernels.scene import NO_MAX_ORDER, Features, Optics, make_bounding_optics
 from splits.kernels.tallies.exits import allocate_exits
 from splits.kernels.transport import history
-from splits.kernels.vectorized.eligibility import select_features
-from splits.materials.lookup import absorption_coefficient
+from splits.kernels.vectorized.trace import select_features
+from splits.materials.library import absorption_coefficient
 from splits.simulation.scene import build_scene
 from splits.simulation.threads import count_cpus
 

@@ -28,8 +28,7 @@ import pandas as pd
 import xarray as xr
 
 import splits
-from splits.instruments.delay_record import SPEED_OF_LIGHT
-from splits.instruments.slowness import compute_slowness
+from splits.instruments.delay_record import SPEED_OF_LIGHT, compute_slowness
 
 CLEAR_INDEX = 1.31
 CLEAR = {"ice": CLEAR_INDEX}

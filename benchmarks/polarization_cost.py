@@ -20,26 +20,27 @@ import numpy as np
 from numba import njit
 
 import splits
-from splits.kernels.base.scene import make_bounding_optics
-from splits.kernels.base.work import NO_MAX_ORDER
-from splits.kernels.compiler.features import ALL_FEATURES
-from splits.kernels.grains.interaction import InterfaceState, reflect_or_refract, relative_index
-from splits.kernels.grains.microfacet import make_smooth_facet
+from splits.kernels.arithmetic import UP
+from splits.kernels.grains.grain_path import sample_entry_variates, sample_grain
 from splits.kernels.grains.spheroid import compute_chord, sample_entry_point
-from splits.kernels.grains.state import sample_entry_variates, sample_grain
-from splits.kernels.math.rng import start_stream, uniform
-from splits.kernels.math.vectors import UP
-from splits.kernels.optics.interface import ComplexIndex
-from splits.kernels.optics.polarized_interface import (
+from splits.kernels.grains.surface import (
+    InterfaceState,
+    make_smooth_facet,
+    reflect_or_refract,
+    relative_index,
+)
+from splits.kernels.interface import (
+    ComplexIndex,
     apply_mueller,
     compute_mueller,
     rotate_to_plane_of_incidence,
 )
-from splits.kernels.optics.stokes import UNPOLARIZED
+from splits.kernels.rng import start_stream, uniform
+from splits.kernels.scene import ALL_FEATURES, NO_MAX_ORDER, make_bounding_optics
+from splits.kernels.stokes import UNPOLARIZED
 from splits.kernels.tallies.exits import N_STOKES_COLUMNS, allocate_exits
 from splits.kernels.transport import history
-from splits.simulation.incident_light import IncidentPolarization
-from splits.simulation.scene import build_scene, compute_optical_constants
+from splits.simulation.scene import IncidentPolarization, build_scene, compute_optical_constants
 
 RAYLEIGH = {
     "optical_thickness": 10.0, "phase_function": "rayleigh", "single_scattering_albedo": 0.99,

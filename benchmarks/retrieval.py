@@ -28,8 +28,8 @@ from splits.instruments.spectral_run import SpectralRequest, simulate_spectra
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.state_vector import StateVector
-from splits.simulation.path_reuse import group_by_shared_paths
 from splits.simulation.run_options import RunOptions
+from splits.simulation.shared_paths import group_by_shared_paths
 from splits.tables.interpolation import apply_axis_transform
 
 SIZE, WATER, SOOT = "optical_radius_um", "liquid_water_content", "impurities_ng_g.black_carbon"

@@ -27,11 +27,11 @@ from .media import Sand as Sand
 from .media import SandInterpretation as SandInterpretation
 from .media import Snow as Snow
 from .media import Stack as Stack
-from .media.named_media import list_media as list_media
-from .media.named_media import load_medium as load_medium
+from .media.kinds import list_media as list_media
+from .media.kinds import load_medium as load_medium
+from .media.snow_pack_files import read_caaml as read_caaml
+from .media.snow_pack_files import read_crocus as read_crocus
 from .media.snow_pack_files import read_snow_packs as read_snow_packs
-from .media.snow_pack_readers import read_caaml as read_caaml
-from .media.snow_pack_readers import read_crocus as read_crocus
 from .media.snow_packs import SnowPacks as SnowPacks
 from .retrieval.maps import retrieve_map as retrieve_map
 from .retrieval.retrieve import retrieve as retrieve

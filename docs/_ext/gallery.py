@@ -16,7 +16,7 @@ from sphinx.util.docutils import SphinxDirective
 
 from splits.core.yaml import dump_yaml, read_yaml
 from splits.experiments.config.load import load_settings
-from splits.media.named_media import NAMED_MEDIA_FOLDER
+from splits.media.kinds import NAMED_MEDIA_FOLDER
 
 ROOT = Path(__file__).parents[2]
 EXPERIMENTS = ROOT / "config" / "experiments"

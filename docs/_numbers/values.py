@@ -30,7 +30,7 @@ from _numbers.time_values import TIMING_NUMBERS
 from splits.analysis.directions import select_principal_plane
 from splits.core.validation import invalid
 from splits.io.netcdf import load
-from splits.kernels.grains.free_path import MAX_REJECTIONS
+from splits.kernels.grains.spheroid import MAX_REJECTIONS
 from workflow.papers.angles import MAX_LAMBERTIAN_RANGE
 
 CODE_SOURCE = ""

@@ -11,7 +11,7 @@ import pandas as pd
 
 from splits.core.validation import key_prefix
 from splits.materials.csv_table import read_csv, read_numeric_csv
-from splits.simulation.arguments import check_wavelengths
+from splits.simulation.run_options import check_wavelengths
 
 WAVELENGTH_COLUMN = "wavelength_nm"
 

@@ -44,14 +44,14 @@ RETRIEVAL_SOURCES = (
     "experiments/config/retrieval.py", "experiments/run_retrieve.py",
     "tables/interpolation.py", "tables/axis_interpolation.py", "tables/comparison.py",
     "tables/axis_order.py", "tables/table.py", "tables/table_interpolation.py",
-    "materials/impurities.csv", "materials/impurities.py", "media/measured_inputs.py",
+    "materials/impurities.csv", "materials/impurities.py", "media/natural_snow.py",
     "retrieval/state_vector.py", "retrieval/cubic_interpolation.py",
     "retrieval/optimal_estimation.py", "retrieval/forward_model.py",
     "retrieval/least_squares.py", "retrieval/linearization.py", "retrieval/measurement.py",
     "retrieval/residual_covariance.py", "retrieval/posterior.py", "retrieval/result.py",
     "retrieval/solution.py", "retrieval/settings.py", "retrieval/retrieve.py",
     "retrieval/medium_model.py",
-    "illumination/bands.py", "illumination/sensors.py", "illumination/sensors.csv",
+    "illumination/bands.py", "illumination/sensors.csv",
 )  # fmt: skip
 """Files that determine retrievals from a table."""
 RETURN_SOURCES = (

@@ -2,33 +2,19 @@
 
 Modules, each importing only those above it:
 
-- `streams`: directions of the streams, Legendre functions
-- `integrals`: exponential modes, and their integrals along directions
-- `layer_optics`: optics of homogeneous layers
-- `modes`: solutions of the equation of transfer in them
-- `slab`: their reflection and transmission
-- `adding`: layers on top of each other, over a ground
-- `pores`: refraction at the boundaries and interfaces of wet layers
-- `geometry`: directions in air and within layers
-- `direct_light`: light that is not scattered, or only once
-- `layer_radiance`: reflection and transmission of a layer between directions
+- `homogeneous_layer`: streams, modes, and their reflection and transmission
+- `adding`: layers on top of each other, over a ground, and the light at the levels between them
+- `refraction`: refraction at the boundaries and interfaces of wet layers, directions within layers
+- `derivatives`: derivatives with respect to the optics of dry layers
 - `radiance`: reflected and transmitted radiance of layers
-- `grain_table`: single scattering by the grains of natural snow
-- `traced_grains`: single scattering by other grains
-- `grain_cache`: kept results of paths through them
-- `phase_series`: phase functions from a limited number of moments
-- `granular_layers`: layers of grains and their optics
-- `replicates`: the same without some of these paths, for errors
-- `granular_stack`: spectra of layers, with errors
+- `grains`: single scattering by the grains of natural snow, and by other grains
+- `grain_cache`: kept results of paths through the latter
+- `granular_layers`: layers of grains and their optics, also without some of these paths, for errors
+- `granular_stack`: spectra of layers, with errors, also of small transmittances
 - `grain_tabulation`: makes the tables of the grains of natural snow
-- `stack_profile`: fluxes, absorption and path lengths within layers
-- `interval_profile`: the same between depths, by material, with errors
-- `transmittance_error`: relative errors of small transmittances
+- `profiles`: fluxes, absorption by material and path lengths within layers, with errors
 - `stack_brdf`: reflected and transmitted radiance of layers, with errors
 - `applicability`: media for which all this applies
-- `levels`: light at the levels between dry layers
-- `divided_differences`: of the impedances of a layer
-- `derivatives`: derivatives with respect to the optics of dry layers
-- `parameter_derivatives`: derivatives with respect to the parameters of a medium
-- `derivative_errors`: their errors, and differences for wet snow
+- `parameter_derivatives`: derivatives with respect to the parameters of a medium, with errors
+- `snow_packs`: spectra of many snowpacks at once
 """

@@ -8,15 +8,11 @@ from typing import Any
 import numpy as np
 
 from splits.discrete_ordinates.grain_cache import load_grains
-from splits.discrete_ordinates.grain_table import MAX_ABSORPTION, GrainTable
+from splits.discrete_ordinates.grains import MAX_ABSORPTION, GrainTable, TracedGrains, choose_rays
 from splits.discrete_ordinates.granular_layers import GranularLayer
 from splits.discrete_ordinates.granular_stack import (
     GranularStack,
     load_natural_grains,
-)
-from splits.discrete_ordinates.traced_grains import (
-    TracedGrains,
-    choose_rays,
 )
 from splits.media.medium import GranularMedium, Medium
 from splits.media.natural_snow import is_natural
@@ -97,7 +93,7 @@ def compute_extent_error(layer: GranularMedium) -> float:
     """Return the bound on the error of fluxes of a thick layer due to the extent of its grains.
 
     Fluxes follow from single scattering and from the mean distance between grains
-    (`splits.discrete_ordinates.traced_grains.TracedGrains.compute_packing_ratio`).  Near the
+    (`splits.discrete_ordinates.grains.TracedGrains.compute_packing_ratio`).  Near the
     surface, they depend on more than the mean.  `benchmarks/finite_grains.py` measures the
     differences.  Point grains have none.
     """
@@ -131,7 +127,7 @@ def find_profile_obstacle(medium: Medium, wavelength_nm: np.ndarray) -> str | No
     Parameters
     ----------
     medium : Medium
-        See `splits.discrete_ordinates.applicability.find_obstacle`.
+        See `find_obstacle`.
     wavelength_nm : float, shape (wavelengths,)
     """
     layers: Any = medium.scene_layers

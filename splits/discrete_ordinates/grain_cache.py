@@ -16,7 +16,7 @@ import numpy as np
 
 from splits.core.atomic import atomic_write
 from splits.core.provenance import hash_physics_sources
-from splits.discrete_ordinates.traced_grains import GrainTracing, TracedGrains
+from splits.discrete_ordinates.grains import GrainTracing, TracedGrains
 from splits.kernels.compiler.cache_folder import find_cache_folder, warn_once
 from splits.media.medium import GranularMedium
 
@@ -37,7 +37,7 @@ def load_grains(
         Its depth, density and ground have no effect.
     wavelength_nm : float, shape (wavelengths,)
     rays : int
-        See `splits.discrete_ordinates.traced_grains.choose_rays`.
+        See `splits.discrete_ordinates.grains.choose_rays`.
     threads : int
     """
     tracing = GrainTracing.from_layer(layer, wavelength_nm, rays)

@@ -11,27 +11,25 @@ import numpy as np
 
 from splits.core.uncertainty import compute_jackknife_stderr, compute_leave_one_out_means
 from splits.discrete_ordinates.adding import Boundary, Element, compute_budget, make_isotropic
-from splits.discrete_ordinates.grain_table import MAX_ABSORPTION, Axis, GrainTable
+from splits.discrete_ordinates.grains import MAX_ABSORPTION, Axis, GrainTable
 from splits.discrete_ordinates.granular_layers import GranularLayer
 from splits.discrete_ordinates.granular_stack import GranularStack
-from splits.discrete_ordinates.layer_optics import LayerOptics
-from splits.discrete_ordinates.slab import solve_slab
-from splits.discrete_ordinates.streams import Streams
-from splits.kernels.base.scene import WET_PORE
+from splits.discrete_ordinates.homogeneous_layer import LayerOptics, Streams, solve_slab
 from splits.kernels.grains.single_grain import N_SCATTERING_BATCHES
+from splits.kernels.scene import WET_PORE
 from splits.materials.library import load_dataset
 from splits.media.natural_snow import NATURAL_REFRACTIVE_INDICES
 from splits.media.snow import Snow
 from splits.simulation.engine import simulate
-from splits.simulation.run_options import RunOptions
-from splits.simulation.scene import build_scene
-from splits.simulation.single_scattering_tally import (
+from splits.simulation.grain_optics import (
     GRAIN_RAYS_PER_CHUNK,
     WEIGHTED_MEANS,
     SingleScatteringTally,
 )
+from splits.simulation.run_options import RunOptions
+from splits.simulation.scene import build_scene
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.stopping_rule import StoppingRule
+from splits.simulation.strata import StoppingRule
 
 WEAK_ABSORPTION = 1e-6
 """Absorption x at which the derivative of the moments at 0 is taken."""

@@ -1,28 +1,402 @@
-"""Radiance that plane layers reflect and transmit between two directions, by azimuthal modes.
+"""Radiance that plane layers reflect and transmit between two directions.
 
-By reciprocity, the light that reaches the direction of a beam from the direction of a view has the
-BRDF, or the BTDF, of a beam that is seen from there.  Beams along the views enter at the top and at
-the bottom; what a layer scatters out of them rises and falls on both of its sides, and leaves along
-the beams at the top.  Light scattered once is left out of the modes and computed at the scattering
-angle, with the phase function before truncation (TMS, Nakajima & Tanaka 1988, Journal of
-Quantitative Spectroscopy and Radiative Transfer 40, 51).
+Light that is not scattered, or only once, is known exactly for each pair of directions.  The rest
+is smooth, and a sum of azimuthal modes.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
 import numpy as np
 from numpy.polynomial.legendre import legval
 
-from splits.discrete_ordinates.adding import Faces, add_above, make_outlet, reflect_at_bottom
-from splits.discrete_ordinates.direct_light import (
-    DirectLight,
-    PhaseFunction,
-    scatter_once,
-    trace_direct_light,
+from splits.discrete_ordinates.adding import (
+    Boundary,
+    Element,
+    Faces,
+    add_above,
+    make_isotropic,
+    make_outlet,
+    reflect_at_bottom,
 )
-from splits.discrete_ordinates.geometry import Geometry, PlaneLayers
-from splits.discrete_ordinates.layer_radiance import LayerRadiance, solve_layer_radiance
-from splits.discrete_ordinates.streams import Streams
+from splits.discrete_ordinates.homogeneous_layer import (
+    LayerOptics,
+    Slab,
+    Streams,
+    compute_scattering,
+    convolve_exponentials,
+    solve_slab,
+)
+from splits.discrete_ordinates.refraction import (
+    REFLECTED,
+    TRANSMITTED,
+    Geometry,
+    PlaneLayers,
+)
+
+# --------------------------------------------------------------------------------------------------
+# Light that is not scattered, or only once, in plane layers with refracting faces.
+
+PhaseFunction = Callable[[int, int, np.ndarray], np.ndarray]
+"""Scattering coefficients times phase functions between two states, shape (layers, ..., beams,
+views, azimuths), at the cosines of scattering angles (..., beams, views, azimuths)."""
+
+
+class DirectLight(NamedTuple):
+    """Beams that enter a sample, where they are not scattered.
+
+    Attributes
+    ----------
+    falling, rising : float, shape (layers, ..., directions, states)
+        Scaled amplitudes at the top of each layer downwards, and at its bottom upwards.
+    reflected, transmitted : float, shape (..., directions)
+        Fractions that leave on the side of the beam, and on the other side.
+    """
+
+    falling: np.ndarray
+    rising: np.ndarray
+    reflected: np.ndarray
+    transmitted: np.ndarray
+
+    def select(self, directions: slice) -> DirectLight:
+        """Return some of the directions."""
+        return DirectLight(
+            self.falling[..., directions, :], self.rising[..., directions, :],
+            self.reflected[..., directions], self.transmitted[..., directions],
+        )  # fmt: skip
+
+
+class _End(NamedTuple):
+    """Boundary of the sample for the states of each direction, shape (..., directions, states)."""
+
+    reflection: np.ndarray
+    entering: np.ndarray
+    leaving: np.ndarray
+    outer_reflectance: np.ndarray
+
+
+def trace_direct_light(layers: PlaneLayers, cosines: np.ndarray) -> tuple[DirectLight, DirectLight]:
+    """Return the direct light of beams that enter at the top, and that enter at the bottom.
+
+    Parameters
+    ----------
+    layers : PlaneLayers
+    cosines : float, shape (directions,)
+        In air.
+    """
+    optics, directions = layers.optics, layers.refract(cosines)
+    faces = layers.make_faces(Streams.from_number(2), cosines)
+    depth = (optics.thickness[..., np.newaxis] * optics.extinction)[..., np.newaxis]
+    direct = np.swapaxes(np.exp(-depth / directions), -1, -2)
+    n_states, shape = direct.shape[-1], direct.shape[1:]
+    elements: list[Element] = []
+    is_layer: list[bool] = []
+    for passing, interface in zip(direct, [*faces.interfaces, None], strict=True):
+        matrix = passing[..., np.newaxis] * np.eye(n_states)
+        elements.append(Element(0.0 * matrix, 0.0 * matrix, matrix, matrix, None))
+        is_layer.append(True)
+        if interface is not None:
+            elements.append(_select_directions(interface, n_states))
+            is_layer.append(False)
+    root = np.sqrt(optics.equilibrium)
+    top, bottom = (
+        _make_end(boundary, root[end], shape)
+        for boundary, end in zip(faces.boundaries, (0, -1), strict=True)
+    )
+    (falling, rising), outside = _trace(elements, top, bottom)
+    from_top = DirectLight(falling[:-1][is_layer], rising[1:][is_layer], *outside)
+    flipped = [
+        Element(
+            one.reflection_below, one.reflection_above, one.transmission_up, one.transmission_down,
+            None,
+        )
+        for one in reversed(elements)
+    ]  # fmt: skip
+    (rising, falling), outside = _trace(flipped, bottom, top)
+    from_bottom = DirectLight(falling[:0:-1][is_layer], rising[-2::-1][is_layer], *outside)
+    return from_top, from_bottom
+
+
+def scatter_once(layers: PlaneLayers, geometry: Geometry, evaluate: PhaseFunction) -> np.ndarray:
+    """Return the BRDF and the BTDF of light scattered once, shape (2, ..., beams, views, azimuths).
+
+    Parameters
+    ----------
+    layers : PlaneLayers
+        With the extinction after truncation.
+    geometry : Geometry
+    evaluate : callable
+        Phase function before truncation.
+    """
+    optics, n_beams = layers.optics, geometry.beams.size
+    directions = layers.refract(geometry.cosines)
+    both = trace_direct_light(layers, geometry.cosines)
+    # The response outside to light that leaves a layer is, by reciprocity, the light that enters.
+    beam = both[0].select(slice(n_beams))
+    views = [one.select(slice(n_beams, None)) for one in both]
+    thickness = optics.thickness[..., np.newaxis, np.newaxis]
+    shape = (n_beams, geometry.views.size, geometry.azimuths.size)
+    total = np.zeros((2, *optics.thickness.shape[1:], *shape))
+    for a, b in np.ndindex(optics.scattering.shape[-3:-1]):
+        mu, nu = directions[..., a, :n_beams], directions[..., b, n_beams:]
+        product = mu[..., :, np.newaxis] * nu[..., np.newaxis, :]
+        rates = (
+            optics.extinction[..., a, np.newaxis, np.newaxis] / mu[..., :, np.newaxis],
+            optics.extinction[..., b, np.newaxis, np.newaxis] / nu[..., np.newaxis, :],
+        )
+        air_mass = rates[0] + rates[1]
+        paths = (
+            -np.expm1(-air_mass * thickness) / air_mass,
+            convolve_exponentials(*rates, thickness),
+        )
+        for turn in (REFLECTED, TRANSMITTED):
+            cosines = geometry.compute_scattering_cosines(turn, mu, nu)
+            source = evaluate(a, b, cosines) / (4.0 * np.pi * product[..., np.newaxis])
+            for side, view in enumerate(views):
+                weight = _pair(beam, view, (a, b), turn) * paths[turn]
+                if weight.any():
+                    total[side] += (weight[..., np.newaxis] * source).sum(axis=0)
+    return total
+
+
+def _pair(beam: DirectLight, view: DirectLight, states: tuple[int, int], turn: int) -> np.ndarray:
+    """Return products of amplitudes, shape (layers, ..., beams, views).
+
+    Scattering that turns light back joins amplitudes of the same direction.
+    """
+    pairs = [(beam.falling, view.falling), (beam.rising, view.rising)]
+    if turn == TRANSMITTED:
+        pairs = [(beam.falling, view.rising), (beam.rising, view.falling)]
+    first, second = (
+        one[..., states[0]][..., :, np.newaxis] * other[..., states[1]][..., np.newaxis, :]
+        for one, other in pairs
+    )
+    amplitude: np.ndarray = first + second
+    return amplitude
+
+
+def _select_directions(interface: Element, n_states: int) -> Element:
+    """Return an interface for the beams in each direction, which are reverse to radiances."""
+    above, below, down, up = (
+        _split_directions(matrix, n_states) for matrix in interface[:-1] if matrix is not None
+    )
+    return Element(above, below, np.swapaxes(up, -1, -2), np.swapaxes(down, -1, -2), None)
+
+
+def _split_directions(matrix: np.ndarray, n_states: int) -> np.ndarray:
+    """Return the blocks of each direction, shape (..., directions, states, states).
+
+    Each state has one stream, which comes first.
+    """
+    block = matrix[..., n_states:, n_states:]
+    n = block.shape[-1] // n_states
+    block = block.reshape(*block.shape[:-2], n_states, n, n_states, n)
+    return np.moveaxis(np.diagonal(block, axis1=-3, axis2=-1), -1, -3)
+
+
+def _make_end(boundary: Boundary, root: np.ndarray, shape: tuple[int, ...]) -> _End:
+    """Return a boundary for beams; `root` is the root of the equilibrium of each state."""
+    n_states = shape[-1]
+
+    def split(values: np.ndarray) -> np.ndarray:
+        by_state = values.reshape(*values.shape[:-1], n_states, -1)
+        return np.broadcast_to(np.swapaxes(by_state, -1, -2), shape)
+
+    reflection, transmission = (
+        split(values[..., n_states:]) for values in (boundary.reflection, boundary.transmission)
+    )
+    root = root[..., np.newaxis, :]
+    return _End(
+        reflection[..., np.newaxis] * np.eye(n_states), split(boundary.shares) / root,
+        transmission * root, boundary.outer_reflectance[..., :-1],
+    )  # fmt: skip
+
+
+def _trace(
+    elements: Sequence[Element], entry: _End, exit_end: _End
+) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Return falling and rising light at all levels, and the fractions that leave."""
+    reflections = [exit_end.reflection]
+    for element in reversed(elements):
+        reflections.insert(0, add_above(element, reflections[0])[0])
+    unit = np.eye(entry.reflection.shape[-1])
+    gain = np.linalg.inv(unit - entry.reflection @ reflections[0])
+    falling = [gain @ entry.entering[..., np.newaxis]]
+    for element, below in zip(elements, reflections[1:], strict=True):
+        gain = np.linalg.inv(unit - element.reflection_below @ below)
+        falling.append(gain @ element.transmission_down @ falling[-1])
+    down = np.stack(falling)
+    up = np.stack(reflections) @ down
+    down, up = down[..., 0], up[..., 0]
+    reflected = entry.outer_reflectance + (entry.leaving * up[0]).sum(axis=-1)
+    return (down, up), (reflected, (exit_end.leaving * down[-1]).sum(axis=-1))
+
+
+# --------------------------------------------------------------------------------------------------
+# Radiance that a homogeneous layer reflects and transmits between two directions.
+#
+# It follows from invariance (Ambartsumian; Chandrasekhar 1950, Radiative Transfer): a thin layer on
+# top of a homogeneous slab has the same effect as a thin layer below it.  Let r be the extinction
+# along a direction, e^(−rτ) its direct transmission δ, and w and c the scattering within a
+# hemisphere and between both, in the scaled form of `splits.discrete_ordinates.homogeneous_layer`.
+# With the diffuse reflection R and transmission T between directions o and e and the streams,
+#
+#     (r_o + r_e) R_oe = c_oe (1 − δ_o δ_e) + [w R + R w + R c R − (δ + T) c (δ + T)]_oe,
+#     (r_e − r_o) T_oe = w_oe (δ_o − δ_e) + [T w − w T + (δ + T) c R − R c (δ + T)]_oe,
+#
+# where brackets contain no light scattered once, which the first terms are.  It is left out of the
+# modes and computed at the scattering angle, see `compute_bidirectional`.
+#
+# Where r_e ≈ r_o, T_oe is interpolated between other rates of the direction o.  T_oe is a smooth
+# function of this rate, as the scattering into the direction o stays the same.
+
+RATE_SHIFT = 1e-3
+"""Relative shift of rates for interpolation."""
+SHIFTS = RATE_SHIFT * np.array([0.0, -2.0, -1.0, 1.0, 2.0])
+SHIFT_WEIGHTS = np.array([0.0, -1.0, 4.0, 4.0, -1.0]) / 6.0
+"""Weights of the interpolation to a shift of 0, by a polynomial of the third degree."""
+
+
+class LayerRadiance(NamedTuple):
+    """Layers, and light that they scatter out of beams along the views, for one azimuthal mode.
+
+    Radiances are those of the streams and of the beams, as in `splits.discrete_ordinates.adding`,
+    without light scattered once between two directions.
+
+    Attributes
+    ----------
+    elements : list of Element
+    isotropic : float, shape (layers, ..., radiances)
+    reflection, transmission : float, shape (layers, ..., radiances, states, views)
+    """
+
+    elements: list[Element]
+    isotropic: np.ndarray
+    reflection: np.ndarray
+    transmission: np.ndarray
+
+
+class _Directions(NamedTuple):
+    """Directions of all states along one dimension, shape (..., directions) or (..., streams)."""
+
+    reflection: np.ndarray
+    transmission: np.ndarray
+    direct: np.ndarray
+    within: np.ndarray
+    across: np.ndarray
+    rates: np.ndarray
+
+
+def solve_layer_radiance(
+    optics: LayerOptics, streams: Streams, beams: np.ndarray, views: np.ndarray, mode: int
+) -> LayerRadiance:
+    """Return the reflection and transmission of layers between streams, beams and views.
+
+    Parameters
+    ----------
+    optics : LayerOptics
+        Truncated; layers along the first dimension.
+    streams : Streams
+    beams, views : float, shape (..., states, beams) and (..., states, views)
+        Cosines in each state.
+    mode : int
+    """
+    n_beams, n_shifted = beams.shape[-1], SHIFTS.size * beams.shape[-1]
+    directions = np.concatenate([np.tile(beams, SHIFTS.size), views], axis=-1)
+    factors = np.ones(directions.shape[-1])
+    factors[:n_shifted] += np.repeat(SHIFTS, n_beams)
+    slab = solve_slab(optics, streams, directions, mode, factors)
+    (even, even_into), (odd, odd_into) = compute_scattering(optics, streams, directions, mode)
+    per_cosine = (0.5 / directions).reshape(*directions.shape[:-2], -1, 1)
+    rates = optics.extinction[..., np.newaxis] / directions * factors
+    combined = _Directions(
+        slab.beam_reflection, slab.beam_transmission, slab.direct[..., np.newaxis],
+        per_cosine * (even_into + odd_into), per_cosine * (even_into - odd_into),
+        rates.reshape(*rates.shape[:-2], -1, 1),
+    )  # fmt: skip
+
+    def select(chosen: slice) -> _Directions:
+        return _Directions(*(_select(values, rates.shape[-2:], chosen) for values in combined))
+
+    shifted, own, seen = map(select, (slice(n_shifted), slice(n_beams), slice(n_shifted, None)))
+    across = 0.5 * (even - odd)
+    reflected = _reflect(own, seen, across)
+    transmitted = _transmit(shifted, seen, across, n_beams)
+    isotropic = make_isotropic(optics, streams, n_beams)
+    layers = Slab(
+        slab.reflection, slab.transmission, own.reflection, own.transmission, own.direct[..., 0]
+    )
+    elements = [
+        Element.from_slab(layers.select(layer), isotropic[layer])
+        for layer in range(optics.thickness.shape[0])
+    ]
+    into_all = (
+        np.concatenate([_transpose(into_streams), into_beams], axis=-2)
+        for into_streams, into_beams in (
+            (seen.reflection, reflected), (seen.transmission, transmitted)
+        )
+    )  # fmt: skip
+    reflection, transmission = (
+        values.reshape(*values.shape[:-1], *views.shape[-2:]) for values in into_all
+    )
+    return LayerRadiance(elements, isotropic, reflection, transmission)
+
+
+def _select(values: np.ndarray, shape: tuple[int, ...], chosen: slice) -> np.ndarray:
+    """Return some of the directions of each state."""
+    by_state = values.reshape(*values.shape[:-2], *shape, values.shape[-1])[..., chosen, :]
+    return by_state.reshape(*values.shape[:-2], -1, values.shape[-1])
+
+
+def _reflect(own: _Directions, seen: _Directions, across: np.ndarray) -> np.ndarray:
+    """Return R without light scattered once, by invariance."""
+    numerator = (
+        own.within @ _transpose(seen.reflection)
+        + own.reflection @ _transpose(seen.within + seen.reflection @ across)
+        - (own.direct * own.across) @ _transpose(seen.transmission)
+        - own.transmission @ _transpose(seen.direct * seen.across + seen.transmission @ across)
+    )
+    reflected: np.ndarray = numerator / (own.rates + _transpose(seen.rates))
+    return reflected
+
+
+def _transmit(
+    shifted: _Directions, seen: _Directions, across: np.ndarray, n_beams: int
+) -> np.ndarray:
+    """Return T without light scattered once, by invariance."""
+    numerator = (
+        shifted.transmission @ _transpose(seen.within)
+        - shifted.within @ _transpose(seen.transmission)
+        + (shifted.transmission @ across + shifted.direct * shifted.across)
+        @ _transpose(seen.reflection)
+        - shifted.reflection @ _transpose(seen.transmission @ across + seen.direct * seen.across)
+    )
+    difference = _transpose(seen.rates) - shifted.rates
+    values = numerator / np.where(difference == 0.0, 1.0, difference)
+    values, difference, rates = (
+        np.moveaxis(one.reshape(*one.shape[:-2], -1, SHIFTS.size, n_beams, one.shape[-1]), -3, 0)
+        for one in (values, difference, shifted.rates)
+    )
+    is_near = np.abs(difference[0]) < 0.5 * RATE_SHIFT * rates[0]
+    transmitted = np.where(is_near, np.tensordot(SHIFT_WEIGHTS, values, 1), values[0])
+    return transmitted.reshape(*transmitted.shape[:-3], -1, transmitted.shape[-1])
+
+
+def _transpose(matrix: np.ndarray) -> np.ndarray:
+    return np.swapaxes(matrix, -1, -2)
+
+
+# --------------------------------------------------------------------------------------------------
+# Radiance that plane layers reflect and transmit between two directions, by azimuthal modes.
+#
+# By reciprocity, the light that reaches the direction of a beam from the direction of a view has
+# the BRDF, or the BTDF, of a beam that is seen from there.  Beams along the views enter at the top
+# and at the bottom; what a layer scatters out of them rises and falls on both of its sides, and
+# leaves along the beams at the top.  Light scattered once is left out of the modes and computed at
+# the scattering angle, with the phase function before truncation (TMS, Nakajima & Tanaka 1988,
+# Journal of Quantitative Spectroscopy and Radiative Transfer 40, 51).
 
 
 def compute_bidirectional(

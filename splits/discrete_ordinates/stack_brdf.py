@@ -18,24 +18,29 @@ import numpy as np
 
 from splits.core.error_target import MIN_REFERENCE_FRACTION, ErrorTarget
 from splits.discrete_ordinates.adding import Budget
-from splits.discrete_ordinates.direct_light import DirectLight, scatter_once, trace_direct_light
-from splits.discrete_ordinates.geometry import Geometry, PlaneLayers
-from splits.discrete_ordinates.granular_layers import MIN_WET_FRACTION
+from splits.discrete_ordinates.granular_layers import (
+    MIN_WET_FRACTION,
+    N_PEAK_ORDERS,
+    estimate_phase_error,
+)
 from splits.discrete_ordinates.granular_stack import (
     AIR,
     STREAM_NUMBERS,
     GranularStack,
     SpectrumSolution,
     choose_trial_wavelengths,
+    solve_with_exponent_error,
     spread_truncation,
 )
-from splits.discrete_ordinates.integrals import TINY
-from splits.discrete_ordinates.layer_optics import LayerOptics
-from splits.discrete_ordinates.phase_series import N_PEAK_ORDERS, estimate_phase_error
-from splits.discrete_ordinates.pores import WET
-from splits.discrete_ordinates.radiance import compute_bidirectional, sum_legendre
-from splits.discrete_ordinates.streams import Streams
-from splits.discrete_ordinates.transmittance_error import solve_with_exponent_error
+from splits.discrete_ordinates.homogeneous_layer import TINY, LayerOptics, Streams
+from splits.discrete_ordinates.radiance import (
+    DirectLight,
+    compute_bidirectional,
+    scatter_once,
+    sum_legendre,
+    trace_direct_light,
+)
+from splits.discrete_ordinates.refraction import WET, Geometry, PlaneLayers
 
 MAX_BRDF_STREAMS = 32
 """Largest number of streams of a BRDF: the number of moments of the table minus 1."""

@@ -34,13 +34,12 @@ from splits.instruments import (
 from splits.instruments.solver import DISCRETE_ORDINATES
 from splits.instruments.spectral_run import SpectralRequest, simulate_spectra
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
-from splits.media.checks import check_medium
+from splits.media.kinds import check_medium
 from splits.media.medium import Medium
-from splits.simulation.arguments import MAX_DATASET_VALUES
-from splits.simulation.incident_light import check_stokes
-from splits.simulation.path_reuse import MediaGroup, group_by_shared_paths
-from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
-from splits.simulation.stopping_rule import STOP_REASONS
+from splits.simulation.run_options import MAX_DATASET_VALUES, RunOptions, make_wavelength_coordinate
+from splits.simulation.scene import check_stokes
+from splits.simulation.shared_paths import MediaGroup, group_by_shared_paths
+from splits.simulation.strata import STOP_REASONS
 from splits.tables.return_table import TITLE, build_return_table
 
 N_BEAM_RAYS = 200_000

@@ -23,8 +23,7 @@ from splits.retrieval.residual_covariance import MIN_RESIDUAL_DOF
 from splits.retrieval.sand_fit import FitResult, fit
 from splits.retrieval.sand_forward_model import Effort
 from splits.retrieval.sand_parameters import UnitCube
-from splits.simulation.arguments import check_wavelengths
-from splits.simulation.run_options import make_wavelength_coordinate
+from splits.simulation.run_options import check_wavelengths, make_wavelength_coordinate
 from splits.simulation.threads import DaemonThreadPool, count_cpus
 
 MAX_GOOD_RMSE = 0.03

@@ -23,10 +23,9 @@ from splits.instruments import albedo, spectrophotometer
 from splits.instruments.spectral_run import SpectralRequest
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
 from splits.media.snow_pack_input import FLAG_NAME
-from splits.media.snow_pack_quality import count_missing_results
-from splits.media.snow_packs import SnowPacks
+from splits.media.snow_packs import SnowPacks, count_missing_results
 from splits.simulation.run_options import RunOptions
-from splits.simulation.stopping_rule import STOP_REASONS
+from splits.simulation.strata import STOP_REASONS
 from splits.tables.assembly import allocate_arrays, assemble_dataset, insert_block
 from splits.tables.block import DIGEST_ATTRIBUTE, TableRequest, load_block, make_block_path
 from splits.tables.build import (

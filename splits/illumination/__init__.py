@@ -1,8 +1,7 @@
 """Illumination: spectral irradiance of skies, and spectral bands of sensors."""
 
-from splits.illumination.sensors import sensor_bands
-from splits.illumination.sky import Sky
-from splits.illumination.sky_spectra import sky
+from splits.illumination.bands import sensor_bands
+from splits.illumination.sky import Sky, sky
 
 __all__ = [
     "Sky",

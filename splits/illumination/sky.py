@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from splits.core.arrays import check_array_range, check_increasing, read_columns
 from splits.core.equality import ContentEquality
-from splits.core.validation import check_range, invalid
+from splits.core.keywords import reject_unknown_arguments
+from splits.core.optional import import_optional
+from splits.core.validation import check_range, invalid, suggest_name
 from splits.illumination.bands import SpectralBand, as_bands, interpolate_locally
+from splits.materials.csv_table import is_csv_path, read_numeric_csv, read_user_table, to_columns
 from splits.materials.refractive_index import check_wavelength_range
 
 SKY_COLUMNS = ("wavelength_nm", "direct", "diffuse")
@@ -167,3 +174,196 @@ class Sky(ContentEquality):
         integrand *= np.interp(nodes, band.wavelength_nm, band.response)
         weights: np.ndarray = integrand @ interpolate_locally(wavelength_nm, nodes, n_nodes)
         return weights
+
+
+# --------------------------------------------------------------------------------------------------
+# Spectra of skies: tables of SNICAR, clear skies, the ASTM standard, and those of users.
+
+_SNICAR_CSV = Path(__file__).with_name("skies.csv")
+CLOUDY_SUFFIX = "_cloudy"
+"""Suffix of the names of skies whose light is all diffuse."""
+CLEAR_SKY = "clear"
+ASTM_G173 = "astm_g173"
+SNICAR_ZENITH_DEG = 60.0
+"""Polar angle of the sun in the clear skies of SNICAR."""
+ZENITH_REQUIREMENT = "given: the polar angle of the sun in degrees"
+ASTM_ZENITH_DEG, ASTM_TILT_DEG = 48.19, 37.0
+"""Polar angle of the sun, and tilt of the surface, in ASTM G173."""
+ATMOSPHERE_PARAMETERS: dict[str, tuple[float, tuple[float, float]]] = {
+    "pressure_pa": (101_325.0, (3e4, 1.1e5)),
+    "precipitable_water_cm": (1.0, (0.0, 10.0)),
+    "ozone_atm_cm": (0.3, (0.0, 1.0)),
+    "turbidity_500nm": (0.1, (0.0, 2.0)),
+    "ground_albedo": (0.8, (0.0, 1.0)),
+}
+"""Parameters of a clear sky other than the sun: default and range."""
+
+
+@cache
+def _load_snicar_skies() -> pd.DataFrame:
+    return read_numeric_csv("skies", _SNICAR_CSV)
+
+
+def list_sky_names() -> tuple[str, ...]:
+    """Return the names of the skies that need no other arguments."""
+    return tuple(name for name in _load_snicar_skies().columns if name != "wavelength_nm")
+
+
+@reject_unknown_arguments
+def sky(
+    spectrum: Any = "midlatitude_winter",
+    zenith_deg: float | None = None,
+    *,
+    pressure_pa: float | None = None,
+    precipitable_water_cm: float | None = None,
+    ozone_atm_cm: float | None = None,
+    turbidity_500nm: float | None = None,
+    ground_albedo: float | None = None,
+) -> Sky:
+    """Return the spectral irradiance of a sky.
+
+    Parameters
+    ----------
+    spectrum : str, mapping, DataFrame or path
+        One of the skies of SNICAR, see `list_sky_names`: clear ones, for which all light counts as
+        direct and the spectrum is that of the sun at 60°, or cloudy ones, all diffuse.  ``"clear"``
+        is a clear sky for any position of the sun and ``"astm_g173"`` the standard of that name;
+        both need pvlib (extra ``sky``).  Or a mapping of ``wavelength_nm``, ``direct`` and
+        ``diffuse`` (W m⁻² nm⁻¹), lists; a DataFrame with these columns, or the path of a CSV file.
+    zenith_deg : float, optional
+        Polar angle of the sun, 0 to 89 degrees.  Skies of SNICAR have 60 by default, and
+        ``astm_g173`` is for 48.19 only; other skies with direct light require it.
+    pressure_pa, precipitable_water_cm, ozone_atm_cm : float, optional
+        State of the atmosphere, for ``"clear"`` only (Bird & Riordan 1986); `ATMOSPHERE_PARAMETERS`
+        contains the defaults and ranges.
+    turbidity_500nm, ground_albedo : float, optional
+        For ``"clear"`` only: optical thickness of the aerosol, and albedo of the ground, whose
+        light the sky scatters back; 0.8 by default, for snow.
+
+    Raises
+    ------
+    ValueError
+        For an unknown name, a malformed table or a value outside its range.
+    TypeError
+        For an unknown keyword.
+    ModuleNotFoundError
+        Without pvlib where it is needed.
+    """
+    spectrum = to_columns(spectrum)
+    # The comparison of an array with a string gives an array.
+    name = spectrum if isinstance(spectrum, str) else ""
+    if name == ASTM_G173 and zenith_deg is not None:
+        raise invalid(
+            "zenith_deg", zenith_deg, "left out", f"{ASTM_G173} is for {ASTM_ZENITH_DEG}°"
+        )
+    zenith = None
+    if zenith_deg is not None:
+        zenith = check_range("zenith_deg", zenith_deg, 0.0, MAX_ZENITH_DEG, "degrees")
+    all_parameters = {
+        "pressure_pa": pressure_pa,
+        "precipitable_water_cm": precipitable_water_cm,
+        "ozone_atm_cm": ozone_atm_cm,
+        "turbidity_500nm": turbidity_500nm,
+        "ground_albedo": ground_albedo,
+    }
+    atmosphere = {key: value for key, value in all_parameters.items() if value is not None}
+    if name == CLEAR_SKY:
+        if zenith is None:
+            raise invalid(
+                "zenith_deg", None, ZENITH_REQUIREMENT, f'splits.sky("{CLEAR_SKY}", zenith_deg=50)'
+            )
+        return _make_clear_sky(zenith, atmosphere)
+    if atmosphere:
+        first, value = next(iter(atmosphere.items()))
+        raise invalid(first, value, "left out", f"it applies to the sky {CLEAR_SKY} only")
+    if name == ASTM_G173:
+        return _make_astm_sky()
+    if isinstance(spectrum, Mapping):
+        if set(spectrum) != set(SKY_COLUMNS):
+            raise invalid(
+                "sky", sorted(map(str, spectrum)), "a mapping of " + ", ".join(SKY_COLUMNS)
+            )
+        return _make_user_sky("table", zenith, [spectrum[name] for name in SKY_COLUMNS])
+    if isinstance(spectrum, Path) or is_csv_path(name):
+        columns, digest = read_user_table("sky", spectrum, SKY_COLUMNS)
+        return _make_user_sky(Path(spectrum).name, zenith, columns, digest)
+    if name not in list_sky_names():
+        known = [*list_sky_names(), CLEAR_SKY, ASTM_G173]
+        allowed = "one of " + ", ".join(known) + ", a mapping or a .csv file"
+        raise invalid("sky", spectrum, allowed, suggest_name(spectrum, known))
+    return _make_snicar_sky(name, SNICAR_ZENITH_DEG if zenith is None else zenith)
+
+
+def _make_snicar_sky(name: str, zenith: float) -> Sky:
+    """Return a sky of the tables of SNICAR."""
+    table = _load_snicar_skies()
+    irradiance = table[name].to_numpy()
+    zeros = np.zeros_like(irradiance)
+    cloudy = name.endswith(CLOUDY_SUFFIX)
+    direct_and_diffuse = (zeros, irradiance) if cloudy else (irradiance, zeros)
+    source = "SNICAR-ADv3 (Flanner et al. 2021)"
+    return Sky(
+        name, source, zenith, table["wavelength_nm"].to_numpy(), *direct_and_diffuse, relative=True
+    )
+
+
+def _make_user_sky(name: str, zenith: float | None, columns: list[Any], sha256: str = "") -> Sky:
+    wavelengths, direct, diffuse = columns
+    user_sky = Sky(name, "given by the user", SNICAR_ZENITH_DEG, wavelengths, direct, diffuse)
+    if zenith is None and user_sky.direct.any():
+        raise invalid(
+            "zenith_deg",
+            None,
+            ZENITH_REQUIREMENT,
+            "splits.sky(…, zenith_deg=50): this sky has direct light",
+        )
+    table = np.stack([user_sky.wavelength_nm, user_sky.direct, user_sky.diffuse])
+    digest = sha256 or hashlib.sha256(table.tobytes()).hexdigest()
+    return replace(
+        user_sky, zenith_deg=user_sky.zenith_deg if zenith is None else zenith, sha256=digest
+    )
+
+
+def _make_clear_sky(zenith: float, atmosphere: Mapping[str, float]) -> Sky:
+    """Return a clear sky after Bird & Riordan (1986) from pvlib, after checking its parameters."""
+    parameters = {
+        name: check_range(name, atmosphere.get(name, default), *limits)
+        for name, (default, limits) in ATMOSPHERE_PARAMETERS.items()
+    }
+    compute_air_mass = import_optional(
+        "pvlib.atmosphere", "sky", "clear skies need"
+    ).get_relative_airmass
+    spectra = import_optional("pvlib.spectrum", "sky", "clear skies need").spectrl2(
+        apparent_zenith=zenith,
+        aoi=zenith,
+        surface_tilt=0.0,
+        ground_albedo=parameters["ground_albedo"],
+        surface_pressure=parameters["pressure_pa"],
+        relative_airmass=compute_air_mass(zenith, model="kasten1966"),
+        precipitable_water=parameters["precipitable_water_cm"],
+        ozone=parameters["ozone_atm_cm"],
+        aerosol_turbidity_500nm=parameters["turbidity_500nm"],
+        dayofyear=80,
+    )
+    direct, diffuse = (np.ravel(spectra[key]) for key in ("dni", "dhi"))
+    direct = np.maximum(direct, 0.0) * np.cos(np.radians(zenith))
+    description = ", ".join(f"{name} {value:g}" for name, value in parameters.items())
+    source = f"Bird & Riordan (1986), by pvlib: {description}"
+    wavelengths = np.ravel(spectra["wavelength"])
+    return Sky(CLEAR_SKY, source, zenith, wavelengths, direct, np.maximum(diffuse, 0.0))
+
+
+def _make_astm_sky() -> Sky:
+    """Return ASTM G173 for a horizontal surface.
+
+    The standard gives the beam, and the light on a surface tilted towards the sun; the difference
+    is taken as diffuse.
+    """
+    spectrum = import_optional("pvlib.spectrum", "sky", "the standard sky needs")
+    table = spectrum.get_reference_spectra(standard="ASTM G173-03")
+    beam, tilted = table["direct"].to_numpy(), table["global"].to_numpy()
+    cos_tilted = np.cos(np.radians(ASTM_ZENITH_DEG - ASTM_TILT_DEG))
+    diffuse = np.maximum(tilted - beam * cos_tilted, 0.0)
+    direct = beam * np.cos(np.radians(ASTM_ZENITH_DEG))
+    wavelengths = table.index.to_numpy(dtype=float)
+    return Sky(ASTM_G173, "ASTM G173-03, by pvlib", ASTM_ZENITH_DEG, wavelengths, direct, diffuse)

@@ -1,4 +1,4 @@
-"""Spectral and band albedo under a sky, with correlated errors propagated."""
+"""Albedo and hemispherical-directional reflectance factor under a sky."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ import xarray as xr
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import make_deviation_variable, make_variable
-from splits.core.validation import check_range
+from splits.core.validation import check_range, invalid
+from splits.illumination.bands import check_bands, choose_band_wavelengths
 from splits.illumination.sky import Sky
-from splits.instruments.pack_albedo import compute_pack_albedo
+from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG, goniophotometer
 from splits.instruments.sky_mixing import (
     as_sky,
     average_over_bands,
@@ -20,10 +21,16 @@ from splits.instruments.sky_mixing import (
     make_sky_attributes,
     mix_direct_and_diffuse,
 )
+from splits.instruments.snow_packs import compute_pack_albedo
+from splits.instruments.solver import MONTE_CARLO
 from splits.instruments.spectrophotometer import spectrophotometer
+from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.media.snow_packs import SnowPacks
 from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
+
+# --------------------------------------------------------------------------------------------------
+# Spectral and band albedo under a sky, with correlated errors propagated.
 
 
 @reject_unknown_arguments
@@ -51,7 +58,7 @@ def albedo(
     sky : Sky, str, mapping or function
         See `splits.sky`.  Over `splits.SnowPacks` with ``sun_zenith_deg``, a name or a table
         applies to the zenith angle of each snowpack, and so does a function that returns a sky for
-        a zenith angle (degrees); a `Sky` is the same for all (`splits.instruments.pack_skies`).
+        a zenith angle (degrees); a `Sky` is the same for all (`splits.instruments.snow_packs`).
     wavelength_nm : array_like, optional
         Strictly increasing vacuum wavelengths (nm), at least two; by default every 10 nm from
         the first of the sky to 2495.
@@ -131,3 +138,103 @@ def albedo(
     }
     spectrum = xr.Dataset(variables, axes, attributes)
     return spectrum.assign(average_over_bands(spectrum, "albedo", sky_spectrum, named, "albedo"))
+
+
+# --------------------------------------------------------------------------------------------------
+# Hemispherical-directional reflectance factor under a sky.
+
+
+@reject_unknown_arguments
+def hdrf(
+    medium: Medium,
+    sky: Sky | str | Mapping[str, Any],
+    wavelength_nm: Any = None,
+    relative_stderr: float = 0.02,
+    seed: int = 1,
+    *,
+    solver: str = "auto",
+    polar_deg: Any = POLAR_DEG,
+    azimuth_deg: Any = AZIMUTH_DEG,
+    bands: Mapping[str, Any] | str | None = None,
+    threads: int | None = None,
+    progress: ProgressCallback = None,
+) -> xr.Dataset:
+    """Simulate the hemispherical-directional reflectance factor of a medium under a sky.
+
+    Parameters
+    ----------
+    medium : Medium
+    sky : Sky, str or mapping
+        See `splits.sky`.
+    wavelength_nm : array_like, optional
+        Strictly increasing vacuum wavelengths (nm) within the spectrum of the sky, at least two
+        with `bands`; by default those of `bands`, at most 5 nm apart.
+    relative_stderr : float
+        Largest standard error relative to the value, separately for direct sunlight and for diffuse
+        light, see `splits.goniophotometer`.
+    seed : int
+        Non-negative; diffuse light uses the next one.
+    solver : {"auto", "discrete_ordinates", "monte_carlo"}
+        As for `splits.goniophotometer`.
+    polar_deg, azimuth_deg : array_like
+        Directions of view, see `splits.goniophotometer`; azimuth 0 is forward, away from the sun.
+    bands : mapping or str, optional
+        As for `splits.albedo`.
+    threads : int, optional
+        Default: every CPU that this process may use.
+    progress : callable or bool, optional
+        True shows a progress bar; a function is called periodically with a `Progress`.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``reflectance_factor`` and its error ``reflectance_factor_stderr`` over ``wavelength``,
+        ``polar`` and ``azimuth``: the radiance over that of a white Lambertian surface in the same
+        light.  The specular reflection of sunlight at a smooth boundary is excluded.  With bands,
+        ``band_reflectance_factor`` is its mean over ``band`` in place of ``wavelength``, weighted
+        by irradiance times response, and ``irradiance_covered`` the fraction of the band's light
+        within the wavelengths.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range, or wavelengths outside the spectrum of the sky.
+
+    References
+    ----------
+    Schaepman-Strub et al. (2006), Remote Sensing of Environment 103, 27-42, section 2.
+    """
+    check_medium(medium, allow_semi_infinite=solver != MONTE_CARLO)
+    sky_spectrum = as_sky(sky)
+    named = {} if bands is None else check_bands(bands)
+    if wavelength_nm is None:
+        if not named:
+            raise invalid("wavelength_nm", None, "given, or bands")
+        sky_spectrum.check_bands(named, sky_spectrum.wavelength_nm)
+        wavelength_nm = choose_band_wavelengths(named, *sky_spectrum.wavelength_nm[[0, -1]])
+    wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 2 if named else 1)
+    sky_spectrum.check_bands(named, wavelengths)
+    run = RunOptions.from_arguments(seed, threads, progress=progress)
+
+    def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
+        return goniophotometer(
+            medium, wavelengths, incidence, seed=run.seed + number, solver=solver,
+            relative_stderr=relative_stderr, polar_deg=polar_deg, azimuth_deg=azimuth_deg,
+            threads=threads, progress=progress,
+        )  # fmt: skip
+
+    name = "reflectance_factor"
+    mixed = mix_direct_and_diffuse(sky_spectrum, wavelengths, simulate_component, [name])
+    term = "hemispherical-directional reflectance factor under this sky"
+    dims = ("wavelength", "polar", "azimuth")
+    mean, stderr = (mixed[key].transpose(*dims).values for key in (name, f"{name}_stderr"))
+    mixed = mixed.assign(make_variable(name, dims, mean, stderr, term))
+    attributes = run.make_attributes("Reflectance factor under a sky", "hdrf", medium)
+    requested = {"relative_stderr": relative_stderr, **mixed.attrs}
+    mixed = mixed.assign_coords(wavelength=make_wavelength_coordinate(wavelengths))
+    attributes |= {f"band_{key}_sha256": one.sha256 for key, one in named.items() if one.sha256}
+    mixed = mixed.assign_attrs(attributes | make_sky_attributes(sky_spectrum) | requested)
+    if not named:
+        return mixed
+    means = average_over_bands(mixed, name, sky_spectrum, named, "reflectance factor")
+    return mixed.assign_coords(band=list(named)).assign(means)

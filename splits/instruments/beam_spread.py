@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,21 +10,208 @@ import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
+from splits.core.uncertainty import (
+    Variable,
+    compute_batch_stderr,
+    compute_jackknife_stderr,
+    compute_leave_one_out_means,
+    make_variable,
+)
 from splits.core.validation import check_integer
-from splits.instruments.beam_spread_tally import BeamSpreadTally, compute_quantile_radii
-from splits.media.checks import check_medium
+from splits.instruments.angular_estimate import N_ANGULAR_BATCHES
+from splits.kernels.tallies.distributions import RadialSums, tally_radial
+from splits.media.kinds import check_medium
 from splits.media.medium import Medium
-from splits.simulation.arguments import (
+from splits.simulation.engine import simulate
+from splits.simulation.run_options import (
     HALF_WIDTH_RANGE_M,
+    RunOptions,
     check_beam_angle,
     check_half_width,
     check_wavelengths,
+    make_wavelength_coordinate,
 )
-from splits.simulation.engine import simulate
-from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import build_scene, compute_optical_constants
-from splits.simulation.spectral_nodes import choose_nodes
-from splits.simulation.stopping_rule import StoppingRule
+from splits.simulation.spectral_nodes import IndexNodes, bound_fraction_error, choose_nodes
+from splits.simulation.strata import StoppingRule, Stratum
+from splits.simulation.tally import RAYS_PER_CHUNK, ExitTally, allow_for_unseen_rays
+
+# --------------------------------------------------------------------------------------------------
+# Tally of the spread of a thin beam, and its dataset.
+
+RADIUS_QUANTILES = (0.25, 0.5, 0.75, 0.9)
+"""Fractions of the light that leave within the quantile radii."""
+N_MAP_PIXELS = 41
+"""Pixels of the map along each edge: odd, so that the point of entry is the centre of one."""
+MIN_RADIUS_M = 1e-6
+BINS_PER_DECADE, N_DECADES = 40, 9
+_N_FINE_BINS = BINS_PER_DECADE * N_DECADES + 2
+"""Fine bins of distance, from a micrometre to a kilometre, and one outside at each end."""
+_FINE_BINS_PER_BIN = 5
+"""Fine bins per bin of the profile."""
+SIDES = {"reflected": 0, "transmitted": 1}
+
+
+class BeamSpreadTally(ExitTally):
+    """Tally of exits by their distance and direction from the point of entry.
+
+    Parameters
+    ----------
+    nodes, absorption
+        See `Tally`.
+    half_width : float
+        Half of the side length of the maps (m).
+    n_pixels : int
+        Pixels of the maps along each edge; 0 for none.
+    first_node : int
+        Number of the first node, which determines the random streams.
+
+    Attributes
+    ----------
+    radial_sums : float, shape (batches, 2, node rows, bins)
+    moment_sums : float, shape (batches, 2, node rows)
+    map_sums : float, shape (2, 2, node rows, pixels, pixels)
+        See `splits.kernels.tallies.distributions.RadialSums`.
+    """
+
+    first_stream = 6_000_000
+    rays_per_round = N_ANGULAR_BATCHES * RAYS_PER_CHUNK
+
+    def __init__(
+        self,
+        nodes: IndexNodes,
+        absorption: np.ndarray,
+        half_width: float,
+        n_pixels: int = N_MAP_PIXELS,
+        first_node: int = 0,
+    ) -> None:
+        super().__init__(nodes, absorption)
+        self.half_width, self.n_pixels = half_width, n_pixels
+        n_rows = len(self.rows)
+        self.radial_sums = np.zeros((N_ANGULAR_BATCHES, 2, n_rows, _N_FINE_BINS))
+        self.moment_sums = np.zeros((N_ANGULAR_BATCHES, 2, n_rows))
+        self.map_sums = np.zeros((2, 2, n_rows, n_pixels, n_pixels))
+        self.values_per_row = 2 * (_N_FINE_BINS + 1) + 4 * n_pixels**2
+        self.first_stream += first_node
+        self.add_strata()
+
+    def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> RadialSums:
+        """Return the sums of a chunk of exits."""
+        bins = (MIN_RADIUS_M, BINS_PER_DECADE, _N_FINE_BINS)
+        return tally_radial(exits, stratum.absorption, *bins, self.half_width, self.n_pixels)
+
+    def merge(self, stratum: Stratum, score: RadialSums) -> None:
+        """Add the sums of the next chunk of a stratum."""
+        batch, rows = self.get_batch(stratum, N_ANGULAR_BATCHES), stratum.node_rows
+        self.radial_sums[batch, :, rows] += score.radial
+        self.moment_sums[batch, :, rows] += score.first_moment
+        self.map_sums[:, :, rows] += score.exit_map
+
+    def compute_radial_fractions(self) -> np.ndarray:
+        """Return the fraction of light by batch, side, wavelength and fine bin of distance."""
+        return self._combine_batches(self.radial_sums)
+
+    def _combine_batches(self, batch_sums: np.ndarray) -> np.ndarray:
+        """Return means by batch, from sums whose third axis is the node row."""
+        per_batch = np.moveaxis(batch_sums, 2, -1) / (self.count_rays() / N_ANGULAR_BATCHES)
+        return np.moveaxis(self.combine_nodes(per_batch), -1, 2)
+
+    def to_dataset(self, wavelengths: np.ndarray, attributes: dict[str, Any]) -> xr.Dataset:
+        """Return the labelled dataset of `splits.beam_spread`."""
+        radial, moment = self.compute_radial_fractions(), self._combine_batches(self.moment_sums)
+        binned = radial[..., 1:-1].reshape(*radial.shape[:-1], -1, _FINE_BINS_PER_BIN).sum(axis=-1)
+        edges = MIN_RADIUS_M * 10.0 ** (
+            np.arange(binned.shape[-1] + 1) * _FINE_BINS_PER_BIN / BINS_PER_DECADE
+        )
+        annulus_area = np.pi * np.diff(edges**2)
+        fraction = radial.sum(axis=-1)
+        mean_fraction = fraction.mean(axis=0)
+        single_ray_error = 1.0 / self.stratum_rays.min()
+        fraction_variance, binned_variance = (
+            allow_for_unseen_rays(
+                compute_batch_stderr(one) ** 2, (single_ray_error * (1.0 - one.mean(axis=0))) ** 2
+            )
+            for one in (fraction, binned)
+        )
+        fraction_error = np.hypot(
+            np.sqrt(fraction_variance),
+            bound_fraction_error(self.nodes.interpolation_bound, mean_fraction),
+        )
+        jackknife_radius = divide_or_zero(*map(compute_leave_one_out_means, (moment, fraction)))
+        jackknife_quantile = compute_quantile_radii(
+            compute_leave_one_out_means(radial), RADIUS_QUANTILES
+        )
+        pixel_area = (2.0 * self.half_width / N_MAP_PIXELS) ** 2
+        map_mean, map_error = (
+            np.moveaxis(one, -1, 1) / pixel_area
+            for one in self.combine_moments(*np.moveaxis(self.map_sums, 2, -1))
+        )
+        results = {
+            "fraction": ("fraction of light", "1", (), mean_fraction, fraction_error),
+            "mean_radius": (
+                "mean distance between entry and exit", "m", (),
+                divide_or_zero(moment.mean(axis=0), mean_fraction),
+                compute_jackknife_stderr(jackknife_radius),
+            ),
+            "quantile_radius": (
+                "radius within which a part of the light leaves", "m", ("quantile",),
+                compute_quantile_radii(radial.mean(axis=0), RADIUS_QUANTILES),
+                compute_jackknife_stderr(jackknife_quantile),
+            ),
+            "profile": (
+                "light leaving per area", "m-2", ("radius",),
+                binned.mean(axis=0) / annulus_area, np.sqrt(binned_variance) / annulus_area,
+            ),
+            "profile_map": ("light leaving per area", "m-2", ("x", "y"), map_mean, map_error),
+        }  # fmt: skip
+        variables: dict[str, Variable] = {}
+        for name, (long_name, units, dims, values, stderr) in results.items():
+            variable_dims = ("side", "wavelength", *dims)
+            variables |= make_variable(name, variable_dims, values, stderr, long_name, units)
+        radius = np.sqrt(edges[1:] * edges[:-1])
+        coordinates = _make_coordinates(wavelengths, radius, self.half_width)
+        return xr.Dataset(variables, coordinates, attributes)
+
+
+def compute_quantile_radii(radial_fractions: np.ndarray, quantiles: Sequence[float]) -> np.ndarray:
+    """Return the radii (m) within which fractions of the light leave, shape (…, quantiles).
+
+    The logarithm is interpolated between the edges of fine bins; 0 without light.
+    """
+    cumulative = np.cumsum(radial_fractions, axis=-1)
+    edges = np.log(MIN_RADIUS_M) + np.log(10.0) / BINS_PER_DECADE * np.arange(_N_FINE_BINS - 1)
+    radii = np.zeros((*radial_fractions.shape[:-1], len(quantiles)))
+    for index in np.ndindex(*radial_fractions.shape[:-1]):
+        total = cumulative[index][-1]
+        if total > 0.0:
+            radii[index] = np.exp(np.interp(quantiles, cumulative[index][:-1] / total, edges))
+    return radii
+
+
+def _make_coordinates(
+    wavelengths: np.ndarray, radius: np.ndarray, half_width: float
+) -> dict[str, Any]:
+    """Return the coordinates of the dataset."""
+    positions = half_width * ((2.0 * np.arange(N_MAP_PIXELS) + 1.0) / N_MAP_PIXELS - 1.0)
+    quantile_attributes = {"long_name": "fraction of the light", "units": "1"}
+    return {
+        "side": ("side", list(SIDES), {"long_name": "side of the sample where light leaves"}),
+        "wavelength": make_wavelength_coordinate(wavelengths),
+        "quantile": ("quantile", list(RADIUS_QUANTILES), quantile_attributes),
+        "radius": ("radius", radius, {"long_name": "distance from the entry", "units": "m"}),
+        "x": ("x", positions, {"long_name": "distance along the beam's travel", "units": "m"}),
+        "y": ("y", positions, {"long_name": "distance across the beam's travel", "units": "m"}),
+    }
+
+
+def divide_or_zero(numerator: np.ndarray, denominator: np.ndarray) -> np.ndarray:
+    """Return quotients, 0 where the denominator is not above 0."""
+    shape = np.broadcast_shapes(numerator.shape, denominator.shape)
+    return np.divide(numerator, denominator, out=np.zeros(shape), where=denominator > 0.0)
+
+
+# --------------------------------------------------------------------------------------------------
+# Spatial spread of a thin beam, the dependence on position of a BSSRDF.
 
 _INTERPOLATION_TOLERANCE = 0.001
 """Bound on the error of a reflectance from interpolation between refractive indices."""

@@ -2,27 +2,245 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from splits.core.uncertainty import compute_batch_stderr
-from splits.instruments.absorption_steps import PathRatio
-from splits.instruments.flux_errors import (
-    bound_flux_interpolation_error,
-    bound_unsampled_light,
-    estimate_rare_event_error,
-    estimate_unseen_reflection,
-)
-from splits.instruments.flux_media import TracedMedium
-from splits.instruments.flux_target import FluxTarget, allocate_flux_rays
-from splits.kernels.base.scene import Scene
+from splits.instruments.flux_media import PathRatio, TracedMedium
+from splits.kernels.scene import Scene
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.kernels.tallies.flux import DOWNWELLING, UPWELLING, FluxSums, tally_flux
-from splits.simulation.exit_tally import ExitTally
-from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.stopping_rule import Evaluation, StoppingRule
-from splits.simulation.stratum import Stratum, compute_absorption_per_mfp
+from splits.simulation.engine import MIN_ROUND_GROWTH
+from splits.simulation.spectral_nodes import MAX_LOG_SLOPE, IndexNodes
+from splits.simulation.strata import (
+    Evaluation,
+    StoppingRule,
+    Stratum,
+    VarianceTerms,
+    allocate_rays,
+    compute_absorption_per_mfp,
+)
+from splits.simulation.tally import ExitTally, allow_for_unseen_rays
+
+# --------------------------------------------------------------------------------------------------
+# Errors of radiative fluxes inside a medium other than the scatter of batches.
+
+MIN_EFFECTIVE_BATCHES = 8
+"""Effective number of batches with light below which an error includes that of one more ray."""
+MAX_BRIGHTENING = 4.0
+"""Largest ratio of the light at a plane, or along paths below it, to that at the plane above."""
+
+
+def estimate_rare_event_error(batch_means: np.ndarray, unsampled_light: np.ndarray) -> np.ndarray:
+    """Return the errors of means that few batches dominate.
+
+    They may be wrong by one more ray, or by one more contribution like the largest.
+
+    Parameters
+    ----------
+    batch_means : float, shape (N_BATCHES, ..., wavelengths)
+    unsampled_light : float, shape (..., wavelengths)
+        Largest contribution of unsampled rays, see `bound_unsampled_light`.
+    """
+    largest = np.abs(batch_means).max(axis=0) / len(batch_means)
+    return np.where(is_sparse(batch_means), np.hypot(unsampled_light, largest), 0.0)
+
+
+def is_sparse(batch_means: np.ndarray) -> np.ndarray:
+    """Return where few batches contribute most of a quantity.
+
+    (Σ x)²/Σ x² is the number of equal batches with the same relative scatter.
+    """
+    total, square = np.abs(batch_means).sum(axis=0), (batch_means**2).sum(axis=0)
+    return np.asarray((square == 0.0) | (total**2 < MIN_EFFECTIVE_BATCHES * square))
+
+
+def estimate_unseen_reflection(
+    downward_irradiance: np.ndarray, upward_irradiance: np.ndarray, unsampled_light: np.ndarray
+) -> np.ndarray:
+    """Return the errors of upward irradiances by rays that grains reflect without entering.
+
+    Below strongly absorbed light they are few, and all other light has a small weight
+    (`splits.simulation.tally`).
+
+    Parameters
+    ----------
+    downward_irradiance, upward_irradiance : float, shape (N_BATCHES, depths, wavelengths)
+    unsampled_light : float, shape (depths, wavelengths)
+        See `bound_unsampled_light`.
+    """
+    downward, upward = downward_irradiance.mean(axis=0), upward_irradiance.mean(axis=0)
+    reflectance = np.divide(upward, downward, out=np.zeros_like(upward), where=downward > 0.0)
+    single_ray_error = unsampled_light * (1.0 - np.minimum(reflectance, 1.0))
+    variance = compute_batch_stderr(upward_irradiance) ** 2
+    return np.sqrt(allow_for_unseen_rays(variance, single_ray_error**2) - variance)
+
+
+def bound_unsampled_light(
+    downward_irradiance: np.ndarray, single_ray_error: np.ndarray
+) -> np.ndarray:
+    """Return a bound on the light of unsampled rays at each depth and below it.
+
+    It is that of one more ray, and at most a multiple of the light that reaches the plane above,
+    since unsampled rays are absorbed on the way to it, too.
+
+    Parameters
+    ----------
+    downward_irradiance : float, shape (N_BATCHES, depths, wavelengths)
+        Irradiance downwards.
+    single_ray_error : float, shape (wavelengths,)
+
+    Returns
+    -------
+    float, shape (depths + 1, wavelengths)
+        The last below the last depth.
+    """
+    sparse = is_sparse(downward_irradiance)
+    mean_irradiance = downward_irradiance.mean(axis=0)
+    bounds, ceiling = [single_ray_error], single_ray_error
+    for is_rare, mean in zip(sparse, mean_irradiance, strict=True):
+        ceiling = mean + np.where(is_rare, np.minimum(ceiling, single_ray_error), 0.0)
+        bounds.append(np.minimum(single_ray_error, MAX_BRIGHTENING * ceiling))
+    return np.stack(bounds)
+
+
+def bound_flux_interpolation_error(
+    interpolation_bound: np.ndarray, value: np.ndarray
+) -> np.ndarray:
+    """Return a bound on the interpolation error of irradiances and similar quantities.
+
+    It is that of a reflectance (`splits.simulation.spectral_nodes`), with the elasticity |ln f| of
+    quantities that decay exponentially with depth, where that is larger.
+
+    Parameters
+    ----------
+    interpolation_bound : float, shape (wavelengths,)
+    value : float, shape (..., wavelengths)
+        Value of the quantity.
+    """
+    size = np.clip(np.abs(value), np.finfo(float).tiny, None)
+    elastic = size * np.maximum(8.0, np.abs(np.log(size)) / MAX_LOG_SLOPE)
+    return interpolation_bound * np.minimum(np.maximum(1.0, size), elastic)
+
+
+# --------------------------------------------------------------------------------------------------
+# Quantities inside a medium whose errors determine when a run stops, and the rays they need.
+
+_MIN_RELATIVE_VARIANCE = 1e-9
+
+
+class FluxTarget(NamedTuple):
+    """Quantities whose standard errors determine when a run stops.
+
+    Attributes
+    ----------
+    limit_irradiance : bool
+        Whether the largest error applies to irradiances at all depths, besides absorptances and
+        reflectance.
+    band_weights : float, shape (bands, wavelengths), or None
+        Fractions of each band's light; None applies to every wavelength.
+    variance_fractions : float, shape (bands,)
+        Fraction of the variance of each band that is allowed here.
+    """
+
+    limit_irradiance: bool = True
+    band_weights: np.ndarray | None = None
+    variance_fractions: np.ndarray | float = 1.0
+
+    def select_quantities(self, quantities: np.ndarray, n_depths: int) -> np.ndarray:
+        """Return the quantities to which the error applies.
+
+        Parameters
+        ----------
+        quantities : float, shape (..., quantities, wavelengths)
+            See `FluxEstimate`.
+        n_depths : int
+            Number of depths of irradiances.
+        """
+        if self.limit_irradiance:
+            return quantities
+        reflectance, absorptance = slice(n_depths, n_depths + 1), slice(2 * n_depths, None)
+        parts = [quantities[..., rows, :] for rows in (reflectance, absorptance)]
+        return np.concatenate(parts, axis=-2)
+
+    def average_over_bands(self, quantities: np.ndarray) -> np.ndarray:
+        """Return quantities by band, or by wavelength without bands."""
+        return quantities if self.band_weights is None else quantities @ self.band_weights.T
+
+
+def make_variance_terms(
+    target: FluxTarget, values: np.ndarray, rows: np.ndarray, contributes: np.ndarray
+) -> VarianceTerms:
+    """Return the terms of the variances of quantities by wavelength, or by band.
+
+    The wavelengths of a band that use the same strata are correlated and form one term.
+
+    Parameters
+    ----------
+    target : FluxTarget
+    values : float, shape (N_BATCHES, quantities, node rows)
+        Weighted contributions of node rows by batch, see `splits.simulation.tally.Tally`.
+    rows : int, shape (node rows,)
+        Wavelengths.
+    contributes : bool, shape (strata, node rows)
+        Where the rays of a stratum contribute.
+    """
+    if target.band_weights is None:
+        return VarianceTerms(values.var(axis=0, ddof=1) / N_BATCHES, rows, contributes)
+    n_bands = len(target.band_weights)
+    patterns, pattern = np.unique(contributes, axis=1, return_inverse=True)
+    by_pattern = [
+        values[..., same] @ target.band_weights[:, rows[same]].T
+        for same in (pattern.ravel() == number for number in range(patterns.shape[1]))
+    ]
+    variances = np.stack(by_pattern, axis=2).var(axis=0, ddof=1) / N_BATCHES
+    return VarianceTerms(
+        variances.reshape(len(variances), -1),
+        np.tile(np.arange(n_bands), patterns.shape[1]),
+        np.repeat(patterns, n_bands, axis=1),
+    )
+
+
+def allocate_flux_rays(
+    target: FluxTarget,
+    strata: Sequence[Stratum],
+    values: np.ndarray,
+    rows: np.ndarray,
+    contributes: np.ndarray,
+    max_variance: np.ndarray,
+) -> np.ndarray:
+    """Return the rays per stratum with which variances reach their limits at the least cost.
+
+    Parameters
+    ----------
+    target : FluxTarget
+    strata : sequence of Stratum
+    values, rows, contributes
+        See `make_variance_terms`.
+    max_variance : float, shape (quantities, columns)
+        Largest variances, by wavelength or by band.
+    """
+    n_rays = np.array([stratum.n_rays for stratum in strata], dtype=float)
+    terms = make_variance_terms(target, values, rows, contributes)
+    if target.band_weights is not None:
+        # Terms of one node use the same rays and are correlated.
+        total = compute_batch_stderr(values @ target.band_weights[:, rows].T) ** 2
+        summed = terms.sum_columns(terms.variances)
+        has_scatter = (summed > 0) & (total > 0)
+        max_variance = max_variance * np.divide(
+            summed, total, out=np.ones_like(summed), where=has_scatter
+        )
+    variances = terms.variances * (n_rays @ terms.contributes) / max_variance[:, terms.columns]
+    # Rows without scatter need almost no rays.
+    terms = terms._replace(variances=np.maximum(variances, _MIN_RELATIVE_VARIANCE))
+    allocated = allocate_rays(terms, strata)
+    return np.where(allocated > n_rays, np.maximum(allocated, MIN_ROUND_GROWTH * n_rays), n_rays)
+
+
+# --------------------------------------------------------------------------------------------------
+# Tally of radiative fluxes at planes in a medium, by batch.
 
 FLUX_RAYS_PER_CHUNK = 32
 """Rays whose weights are added up together: few, so that a first round of all batches is short."""

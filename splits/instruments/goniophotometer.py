@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -10,47 +11,159 @@ import xarray as xr
 from splits.core.error_target import ErrorTarget
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
+from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import (
     check_choice,
     check_integer,
     check_range,
     invalid,
 )
-from splits.instruments.angular_bins import DEFAULT_N_BINS, AngularBinTally, compute_bin_centres
-from splits.instruments.angular_dataset import make_angular_dataset
-from splits.instruments.angular_estimate import AngularEstimate, AngularTally
-from splits.instruments.angular_solver import (
+from splits.instruments.angular_estimate import AngularEstimate, AngularTally, make_direction_grid
+from splits.instruments.angular_tallies import (
+    DEFAULT_N_BINS,
+    MAX_DEGREE,
+    AngularBinTally,
+    ExpansionTally,
+    compute_bin_centres,
+)
+from splits.instruments.detector_tally import DetectorTally, get_detected_layers, make_detectors
+from splits.instruments.solver import (
+    AUTO,
+    DISCRETE_ORDINATES,
+    MONTE_CARLO,
     AngularRequest,
     AngularResult,
+    choose_solver,
     find_angular_obstacle,
     solve_angular_results,
 )
-from splits.instruments.angular_truncation import make_direction_grid
-from splits.instruments.detector_tally import DetectorTally
-from splits.instruments.expansion_tally import MAX_DEGREE, ExpansionTally
-from splits.instruments.next_event import get_detected_layers, make_detectors
-from splits.instruments.solver import AUTO, DISCRETE_ORDINATES, MONTE_CARLO, choose_solver
-from splits.kernels.base.scene import Scene
-from splits.kernels.tallies.angular import make_basis
-from splits.media.checks import check_medium
+from splits.instruments.spectral_run import MAX_ATTEMPTS, SpectralRequest
+from splits.kernels.scene import Scene
+from splits.kernels.tallies.distributions import make_basis
+from splits.media.kinds import check_medium
 from splits.media.medium import Medium
-from splits.simulation.arguments import (
+from splits.simulation.deep_medium import ERROR_BUDGET_FRACTION, THEORY_UNCERTAINTY, TruncatedMedium
+from splits.simulation.engine import simulate
+from splits.simulation.run_options import (
+    RunOptions,
     check_dataset_size,
     check_direction_angles,
     check_incidence,
     check_n_bins,
     check_wavelengths,
+    make_wavelength_coordinate,
 )
-from splits.simulation.engine import simulate
-from splits.simulation.incident_light import (
+from splits.simulation.scene import (
+    build_scene,
     check_stokes,
+    compute_optical_constants,
     describe_polarization,
     requests_polarization,
 )
-from splits.simulation.run_options import RunOptions
-from splits.simulation.scene import build_scene, compute_optical_constants
+from splits.simulation.shared_paths import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_nodes import choose_nodes
-from splits.simulation.stopping_rule import StoppingRule
+from splits.simulation.strata import StoppingRule
+
+# --------------------------------------------------------------------------------------------------
+# Dataset of a goniophotometer.
+
+BEAM_DISTRIBUTIONS = {
+    "brdf": ("bidirectional reflectance distribution function", "sr-1", 0, 1.0),
+    "btdf": ("bidirectional transmittance distribution function", "sr-1", 1, 1.0),
+    "reflectance_factor": ("bidirectional reflectance factor", "1", 0, np.pi),
+}
+DIFFUSE_DISTRIBUTIONS = {
+    "reflectance_factor": ("hemispherical-directional reflectance factor", "1", 0, np.pi),
+    "transmittance_factor": ("hemispherical-directional transmittance factor", "1", 1, np.pi),
+}
+"""Labels, units and sides of distributions, and factors on the estimate, by illumination."""
+BEAM_TOTALS = {
+    "reflectance": ("directional-hemispherical reflectance", "hemispherical", 0),
+    "transmittance": ("directional-hemispherical transmittance", "hemispherical", 1),
+    "specular_reflectance": ("reflectance without scattering", "unscattered", 0),
+    "direct_transmittance": ("transmittance without scattering", "unscattered", 1),
+}
+DIFFUSE_TOTALS = {
+    "reflectance": ("bihemispherical reflectance", "hemispherical", 0),
+    "transmittance": ("bihemispherical transmittance", "hemispherical", 1),
+}
+"""Labels of hemispherical quantities, their fields in the estimate, and sides, by illumination."""
+STOKES_LABELS = {
+    "dolp": ("degree of linear polarization", "1"),
+    "aolp": ("angle of linear polarization", "degree"),
+}
+"""Labels and units of variables of polarized light other than Stokes parameters."""
+STOKES_SIDES = {"brdf": "reflected", "btdf": "transmitted"}
+
+
+def make_angular_dataset(
+    estimate: AngularEstimate,
+    stokes: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    wavelengths: np.ndarray,
+    angles: tuple[np.ndarray, np.ndarray],
+    attributes: dict[str, Any],
+    undefined: Collection[str] = (),
+) -> xr.Dataset:
+    """Return the dataset of an estimate.
+
+    Parameters
+    ----------
+    estimate : AngularEstimate
+    stokes : dict
+        Variables of polarized light and their errors by name, shape (wavelengths, directions), see
+        `splits.instruments.angular_tallies.StokesEstimate`.
+    wavelengths : float, shape (wavelengths,)
+        nm.
+    angles : (float, float)
+        Polar and azimuth angles (degrees); azimuth runs fastest in directions.
+    attributes : dict
+        With the incidence.
+    undefined : collection of str
+        Variables that are left out.
+    """
+    polar, azimuth = angles
+    grid = ("wavelength", "polar", "azimuth")
+    shape = (len(wavelengths), len(polar), len(azimuth))
+    is_diffuse = attributes["incidence_deg"] == "diffuse"
+    distributions: dict[str, tuple[str, str, int, Any]] = {
+        **(DIFFUSE_DISTRIBUTIONS if is_diffuse else BEAM_DISTRIBUTIONS),
+    }
+    variables: dict[str, Variable] = {}
+    for name, (long_name, units, side, factor) in distributions.items():
+        mean = (factor * estimate.mean[side]).reshape(shape)
+        stderr = (factor * estimate.stderr[side]).reshape(shape)
+        variables |= make_variable(name, grid, mean, stderr, long_name, units)
+    mean, stderr = (one.reshape(shape) for one in (estimate.anisotropy, estimate.anisotropy_stderr))
+    variables |= make_variable("anisotropy_factor", grid, mean, stderr, "anisotropy factor")
+    for name, (values, error) in stokes.items():
+        function, _, symbol = name.partition("_")
+        label, units = STOKES_LABELS.get(symbol, (f"Stokes {symbol.upper()}", "sr-1"))
+        label = f"{label} of {STOKES_SIDES[function]} light"
+        variables |= make_variable(
+            name, grid, values.reshape(shape), error.reshape(shape), label, units
+        )
+    totals = DIFFUSE_TOTALS if is_diffuse else BEAM_TOTALS
+    for name, (long_name, field, side) in totals.items():
+        mean, stderr = (getattr(estimate, one)[side] for one in (field, f"{field}_stderr"))
+        variables |= make_variable(name, "wavelength", mean, stderr, long_name)
+    azimuth_label = "angle from the direction in which the beam travels"
+    coordinates = {
+        "wavelength": make_wavelength_coordinate(wavelengths),
+        "polar": ("polar", polar, {"units": "degree", "long_name": "angle from the normal"}),
+        "azimuth": ("azimuth", azimuth, {"units": "degree", "long_name": azimuth_label}),
+    }
+    # Without a BTDF, its polarization is undefined, too.
+    kept = {
+        name: variable
+        for name, variable in variables.items()
+        if name.removesuffix("_stderr") not in undefined
+        and not ("btdf" in undefined and name.startswith("btdf"))
+    }
+    return xr.Dataset(kept, coordinates, attributes)
+
+
+# --------------------------------------------------------------------------------------------------
+# Virtual goniophotometer: angular distributions of reflected and transmitted light.
 
 POLAR_DEG = tuple(np.arange(0.0, 90.0, 2.5).tolist())
 AZIMUTH_DEG = tuple(np.arange(0.0, 360.0, 5.0).tolist())
@@ -169,7 +282,7 @@ def goniophotometer(
         Next-event estimation and bins of polarized light add ``brdf_q``, ``brdf_u``, ``brdf_v``,
         Stokes parameters with Q > 0 along the plane that contains the normal; ``brdf_dolp`` and
         ``brdf_aolp``, degree (0 to 1) and angle (degrees from that plane, 0 to 180) of linear
-        polarization, see `splits.instruments.linear_polarization`; and the same of the BTDF.
+        polarization, see `splits.instruments.angular_tallies`; and the same of the BTDF.
 
         Over a diffuse bottom the BTDF is that of the light that the bottom absorbs, a fraction of
         the light that arrives there, at angles within the layer; next-event estimation does not
@@ -193,16 +306,25 @@ def goniophotometer(
     wavelengths, incidence = check_wavelengths(wavelength_nm), check_incidence(incidence_deg)
     relative_stderr = check_range("relative_stderr", relative_stderr, 1e-4, 0.5)
     has_ground = medium.reflecting_ground is not None
-    side = _get_target_side(target, has_ground)
+    side = TARGET_SIDES[check_choice("target", target, TARGET_SIDES)]
+    if has_ground and side == 1:
+        raise invalid("target", target, "brdf over a ground", "no light leaves through a ground")
     max_rays = check_integer("max_rays", max_rays, 1)
     if rays is not None:
         check_integer("rays", rays, 1)
     run = RunOptions.from_arguments(seed, threads, kernel, progress)
     polarization = check_stokes(stokes, medium, incidence)
-    _check_estimator(estimator, incidence)
+    check_choice("estimator", estimator, ANGULAR_ESTIMATORS)
+    if isinstance(incidence, str) and estimator != "expansion":
+        allowed = "an angle for this estimator"
+        raise invalid("incidence_deg", incidence, allowed, "expansion allows it")
     check_polarized_estimator(stokes, estimator, medium)
     bins = check_n_bins(n_bins) if estimator == "bins" else None
-    polar, azimuth = _make_directions(polar_deg, azimuth_deg, bins)
+    if bins is not None:
+        polar, azimuth = compute_bin_centres(bins)
+    else:
+        polar = check_direction_angles("polar_deg", polar_deg, 90.0)
+        azimuth = check_direction_angles("azimuth_deg", azimuth_deg, 360.0)
     check_dataset_size(len(wavelengths), len(polar) * len(azimuth))
     direction_mask = make_direction_mask(polar, azimuth) | (estimator == "next_event")
     request = AngularRequest(
@@ -219,8 +341,16 @@ def goniophotometer(
         check_medium(medium)
         scene = build_scene(medium, incidence, False, polarization)
         tally = _make_angular_tally(medium, scene, incidence, request, estimator, bins)
-        stop = _make_stopping_rule(relative_stderr, rays, max_rays, bins)
-        result = _simulate_angular_result(tally, scene, request.target, stop, run)
+        # Bins have no error that a run could reach.
+        is_fixed = rays is not None or bins is not None
+        limit = (rays or DEFAULT_BIN_RAYS) if is_fixed else max_rays
+        stop = StoppingRule(relative_stderr, limit, fixed=is_fixed)
+        evaluation = simulate(scene, tally, stop, run)
+        result = AngularResult(
+            evaluation.estimate, tally.make_stokes(), tally.undefined_variables,
+            {"degree": evaluation.estimate.degree[side],
+             **tally.describe_run(evaluation.stop_reason)},
+        )  # fmt: skip
     attributes = {
         **run.make_attributes("Virtual goniophotometer", "goniophotometer", medium),
         "incidence_deg": incidence,
@@ -238,15 +368,6 @@ def goniophotometer(
     return make_angular_dataset(
         result.estimate, result.stokes, wavelengths, angles, attributes, undefined
     )
-
-
-def _make_stopping_rule(
-    relative_stderr: float, rays: int | None, max_rays: int, bins: tuple[int, int] | None
-) -> StoppingRule:
-    """Return the rule of a run: a number of rays where it is given or for bins, or an error."""
-    if rays is None and bins is None:
-        return StoppingRule(relative_stderr, max_rays, fixed=False)
-    return StoppingRule(relative_stderr, rays or DEFAULT_BIN_RAYS, fixed=True)
 
 
 def _make_angular_tally(
@@ -272,35 +393,10 @@ def _make_angular_tally(
     return ExpansionTally(nodes, absorption, directions, incidence, target)
 
 
-def _simulate_angular_result(
-    tally: AngularTally,
-    scene: Scene,
-    target: ErrorTarget,
-    stop: StoppingRule,
-    run: RunOptions,
-) -> AngularResult:
-    """Return the result of a simulation with paths, see `goniophotometer`."""
-    evaluation = simulate(scene, tally, stop, run)
-    estimate: AngularEstimate = evaluation.estimate
-    attributes = {
-        "degree": estimate.degree[target.side],
-        **tally.describe_run(evaluation.stop_reason),
-    }
-    return AngularResult(estimate, tally.make_stokes(), tally.undefined_variables, attributes)
-
-
 def make_direction_mask(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
     """Return the directions of the stopping rule: all if only steeper ones are requested."""
     low = polar <= MAX_CONVERGED_POLAR_DEG
     return np.repeat(low if low.any() else ~low, len(azimuth))
-
-
-def _check_estimator(estimator: str, incidence: float | str) -> None:
-    """Check the estimator, and that it supports the incidence."""
-    check_choice("estimator", estimator, ANGULAR_ESTIMATORS)
-    if isinstance(incidence, str) and estimator != "expansion":
-        allowed = "an angle for this estimator"
-        raise invalid("incidence_deg", incidence, allowed, "expansion allows it")
 
 
 def check_polarized_estimator(stokes: Any, estimator: str, medium: Medium) -> None:
@@ -311,20 +407,80 @@ def check_polarized_estimator(stokes: Any, estimator: str, medium: Medium) -> No
         raise invalid("estimator", estimator, allowed)
 
 
-def _get_target_side(target: str, has_ground: bool) -> int:
-    """Return the side of the sample of the target, which must not be that of a ground."""
-    side = TARGET_SIDES[check_choice("target", target, TARGET_SIDES)]
-    if has_ground and side == 1:
-        raise invalid("target", target, "brdf over a ground", "no light leaves through a ground")
-    return side
+# --------------------------------------------------------------------------------------------------
+# Simulation of reflectance factors and reflectances together, of media that share paths.
+
+MAX_ESCAPE_FACTOR = 1.25
+"""Radiance of light that escapes from a great depth, over that of isotropic light of equal flux:
+(2 + 3 µ)/4 at the normal (diffusion theory)."""
 
 
-def _make_directions(
-    polar_deg: Any, azimuth_deg: Any, n_bins: tuple[int, int] | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the requested directions (degrees), or those of bin centres."""
-    if n_bins is not None:
-        return compute_bin_centres(n_bins)
-    return check_direction_angles("polar_deg", polar_deg, 90.0), check_direction_angles(
-        "azimuth_deg", azimuth_deg, 360.0
+def simulate_directions(
+    path_sharing: PathSharingMedia,
+    truncation: TruncatedMedium | None,
+    request: SpectralRequest,
+    polar_deg: np.ndarray,
+    azimuth_deg: np.ndarray,
+    target: ErrorTarget,
+) -> tuple[AngularEstimate, int, str]:
+    """Return reflectance factors to an absolute error, with the reflectance of the same paths.
+
+    Parameters
+    ----------
+    path_sharing : PathSharingMedia
+    truncation : TruncatedMedium or None
+        Their truncation.
+    request : SpectralRequest
+        `max_stderr` applies to the target.
+    polar_deg, azimuth_deg : float, shape (angles,)
+    target : ErrorTarget
+        With absolute errors.
+
+    Returns
+    -------
+    AngularEstimate
+        Rows are the wavelengths of one medium after the other.
+    rays : int
+    stop_reason : str
+    """
+    traced = path_sharing if truncation is None else truncation.path_sharing
+    rows = SpectralRows.from_media(traced, request.wavelengths)
+    above_truncation = (1.0 - (MAX_ESCAPE_FACTOR * ERROR_BUDGET_FRACTION) ** 2) ** 0.5
+    max_error = request.max_stderr * (1.0 if truncation is None else above_truncation)
+    directions = make_direction_grid(polar_deg, azimuth_deg, make_basis(MAX_DEGREE))
+    scene = build_scene(traced.media[0], request.incidence, False)
+    for _ in range(MAX_ATTEMPTS):
+        nodes = choose_nodes(rows.index, rows.interfaces, INTERPOLATION_FRACTION * max_error)
+        tally = ExpansionTally(nodes, rows.absorption, directions, request.incidence, target)
+        evaluation = simulate(scene, tally, StoppingRule(max_error, request.max_rays), request.run)
+        estimate: AngularEstimate = evaluation.estimate
+        if truncation is None:
+            break
+        estimate = _add_truncation_error(estimate, truncation)
+        reached = estimate.compute_max_error(target) <= request.max_stderr
+        if reached or evaluation.stop_reason != "converged":
+            break
+        max_error *= 0.5
+    return estimate, tally.n_rays, evaluation.stop_reason
+
+
+def _add_truncation_error(
+    estimate: AngularEstimate, truncation: TruncatedMedium
+) -> AngularEstimate:
+    """Return an estimate with the error of the light from below the truncation depth."""
+    n_media = truncation.path_sharing.n_reported
+    entering = estimate.hemispherical[1]
+    error = THEORY_UNCERTAINTY * entering * truncation.escape_probability[:n_media].ravel()
+    hemispherical_stderr = estimate.hemispherical_stderr.copy()
+    hemispherical_stderr[0] = np.hypot(hemispherical_stderr[0], error)
+    by_direction = MAX_ESCAPE_FACTOR / np.pi * error[:, np.newaxis]
+    stderr = estimate.stderr.copy()
+    stderr[0] = np.hypot(stderr[0], by_direction)
+    # Missing light changes the reflectance of the anisotropy factor, too.
+    relative = (error / np.maximum(estimate.hemispherical[0], np.finfo(float).tiny))[:, np.newaxis]
+    change = np.maximum(MAX_ESCAPE_FACTOR, estimate.anisotropy) * np.minimum(relative, 1.0)
+    return estimate._replace(
+        stderr=stderr,
+        hemispherical_stderr=hemispherical_stderr,
+        anisotropy_stderr=np.hypot(estimate.anisotropy_stderr, change),
     )

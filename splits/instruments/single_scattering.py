@@ -10,22 +10,20 @@ import xarray as xr
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import check_choice, check_flag, check_integer, invalid
-from splits.media.checks import check_medium
+from splits.media.kinds import check_medium
 from splits.media.medium import GranularMedium
 from splits.media.scattering_matrix import ANGLE, ELEMENTS
-from splits.simulation.arguments import check_wavelengths
 from splits.simulation.grain_optics import (
+    GRAIN_RAYS_PER_CHUNK,
     INTERPOLATION_TOLERANCE,
     WET_PORE_MODELS,
     GrainOpticsRequest,
+    MatrixEstimate,
     compute_grain_matrix,
     compute_grain_optics,
 )
-from splits.simulation.incident_light import IncidentPolarization
-from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
-from splits.simulation.scattering_matrix_tally import MatrixEstimate
-from splits.simulation.scene import build_scene, compute_material_constants
-from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK
+from splits.simulation.run_options import RunOptions, check_wavelengths, make_wavelength_coordinate
+from splits.simulation.scene import IncidentPolarization, build_scene, compute_material_constants
 from splits.simulation.spectral_nodes import choose_nodes
 
 VARIABLE_LABELS = {
@@ -80,7 +78,7 @@ def single_scattering(
         Highest order l of the Legendre moments, 1 to 4096.
     rays : int
         Rays per refractive-index node, at least 2; rounded up to whole chunks of
-        `splits.simulation.single_scattering_tally.GRAIN_RAYS_PER_CHUNK`.
+        `splits.simulation.grain_optics.GRAIN_RAYS_PER_CHUNK`.
     seed : int
         Non-negative; results with the same seed are identical on any number of threads.
     threads : int, optional

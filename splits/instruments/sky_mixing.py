@@ -18,11 +18,10 @@ from splits.core.uncertainty import (
 )
 from splits.core.validation import invalid
 from splits.illumination.bands import SpectralBand, compute_mean_error_weights
-from splits.illumination.sky import Sky
-from splits.illumination.sky_spectra import sky
+from splits.illumination.sky import Sky, sky
 from splits.instruments.solver import DISCRETE_ORDINATES
-from splits.simulation.arguments import check_wavelengths
-from splits.simulation.stopping_rule import STOP_REASONS
+from splits.simulation.run_options import check_wavelengths
+from splits.simulation.strata import STOP_REASONS
 
 DEFAULT_STEP_NM = 10.0
 MAX_DEFAULT_NM = 2495.0

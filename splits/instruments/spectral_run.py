@@ -10,25 +10,31 @@ import xarray as xr
 
 from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
 from splits.core.validation import check_integer, check_range, invalid
-from splits.kernels.base.scene import NO_GROUND
+from splits.kernels.scene import NO_GROUND
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.medium import Medium
-from splits.simulation.arguments import check_incidence, check_wavelengths
-from splits.simulation.deep_medium import truncate_deep_medium
+from splits.simulation.deep_medium import (
+    ERROR_BUDGET_FRACTION,
+    TruncatedMedium,
+    truncate_deep_medium,
+)
 from splits.simulation.derivatives import NO_PERTURBATIONS, Perturbations
 from splits.simulation.engine import simulate
-from splits.simulation.incident_light import IncidentPolarization, describe_polarization
-from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
-from splits.simulation.scene import build_scene
+from splits.simulation.run_options import (
+    RunOptions,
+    check_incidence,
+    check_wavelengths,
+    make_wavelength_coordinate,
+)
+from splits.simulation.scene import IncidentPolarization, build_scene, describe_polarization
+from splits.simulation.shared_paths import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_nodes import (
     INTERPOLATION_FRACTION,
     choose_nodes,
     make_separate_nodes,
 )
-from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_tally import SpectralEstimate, SpectralTally
-from splits.simulation.stopping_rule import StoppingRule
-from splits.simulation.truncated_medium import ERROR_BUDGET_FRACTION, TruncatedMedium
+from splits.simulation.strata import StoppingRule
 
 MAX_ATTEMPTS = 3
 """Runs of a truncated medium, each to half the error of the one before."""

@@ -11,7 +11,7 @@ import xarray as xr
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, invalid, to_text_keys
-from splits.instruments.pack_spectra import check_no_paths, compute_pack_spectra
+from splits.instruments.snow_packs import check_no_paths, compute_pack_spectra
 from splits.instruments.solver import (
     DISCRETE_ORDINATES,
     choose_solver,
@@ -19,20 +19,19 @@ from splits.instruments.solver import (
     solve_estimate,
 )
 from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest, make_spectrum
-from splits.media.checks import check_medium
+from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.media.snow_packs import SnowPacks
 from splits.simulation.derivatives import (
     Perturbations,
     check_jacobian,
+    compute_finite_difference,
     make_jacobian_variables,
     make_parameter_coordinates,
 )
-from splits.simulation.finite_differences import compute_finite_difference
-from splits.simulation.incident_light import check_stokes, requests_polarization
-from splits.simulation.path_reuse import check_path_sharing
 from splits.simulation.run_options import RunOptions
-from splits.simulation.spectral_rows import PathSharingMedia
+from splits.simulation.scene import check_stokes, requests_polarization
+from splits.simulation.shared_paths import PathSharingMedia, check_path_sharing
 from splits.simulation.spectral_tally import Derivatives, SpectralEstimate
 
 ESTIMATORS = ("spectral", "analog")
@@ -102,7 +101,7 @@ def spectrophotometer(
         these in a layer of a stack (``layers.0.depth_m``); and ``incidence_deg``.  The other
         keywords are held constant.  Parameters that leave the paths unchanged have a negligible
         cost.  Each of the others needs four to a dozen additional runs
-        (`splits.simulation.finite_differences`).  By discrete ordinates, derivatives of dry snow
+        (`splits.simulation.derivatives`).  By discrete ordinates, derivatives of dry snow
         are analytic (`splits.discrete_ordinates.derivatives`), and those of wet snow are
         differences of solutions.  ``parameter_method`` gives the method.
     max_rays : int

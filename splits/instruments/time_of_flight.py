@@ -13,7 +13,6 @@ from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import InvalidValue, check_integer, invalid
-from splits.instruments.delay_dataset import make_delay_dataset
 from splits.instruments.delay_record import (
     SPEED_OF_LIGHT,
     Pulse,
@@ -21,25 +20,24 @@ from splits.instruments.delay_record import (
     check_granular_layers,
     check_record,
     compute_max_order,
+    compute_slowness,
     describe_record,
     make_receiver,
 )
-from splits.instruments.delay_tally import DelayTally
-from splits.instruments.slowness import compute_slowness
+from splits.instruments.delay_tally import DelayTally, make_delay_dataset
 from splits.instruments.spectrophotometer import spectrophotometer
-from splits.kernels.tallies.delays import DelayRecord, Receiver
-from splits.media.checks import check_medium
+from splits.kernels.tallies.distributions import DelayRecord, Receiver
+from splits.media.kinds import check_medium
 from splits.media.medium import Medium
-from splits.simulation.arguments import check_incidence, check_wavelengths
 from splits.simulation.engine import simulate
-from splits.simulation.run_options import RunOptions
+from splits.simulation.run_options import RunOptions, check_incidence, check_wavelengths
 from splits.simulation.scene import (
     add_recording_planes,
     build_scene,
     compute_optical_constants,
 )
 from splits.simulation.spectral_nodes import choose_nodes
-from splits.simulation.stopping_rule import StoppingRule
+from splits.simulation.strata import StoppingRule
 
 CLEARANCE_MFP = 30.0
 """Mean free paths between the depths that matter and the end of a semi-infinite medium."""

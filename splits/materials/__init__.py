@@ -1,20 +1,24 @@
 """Materials: complex refractive indices with range and source, mixing rules and densities."""
 
-from splits.materials.density import MINERAL_DENSITY_KG_M3, ice_density
-from splits.materials.library import list_datasets
-from splits.materials.lookup import (
+from splits.materials.library import (
+    MINERAL_DENSITY_KG_M3,
     absorption_coefficient,
+    ice_density,
+    list_datasets,
     make_refractive_index,
     parse_refractive_index,
 )
-from splits.materials.lorentz import LorentzIndex, LorentzOscillator
-from splits.materials.mixing import MIXING_RULES, linear_mixing, maxwell_garnett
 from splits.materials.refractive_index import (
+    MIXING_RULES,
     ConstantIndex,
+    LorentzIndex,
+    LorentzOscillator,
     RefractiveIndex,
     ScaledIndex,
     SellmeierIndex,
     TabulatedIndex,
+    linear_mixing,
+    maxwell_garnett,
 )
 
 __all__ = [

@@ -25,16 +25,6 @@ GAP_MARKERS = ("", "na", "n/a", "nan", "null")
 _NUMBER_PATTERN = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
 
 
-class UserTable(NamedTuple):
-    """Columns of a user's file, with the SHA-256 of its content.
-
-    The digest identifies the content on any machine; the path does not.
-    """
-
-    columns: list[np.ndarray]
-    sha256: str
-
-
 class CsvTable(NamedTuple):
     """Content of a CSV file as text.
 
@@ -218,8 +208,12 @@ def to_columns(value: Any) -> Any:
     return frame.to_dict("list")
 
 
-def read_user_table(key: str, path: str | Path, column_names: Sequence[str]) -> UserTable:
-    """Return numeric columns of a CSV file; see `read_csv`.
+def read_user_table(
+    key: str, path: str | Path, column_names: Sequence[str]
+) -> tuple[list[np.ndarray], str]:
+    """Return numeric columns of a CSV file, and the SHA-256 of its content; see `read_csv`.
+
+    The digest identifies the content on any machine; the path does not.
 
     Parameters
     ----------
@@ -230,4 +224,4 @@ def read_user_table(key: str, path: str | Path, column_names: Sequence[str]) -> 
         Columns to read; others are ignored.
     """
     table = read_csv(key, path, column_names)
-    return UserTable([table.get_numbers(name) for name in column_names], table.sha256)
+    return [table.get_numbers(name) for name in column_names], table.sha256

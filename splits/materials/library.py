@@ -6,21 +6,82 @@ its licence.  Nothing is downloaded.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, partial
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
-from splits.core.validation import check_choice
-from splits.materials.lorentz import make_goethite
+from splits.core.arrays import read_columns
+from splits.core.validation import (
+    InvalidValue,
+    as_scalar,
+    check_choice,
+    check_number,
+    check_range,
+    invalid,
+)
+from splits.materials.csv_table import is_csv_path, read_user_table, to_columns
 from splits.materials.refractive_index import (
     ConstantIndex,
     RefractiveIndex,
     ScaledIndex,
     SellmeierIndex,
     TabulatedIndex,
+    make_goethite,
 )
+
+# --------------------------------------------------------------------------------------------------
+# Densities of ice and minerals.
+
+_ICE_TEMPERATURE_C = np.array([-40.0, -30.0, -20.0, -10.0, 0.0])
+_ICE_DENSITY_KG_M3 = np.array([922.8, 921.6, 920.3, 918.7, 916.7])
+
+MINERAL_DENSITY_KG_M3: Mapping[str, float] = MappingProxyType(
+    {
+        "quartz": 2650.0,
+        "hematite": 5250.0,
+        "goethite": 4300.0,
+        "magnetite": 5200.0,
+        "kaolinite": 2590.0,
+    }
+)
+"""Densities of minerals (kg/m³), SPLITS (Kimmel & Baranoski 2007) Table 2."""
+
+
+def ice_density(temperature_c: float) -> float:
+    """Return the density of ice (kg/m³), linear between tabulated temperatures.
+
+    Parameters
+    ----------
+    temperature_c : float
+        Temperature (°C), −40 to 0.
+
+    Raises
+    ------
+    ValueError
+        For a temperature outside the table.
+
+    References
+    ----------
+    CRC Handbook of Chemistry and Physics (Rumble 2019), as used in SPLITSnow appendix A.
+    """
+    temperature_c = check_range("temperature_c", temperature_c, -40.0, 0.0, "degrees Celsius")
+    return float(interpolate_ice_density(temperature_c))
+
+
+def interpolate_ice_density(temperature_c: np.ndarray | float) -> np.ndarray:
+    """Return the density of ice (kg/m³) at temperatures (°C), those of `ice_density`, unchecked.
+
+    Beyond −40 and 0 °C it is that of the nearer limit; NaN gives NaN.
+    """
+    return np.asarray(np.interp(temperature_c, _ICE_TEMPERATURE_C, _ICE_DENSITY_KG_M3))
+
+
+# --------------------------------------------------------------------------------------------------
+# Named datasets of refractive indices by material.
 
 _INDEX_FOLDER = Path(__file__).parent / "indices"
 _GHOSH_REFERENCE = (
@@ -56,17 +117,13 @@ def _drop_invalid_rows(
     return w[keep], n[keep], k[keep]
 
 
-def _load_ice_warren_2008() -> TabulatedIndex:
-    return _load_table("ice", "warren_brandt_2008")
-
-
 def _load_ice_picard_2016() -> TabulatedIndex:
     """Return Warren & Brandt 2008 with the absorption of Picard et al. 2016 below 600 nm.
 
     Picard's table begins at 320 nm.  Its first value is used from 200 to 320 nm, a range of about
     0.5 % of sunlight.
     """
-    warren = _load_ice_warren_2008()
+    warren = _load_table("ice", "warren_brandt_2008")
     (short, absorption), reference = _load_columns("ice_picard_2016")
     short, absorption = short[short < 600.0], absorption[short < 600.0]
     extrapolated = np.arange(200.0, short[0], 10.0)
@@ -83,14 +140,6 @@ def _load_ice_picard_2016() -> TabulatedIndex:
     return TabulatedIndex("warren_brandt_2008_picard_2016", source, w, n, k)
 
 
-def _load_water_hale() -> TabulatedIndex:
-    return _load_table("water", "hale_querry_1973")
-
-
-def _load_water_segelstein() -> TabulatedIndex:
-    return _load_table("water", "segelstein_1981")
-
-
 def _make_quartz_ordinary() -> SellmeierIndex:
     terms = (1.07044083, 1.00585997e-2), (1.10202242, 100.0)
     return SellmeierIndex(
@@ -105,27 +154,16 @@ def _make_quartz_extraordinary() -> SellmeierIndex:
     )
 
 
-def _load_hematite_ordinary() -> TabulatedIndex:
-    return _load_table("hematite", "querry_1985_ordinary")
-
-
-def _load_hematite_extraordinary() -> TabulatedIndex:
-    return _load_table("hematite", "querry_1985_extraordinary")
-
-
 def _make_hematite_mean() -> TabulatedIndex:
     """Return the index of randomly oriented crystals, √((2 ε_o + ε_e)/3), in the common range."""
-    ordinary, extraordinary = _load_hematite_ordinary(), _load_hematite_extraordinary()
+    ordinary = _load_table("hematite", "querry_1985_ordinary")
+    extraordinary = _load_table("hematite", "querry_1985_extraordinary")
     tables = (ordinary.wavelength_nm, extraordinary.wavelength_nm)
     w = np.union1d(*tables)
     w = w[(w >= max(t[0] for t in tables)) & (w <= min(t[-1] for t in tables))]
     index = np.sqrt((2.0 * ordinary(w) ** 2 + extraordinary(w) ** 2) / 3.0)
     source = "mean dielectric constant (2 ordinary + extraordinary)/3 of " + ordinary.source
     return TabulatedIndex("querry_1985", source, w, index.real, index.imag)
-
-
-def _load_magnetite() -> TabulatedIndex:
-    return _load_table("magnetite", "querry_1985")
 
 
 def _make_kaolinite() -> ConstantIndex:
@@ -140,21 +178,24 @@ def _make_kaolinite() -> ConstantIndex:
 
 _DATASET_LOADERS: dict[str, dict[str, Callable[[], RefractiveIndex]]] = {
     "ice": {
-        "warren_brandt_2008": _load_ice_warren_2008,
+        "warren_brandt_2008": partial(_load_table, "ice", "warren_brandt_2008"),
         "warren_brandt_2008_picard_2016": _load_ice_picard_2016,
     },
-    "water": {"hale_querry_1973": _load_water_hale, "segelstein_1981": _load_water_segelstein},
+    "water": {
+        "hale_querry_1973": partial(_load_table, "water", "hale_querry_1973"),
+        "segelstein_1981": partial(_load_table, "water", "segelstein_1981"),
+    },
     "quartz": {
         "ghosh_1999_ordinary": _make_quartz_ordinary,
         "ghosh_1999_extraordinary": _make_quartz_extraordinary,
     },
     "hematite": {
         "querry_1985": _make_hematite_mean,
-        "querry_1985_ordinary": _load_hematite_ordinary,
-        "querry_1985_extraordinary": _load_hematite_extraordinary,
+        "querry_1985_ordinary": partial(_load_table, "hematite", "querry_1985_ordinary"),
+        "querry_1985_extraordinary": partial(_load_table, "hematite", "querry_1985_extraordinary"),
     },
     "goethite": {"oscillators": make_goethite},
-    "magnetite": {"querry_1985": _load_magnetite},
+    "magnetite": {"querry_1985": partial(_load_table, "magnetite", "querry_1985")},
     "kaolinite": {"egan_hilgeman_1979": _make_kaolinite},
 }
 
@@ -177,3 +218,108 @@ def is_dataset(material: str, index: RefractiveIndex) -> bool:
     """Return whether a refractive index is a dataset of a material, perhaps with k scaled."""
     known = index.index if isinstance(index, ScaledIndex) else index
     return any(known == load_dataset(material, name) for name in _DATASET_LOADERS[material])
+
+
+# --------------------------------------------------------------------------------------------------
+# Complex refractive index n + i k from a user's input: named dataset, constant or table.
+
+
+def make_refractive_index(material: str, spec: Any = None) -> RefractiveIndex:
+    """Return the refractive index for a user's input.
+
+    Parameters
+    ----------
+    material : str
+        ``"ice"``, ``"water"``, ``"quartz"``, ``"hematite"``, ``"goethite"``, ``"magnetite"`` or
+        ``"kaolinite"``; determines the names of datasets.
+    spec : None, str, number, mapping, path or RefractiveIndex
+        None selects the default dataset of the material.  A string is the name of a dataset, a
+        complex number such as ``"1.31+1e-7j"``, or the path of a CSV file with columns
+        ``wavelength_nm, n, k``.  A mapping holds ``n`` and ``k``, as numbers or, with
+        ``wavelength_nm``, as lists; or ``dataset`` (a name; the default dataset if omitted) and
+        ``k_factor`` (above 0), which multiplies k and leaves n unchanged.
+
+    Raises
+    ------
+    ValueError
+        For an unknown name, a malformed table, an invalid index or an invalid factor.
+
+    Examples
+    --------
+    >>> make_refractive_index("goethite", {"k_factor": 0.5}).name
+    'oscillators, k x 0.5'
+    """
+    names = list_datasets(material)
+    if spec is None:
+        return load_dataset(material, names[0])
+    if isinstance(spec, Mapping) and {"dataset", "k_factor"} & set(spec):
+        return _make_scaled_index(f"refractive_index[{material}]", material, spec)
+    return parse_refractive_index(material, spec, names)
+
+
+def parse_refractive_index(
+    material: str, spec: Any, dataset_names: Sequence[str] = ()
+) -> RefractiveIndex:
+    """Return the refractive index for an input other than None; see `make_refractive_index`."""
+    key, spec = f"refractive_index[{material}]", to_columns(spec)
+    if isinstance(spec, str):
+        if spec in dataset_names:
+            return load_dataset(material, spec)
+        if is_csv_path(spec):
+            return _load_user_index(key, Path(spec))
+        try:
+            return ConstantIndex(complex(spec.replace(" ", "")))
+        except InvalidValue:
+            raise
+        except ValueError:
+            check_choice(key, spec, [*dataset_names, "a complex number", "a .csv file"])
+    if isinstance(spec, Path):
+        return _load_user_index(key, spec)
+    if isinstance(spec, Mapping):
+        return _make_user_index(key, material, spec)
+    spec = as_scalar(spec)
+    if isinstance(spec, (int, float, complex)) and not isinstance(spec, bool):
+        return ConstantIndex(
+            spec if isinstance(spec, complex) else complex(check_number(key, spec))
+        )
+    if callable(spec) and hasattr(spec, "name"):
+        return spec
+    raise invalid(key, spec, "a dataset name, a complex constant, a table or a CSV file")
+
+
+def _make_scaled_index(key: str, material: str, spec: Mapping[str, Any]) -> RefractiveIndex:
+    if set(spec) - {"dataset", "k_factor"}:
+        raise invalid(key, dict(spec), "a mapping of dataset and k_factor only")
+    names = list_datasets(material)
+    index = load_dataset(
+        material, check_choice(f"{key}.dataset", spec.get("dataset", names[0]), names)
+    )
+    if "k_factor" not in spec:
+        return index
+    factor = check_range(f"{key}.k_factor", spec["k_factor"], 0.0, np.inf, open_low=True)
+    return ScaledIndex(index, factor)
+
+
+def _make_user_index(key: str, material: str, spec: Mapping[str, Any]) -> RefractiveIndex:
+    if set(spec) - {"wavelength_nm", "n", "k"} or "n" not in spec:
+        allowed = "a mapping of n, k and, for a table, wavelength_nm, or of dataset and k_factor"
+        raise invalid(key, dict(spec), allowed)
+    k = spec.get("k", 0.0)
+    if "wavelength_nm" not in spec:
+        return ConstantIndex(
+            complex(check_number(f"{key}.n", spec["n"]), check_number(f"{key}.k", k))
+        )
+    columns = {"wavelength_nm": spec["wavelength_nm"], "n": spec["n"], "k": k}
+    w, n, k = read_columns(key, columns)
+    k = np.broadcast_to(k, w.shape) if k.size == 1 else k
+    return TabulatedIndex(f"user table for {material}", "given by the user", w, n, k)
+
+
+def _load_user_index(key: str, path: Path) -> TabulatedIndex:
+    (w, n, k), digest = read_user_table(key, path, ("wavelength_nm", "n", "k"))
+    return TabulatedIndex(path.name, "table of the user", w, n, k, digest)
+
+
+def absorption_coefficient(index: np.ndarray, wavelength_nm: np.ndarray) -> np.ndarray:
+    """Return the absorption coefficient α = 4πk/λ (1/m), SPLITSnow Eq 6; wavelengths in nm."""
+    return 4.0 * np.pi * index.imag / (np.asarray(wavelength_nm, dtype=float) * 1e-9)

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from splits.core.keywords import reject_unknown_keywords
 from splits.core.validation import check_choice, invalid, join_names, suggest_name
-from splits.kernels.base.sampling_rules import (
+from splits.kernels.scene import (
     ENTRY_SAMPLING,
     FACET_SAMPLING,
     GRAIN_EXTENT,
@@ -22,8 +22,7 @@ from splits.kernels.base.sampling_rules import (
 )
 from splits.materials import MIXING_RULES
 from splits.media.formatting import find_differences, format_input
-from splits.media.sand_composition import EXCESS_MAGNETITE_RULES
-from splits.media.wetness import WATER_MODELS
+from splits.media.sand_composition import EXCESS_MAGNETITE_RULES, WATER_MODELS
 
 INTERPRETATION_CHOICES: dict[str, tuple[str, ...]] = {
     "entry_point": tuple(ENTRY_SAMPLING),
@@ -276,7 +275,7 @@ class SandInterpretation(TransportInterpretation):
         4.3.2); or the shortest segments are wet, up to a total length fraction of `saturation`, as
         capillary pressure fills narrow pores first; or water is a film on all grains, treated as a
         coating, up to a relative thickness of 0.05, and the rest fills whole pores.  See
-        `splits.media.wetness`.
+        `splits.media.sand_composition`.
     """
 
     mixing: str = "maxwell_garnett"

@@ -2,15 +2,84 @@
 
 from __future__ import annotations
 
+import math
+import tomllib
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
-from splits.core.validation import check_choice, invalid, key_prefix
-from splits.media.medium import Medium
+from splits.core.keywords import reject_unknown_arguments
+from splits.core.optional import import_optional
+from splits.core.paths import expand_path
+from splits.core.validation import check_choice, format_limit, invalid, key_prefix
+from splits.media.formatting import NAMED_MEDIA, NAMED_MEDIA_FOLDER, suggest_medium
+from splits.media.medium import GranularMedium, Medium
+from splits.media.natural_snow import override_keywords
 from splits.media.particle_layer import ParticleLayer
 from splits.media.sand import Sand
 from splits.media.snow import Snow
+from splits.media.snow_packs import SnowPacks
 from splits.media.stack import Stack
+
+# --------------------------------------------------------------------------------------------------
+# Checks of media that users give to instruments.
+
+MEDIUM_NAMES: dict[type, tuple[str, ...]] = {
+    Medium: ("Snow", "Sand", "Stack", "ParticleLayer"),
+    GranularMedium: ("Snow", "Sand"),
+    ParticleLayer: ("ParticleLayer",),
+}
+"""Names of the media of each class, for messages."""
+INFINITE_DEPTH_HINT = (
+    "give depth_m; infinite depth is for estimator spectral, albedos, profiles and delays, and "
+    "with solver discrete_ordinates (natural snow, point grains) for BRDFs and HDRFs"
+)
+"""Where a semi-infinite medium is allowed."""
+
+
+def check_medium(
+    medium: Any, kind: type[Any] = Medium, *, allow_semi_infinite: bool = False,
+    key: str = "medium",
+) -> None:  # fmt: skip
+    """Check that a medium is of an allowed class, by default of any.
+
+    Parameters
+    ----------
+    medium : object
+    kind : type
+        A key of `MEDIUM_NAMES`.
+    allow_semi_infinite : bool
+        Whether infinite layers of grains are allowed; those of particles always are.
+    key : str
+        Key in error messages.
+    """
+    if isinstance(medium, kind):
+        check_thickness(medium)
+        is_traceable = not (medium.is_semi_infinite and medium.lowest_layer.has_grains)
+        if not (is_traceable or allow_semi_infinite):
+            raise invalid("depth_m", math.inf, "finite", INFINITE_DEPTH_HINT)
+        return
+    names = MEDIUM_NAMES[kind]
+    if isinstance(medium, SnowPacks):
+        hint = "packs.make_stack(label) returns one of the snowpacks"
+        hint += "" if kind is Medium else ", and its layers are media"
+        raise invalid(key, medium, "one medium", hint)
+    kind_name = medium if callable(medium) else getattr(medium, "kind", medium)
+    allowed = " or ".join(f"splits.{name}(...)" for name in names)
+    raise invalid(key, kind_name, allowed, suggest_medium(medium, names))
+
+
+def check_thickness(medium: Any) -> None:
+    """Check that a medium is thicker than its largest grain."""
+    largest = medium.largest_grain_m
+    if medium.depth_m <= largest:
+        hint = "such a grain must fit between the boundaries"
+        limit = format_limit(largest, medium.depth_m)
+        raise invalid("depth_m", medium.depth_m, f"more than the largest grain, {limit} m", hint)
+
+
+# --------------------------------------------------------------------------------------------------
+# Kinds of media: construction of a medium from its kind and keywords.
 
 LAYERS_KEY = "layers"
 LAYER_CLASSES: dict[str, Any] = {
@@ -78,3 +147,78 @@ def _make_stack(keywords: Mapping[str, Any]) -> Stack:
             bottom = {"bottom_albedo": None} if kind == "particle_layer" else {}
             media.append(MEDIUM_FACTORIES[kind](**settings, **bottom))
     return Stack(**{**keywords, LAYERS_KEY: tuple(media)})
+
+
+# --------------------------------------------------------------------------------------------------
+# Named media of the package, in the files ``named/NAME.toml``, and media in files of users.
+
+DOCUMENTATION_KEYS = ("description", "source")
+"""Keys of the files of named media that are not keywords of a medium."""
+
+
+def list_media() -> dict[str, str]:
+    """Return the named media with a description of each.
+
+    Examples
+    --------
+    >>> import splits
+    >>> splits.list_media()["red_dune"]
+    'Red dune sand, coloured by hematite'
+    """
+    return {name: _read_named_file(name)["description"] for name in NAMED_MEDIA}
+
+
+@reject_unknown_arguments
+def load_medium(name: str | Path, **keywords: Any) -> Medium:
+    """Return a named medium, or the medium of a YAML file.
+
+    Parameters
+    ----------
+    name : str or path
+        Name of a medium, see `splits.list_media`, or path of a file that ends in ``.yaml`` or
+        ``.yml``, as for ``medium: {base: NAME}`` in experiments: ``kind``, by default snow, and
+        keywords of that kind.  A YAML file requires the extra ``experiments``.
+    **keywords
+        Keywords of the medium that replace those of its file.
+
+    Raises
+    ------
+    ValueError
+        For an unknown name, an invalid file, or a value outside its range.
+    TypeError
+        For an unknown keyword.
+
+    Examples
+    --------
+    >>> import splits
+    >>> splits.load_medium("wet_beach").saturation
+    0.9
+    >>> splits.load_medium("wet_beach", saturation=0).saturation
+    0.0
+    """
+    if isinstance(name, str | Path) and str(name).endswith((".yaml", ".yml")):
+        import_optional("ruamel.yaml", "experiments", "medium files need")
+        from splits.core.yaml import read_yaml
+
+        content = read_yaml(expand_path(name, "name"))
+    else:
+        content = read_named_medium(name)
+    kind = get_kind(content)
+    settings = {key: value for key, value in content.items() if key != "kind"}
+    return make_medium(kind, override_keywords(settings, keywords))
+
+
+def read_named_medium(name: Any) -> dict[str, Any]:
+    """Return the kind and the keywords of a named medium.
+
+    Raises
+    ------
+    ValueError
+        For an unknown name.
+    """
+    content = _read_named_file(check_choice("name", name, NAMED_MEDIA))
+    return {key: value for key, value in content.items() if key not in DOCUMENTATION_KEYS}
+
+
+def _read_named_file(name: str) -> dict[str, Any]:
+    return tomllib.loads((NAMED_MEDIA_FOLDER / f"{name}.toml").read_text(encoding="utf-8"))

@@ -25,14 +25,14 @@ from splits.core.validation import (
     invalid,
     snap_to_limits,
 )
-from splits.kernels.base.scene import MATRIX
-from splits.kernels.optics.phase_function import (
+from splits.kernels.phase_function import (
     PhaseFunction,
     make_henyey_greenstein,
     make_rayleigh,
     make_tabulated,
 )
 from splits.kernels.rough_surface.realization import HeightFields
+from splits.kernels.scene import MATRIX
 from splits.media.formatting import find_differences, format_call
 from splits.media.ground import Ground
 from splits.media.medium import LayerBottom, ParticleMedium

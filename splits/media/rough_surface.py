@@ -3,28 +3,332 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from functools import cached_property
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.core.arrays import as_float_array
+from splits.core.arrays import as_float_array, read_columns
+from splits.core.equality import ContentEquality
 from splits.core.keywords import reject_unknown_keywords
+from splits.core.optional import import_optional
 from splits.core.validation import (
+    check_choice,
     check_integer,
+    check_range,
     invalid,
     key_prefix,
+    snap_to_limits,
     suggest_name,
 )
-from splits.kernels.math.rng import start_stream
+from splits.kernels.rng import make_table_probabilities, start_stream
 from splits.kernels.rough_surface import realization as kernels
-from splits.media.formatting import format_input
-from splits.media.height_spectra import (
-    HEIGHT_SPECTRA,
-    N_QUANTILES,
-)
-from splits.media.random_height_field import SPECTRUM_COLUMNS, RandomHeightField
+from splits.media.formatting import format_call, format_input
+
+# --------------------------------------------------------------------------------------------------
+# Wave-number distributions of rough surfaces and their correlations of heights.
+
+N_QUANTILES = 4097
+_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(16)
+
+
+class HeightSpectrum(NamedTuple):
+    """Distribution of wave numbers, in units of k0.
+
+    Attributes
+    ----------
+    kernel_code : int
+        Code of the distribution in the kernels.
+    cdf : callable
+        Cumulative distribution function of λ.
+    density : callable
+        Probability density of λ.
+    mean_square : callable
+        Mean of λ² below a band limit.
+    correlation : callable
+        Correlation of heights at a distance, without a band limit.
+    """
+
+    kernel_code: int
+    cdf: Callable[[float], float]
+    density: Callable[[np.ndarray], np.ndarray]
+    mean_square: Callable[[float], float]
+    correlation: Callable[[np.ndarray], np.ndarray]
+
+
+def _import_scipy_special() -> ModuleType:
+    return import_optional("scipy.special", "retrieval", "correlations of heights need")
+
+
+def _correlate_exponential_printed(r: np.ndarray) -> np.ndarray:
+    """Return ∫ J0(λr) (1 + λ²)^(−3/2) dλ = x (I0(x) K1(x) − I1(x) K0(x)) with x = r/2."""
+    special = _import_scipy_special()
+    x = np.where(r > 0.0, 0.5 * r, 1.0)
+    products = special.i0e(x) * special.k1e(x) - special.i1e(x) * special.k0e(x)
+    return np.where(r > 0.0, x * products, 1.0)
+
+
+def _exponential_cdf(limit: float) -> float:
+    """Return 1 − 1/√(1 + λ²) without cancellation."""
+    root = math.hypot(1.0, limit)
+    return 1.0 if math.isinf(limit) else limit / root * (limit / (1.0 + root))
+
+
+def _gaussian_mean_square(limit: float) -> float:
+    if math.isinf(limit):
+        return 4.0
+    e = 0.25 * limit * limit
+    band_fraction = -math.expm1(-e)
+    return 4.0 * (1.0 - e * math.exp(-e) / band_fraction)
+
+
+HEIGHT_SPECTRA = {
+    "exponential": HeightSpectrum(
+        kernels.EXPONENTIAL,
+        _exponential_cdf,
+        lambda k: k * (1.0 + k * k) ** -1.5,
+        lambda limit: math.hypot(1.0, limit) - 1.0,
+        lambda r: np.exp(-r),
+    ),
+    "exponential_printed": HeightSpectrum(
+        kernels.EXPONENTIAL_AS_PRINTED,
+        lambda limit: 1.0 if math.isinf(limit) else limit / math.hypot(1.0, limit),
+        lambda k: (1.0 + k * k) ** -1.5,
+        lambda limit: math.asinh(limit) * math.hypot(1.0 / limit, 1.0) - 1.0,
+        _correlate_exponential_printed,
+    ),
+    "gaussian": HeightSpectrum(
+        kernels.GAUSSIAN,
+        lambda limit: -math.expm1(-0.25 * limit * limit),
+        lambda k: 0.5 * k * np.exp(-0.25 * k * k),
+        _gaussian_mean_square,
+        lambda r: np.exp(-r * r),
+    ),
+}
+CORRELATIONS = (*HEIGHT_SPECTRA, "spectrum")
+
+
+def compute_quantiles(wave_number: np.ndarray, density: np.ndarray) -> np.ndarray:
+    """Return the quantile function of the density p(λ) λ, with p linear between nodes."""
+    slope = np.diff(density) / np.diff(wave_number)
+
+    def mass(interval: np.ndarray, upper: np.ndarray) -> np.ndarray:
+        """Return ∫ p λ dλ from the start of an interval, exact for linear p."""
+        step = upper - wave_number[interval]
+        p, a = density[interval], wave_number[interval]
+        return step * (
+            p * a + step * (0.5 * (p + slope[interval] * a) + step * slope[interval] / 3.0)
+        )
+
+    intervals = np.arange(wave_number.size - 1)
+    cumulative = np.concatenate([[0.0], np.cumsum(mass(intervals, wave_number[1:]))])
+    target = make_table_probabilities(N_QUANTILES) * cumulative[-1]
+    # Intervals without mass hold no quantiles except those at 0 and 1.
+    interval = np.clip(
+        np.searchsorted(cumulative, target, side="left") - 1, 0, wave_number.size - 2
+    )
+    first = np.flatnonzero(np.diff(cumulative) > 0.0)[0]
+    interval = np.maximum(interval, first)
+    low, high = wave_number[interval], wave_number[interval + 1]
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        below = cumulative[interval] + mass(interval, middle) < target
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return 0.5 * (low + high)
+
+
+def average_over_quantiles(
+    table: np.ndarray, function: Callable[[np.ndarray], np.ndarray], pieces: int = 1
+) -> float:
+    """Return the mean of a function of a variate given by a piecewise linear quantile table."""
+    n_intervals = (table.size - 1) * pieces
+    x = (np.arange(n_intervals)[:, None] + 0.5 * (1.0 + _GAUSS_NODES)) / n_intervals
+    # Includes the derivative of the probabilities of `make_table_probabilities`.
+    weight = 2.0 * np.minimum(x, 1.0 - x) * _GAUSS_WEIGHTS / n_intervals
+    nodes = np.linspace(0.0, 1.0, table.size)
+    return float((weight * function(np.interp(x, nodes, table))).sum())
+
+
+def average_bessel_j0(table: np.ndarray, distance: float) -> float:
+    """Return the mean of J0(λ r), in intervals shorter than a period."""
+    max_spacing = float(np.diff(table).max())
+    j0 = _import_scipy_special().j0
+    return average_over_quantiles(
+        table, lambda k: j0(k * distance), 1 + int(max_spacing * distance / math.pi)
+    )
+
+
+def integrate_bessel_j0(
+    density: Callable[[np.ndarray], np.ndarray], limit: float, distance: float
+) -> float:
+    """Return ∫ J0(λr) density dλ from 0 to the limit, in intervals shorter than a period."""
+    octaves = 2.0 ** np.arange(-3.0, max(math.log2(limit), -2.0) + 1.0)
+    edges = [
+        np.array([0.0]),
+        octaves,
+        np.arange(0.0, limit, 2.0 * math.pi / max(distance, 1e-300))[1:],
+    ]
+    edge = np.unique(np.minimum(np.concatenate([*edges, [limit]]), limit))
+    half = 0.5 * np.diff(edge)[:, None]
+    k = edge[:-1, None] + half * (1.0 + _GAUSS_NODES)
+    return float(
+        (half * _GAUSS_WEIGHTS * _import_scipy_special().j0(k * distance) * density(k)).sum()
+    )
+
+
+# --------------------------------------------------------------------------------------------------
+# Random height field: a correlated Gaussian surface by its height spectrum.
+
+
+@reject_unknown_keywords
+@dataclass(frozen=True, eq=False, repr=False)
+class RandomHeightField(ContentEquality):
+    """Random height field, Budak & Grimailo 2020, Eq 3.
+
+    Parameters
+    ----------
+    rms_height_m : float
+        Standard deviation of heights σ (m), 0 to 1e6.
+    wave_number_per_m : float, optional
+        k0 (1/m), 1e-9 to 1e9; required unless `correlation` is "spectrum".
+    correlation : {"exponential", "exponential_printed", "gaussian", "spectrum"}
+        Correlation of heights.  "exponential": exp(−k0 r).  "exponential_printed": that of the
+        distribution of wave numbers as printed, λ = k0 β/√(1 − β²), which is
+        x (I0(x) K1(x) − I1(x) K0(x)) with x = k0 r/2.  "gaussian": exp(−(k0 r)²).  "spectrum":
+        that of the tabulated spectrum.
+    waves : int
+        Number of waves M, 1 to 100 000.
+    band_limit_per_m : float, optional
+        Largest wave number (1/m), from k0/1000 to infinity; σ does not change.  It is required for
+        "exponential".  Without a limit the rms slope of "exponential" and, more slowly, that of
+        "exponential_printed" grow with the number of waves, and reflectance changes with them.
+    spectrum : mapping, optional
+        Columns ``wave_number_per_m``, increasing, and ``density``, the isotropic spectral density
+        p up to a factor, with linear interpolation.  The fraction of the variance in dλ is
+        ∝ p(λ) λ dλ.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range; the message names key, value and range.
+    """
+
+    rms_height_m: float
+    wave_number_per_m: float | None = None
+    correlation: str = "exponential"
+    waves: int = 64
+    band_limit_per_m: float | None = None
+    spectrum: Mapping[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        def put(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        put("rms_height_m", check_range("rms_height_m", self.rms_height_m, 0.0, 1e6, "m"))
+        check_choice("correlation", self.correlation, CORRELATIONS)
+        put("waves", check_integer("waves", self.waves, 1, MAX_WAVES))
+        if self.correlation == "spectrum":
+            for key in ("wave_number_per_m", "band_limit_per_m"):
+                if getattr(self, key) is not None:
+                    raise invalid(key, getattr(self, key), "left out", "the spectrum has its own")
+            put("spectrum", _read_spectrum(self.spectrum))
+            return
+        if self.spectrum is not None:
+            raise invalid("spectrum", self.spectrum, 'left out unless correlation is "spectrum"')
+        key, k0 = "wave_number_per_m", self.wave_number_per_m
+        if k0 is None:
+            raise invalid(key, None, "given (1/m)", "the inverse of the correlation length")
+        put(key, k0 := check_range(key, k0, 1e-9, 1e9, "1/m"))
+        key, limit = "band_limit_per_m", self.band_limit_per_m
+        if limit is None and self.correlation == "exponential":
+            raise invalid(
+                key, None, "given (1/m)",
+                "slopes, about rms_height_m √(k0 limit), grow without bound with it and change "
+                "reflectance; give the largest wave number of the surface, or infinity; only the "
+                'default correlation "exponential" needs it, "gaussian" does not',
+            )  # fmt: skip
+        if limit is None or limit == math.inf:
+            put(key, math.inf)
+        else:
+            put(key, check_range(key, limit, 1e-3 * k0, math.inf, "1/m"))
+
+    def as_input(self) -> dict[str, Any]:
+        """Return the keywords that differ from their defaults."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        # Only the exponential correlation requires a limit, so an infinite one is shown.
+        if self.band_limit_per_m == math.inf and self.correlation != "exponential":
+            del values["band_limit_per_m"]
+        defaults = {field.name: field.default for field in fields(self)}
+        return {name: value for name, value in values.items() if value != defaults[name]}
+
+    def __repr__(self) -> str:
+        """Return the call that constructs the field, on one line."""
+        return format_call("RandomHeightField", self.as_input())
+
+    @property
+    def _relative_band_limit(self) -> float:
+        """Band limit in units of k0."""
+        assert self.band_limit_per_m is not None and self.wave_number_per_m is not None
+        return self.band_limit_per_m / self.wave_number_per_m
+
+    @cached_property
+    def wave_number_quantiles(self) -> np.ndarray:
+        """Quantile function of the wave numbers (1/m) at `rng.make_table_probabilities`."""
+        assert self.spectrum is not None
+        return compute_quantiles(*(np.array(self.spectrum[key]) for key in SPECTRUM_COLUMNS))
+
+    def compute_correlation(self, r_m: np.ndarray) -> np.ndarray:
+        """Return the expected correlation of heights at distances (m) for sampled waves."""
+        r = as_float_array("r_m", r_m, "numbers in metres")
+        if self.correlation == "spectrum":
+            return np.array(
+                [average_bessel_j0(self.wave_number_quantiles, x) for x in r.ravel()]
+            ).reshape(r.shape)
+        spectrum = HEIGHT_SPECTRA[self.correlation]
+        assert self.wave_number_per_m is not None
+        r = self.wave_number_per_m * r
+        if spectrum.cdf(self._relative_band_limit) == 1.0:
+            return spectrum.correlation(r)
+        integrals = [
+            integrate_bessel_j0(spectrum.density, self._relative_band_limit, x) for x in r.ravel()
+        ]
+        return np.array(integrals).reshape(r.shape) / spectrum.cdf(self._relative_band_limit)
+
+    def mean_square_wave_number(self) -> float:
+        """Return the mean λ² of a wave (1/m²)."""
+        if self.correlation == "spectrum":
+            return average_over_quantiles(self.wave_number_quantiles, lambda k: k * k)
+        assert self.wave_number_per_m is not None
+        return self.wave_number_per_m**2 * HEIGHT_SPECTRA[self.correlation].mean_square(
+            self._relative_band_limit
+        )
+
+
+MAX_WAVES = 100_000
+SPECTRUM_COLUMNS = ("wave_number_per_m", "density")
+
+
+def _read_spectrum(given: Any) -> dict[str, tuple[float, ...]]:
+    """Return the validated columns of a spectrum."""
+    allowed = "a mapping of equally many numbers " + " and ".join(SPECTRUM_COLUMNS)
+    if not isinstance(given, Mapping) or set(given) != set(SPECTRUM_COLUMNS):
+        raise invalid("spectrum", given, allowed)
+    k, density = read_columns("spectrum", {key: given[key] for key in SPECTRUM_COLUMNS})
+    if k.shape != density.shape or k.size < 2:
+        raise invalid("spectrum", dict(given), allowed, "two rows at least")
+    k, density = (snap_to_limits(row, 0.0, math.inf) for row in (k, density))
+    if k[0] < 0.0 or (np.diff(k) <= 0.0).any():
+        raise invalid("spectrum.wave_number_per_m", k.tolist(), "0 or more and increasing")
+    if (density < 0.0).any() or not density[k > 0.0].any():
+        raise invalid("spectrum.density", density.tolist(), "0 or more, and positive somewhere")
+    return dict(zip(SPECTRUM_COLUMNS, (tuple(k.tolist()), tuple(density.tolist())), strict=True))
+
+
+# --------------------------------------------------------------------------------------------------
+# Randomly rough surfaces: heights, correlation and number of waves.
 
 
 @reject_unknown_keywords

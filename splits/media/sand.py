@@ -14,13 +14,12 @@ from splits.core.arrays import check_named_numbers
 from splits.core.equality import ContentEquality
 from splits.core.keywords import reject_unknown_keywords
 from splits.core.validation import check_range, invalid
-from splits.kernels.base.scene import WET_PORE
-from splits.kernels.grains.population import GrainPopulation, GrainTypes
+from splits.kernels.scene import WET_PORE, GrainPopulation, GrainTypes
 from splits.materials import MINERAL_DENSITY_KG_M3, MIXING_RULES
 from splits.media import grain_statistics as statistics
 from splits.media.formatting import find_differences, format_call
-from splits.media.ground import Ground
-from splits.media.inputs import (
+from splits.media.ground import (
+    Ground,
     check_ground_reached,
     check_sample_depth,
     check_truncated_normal,
@@ -28,15 +27,17 @@ from splits.media.inputs import (
     make_refractive_indices,
 )
 from splits.media.interpretations import SandInterpretation
-from splits.media.medium import GranularMedium, Interface
-from splits.media.pore_fluids import WATER, PoreFluids, check_other_fluids
+from splits.media.medium import WATER, GranularMedium, Interface, PoreFluids, check_other_fluids
 from splits.media.sand_composition import (
+    SOIL_SEPARATES,
     SandComposition,
+    SoilSizeDistribution,
+    WaterDistribution,
     compute_coating_fraction,
+    distribute_water,
     make_composition,
+    make_size_distribution,
 )
-from splits.media.soil_texture import SOIL_SEPARATES, SoilSizeDistribution, make_size_distribution
-from splits.media.wetness import WaterDistribution, distribute_water
 
 WATER_FILM = "water film"
 """Name of the water film on grains in the list of materials."""
@@ -84,7 +85,7 @@ class Sand(ContentEquality, GranularMedium):
         spectra, albedos and profiles.
     size_tail : float
         Mass fraction of grains outside the outermost size limits; see
-        `splits.media.soil_texture.make_size_distribution`.
+        `splits.media.sand_composition.make_size_distribution`.
     refractive_index : mapping, optional
         Refractive index by material ("quartz", "hematite", "goethite", "magnetite", "kaolinite",
         "water", "air"): the name of a dataset, a constant or a table; see

@@ -13,13 +13,13 @@ from splits.core.arrays import check_named_numbers
 from splits.core.equality import ContentEquality
 from splits.core.keywords import reject_unknown_keywords
 from splits.core.validation import check_choice, check_range, invalid, suggest_unit
-from splits.kernels.grains.population import GrainPopulation, GrainTypes
+from splits.kernels.scene import GrainPopulation, GrainTypes
 from splits.materials import ice_density
 from splits.materials.impurities import Impurity, describe_impurities, make_impurities
 from splits.media import grain_statistics as statistics
 from splits.media.formatting import find_differences, format_call
-from splits.media.ground import Ground
-from splits.media.inputs import (
+from splits.media.ground import (
+    Ground,
     check_ground_reached,
     check_sample_depth,
     check_truncated_normal,
@@ -27,14 +27,15 @@ from splits.media.inputs import (
     make_refractive_indices,
 )
 from splits.media.interpretations import Interpretation
-from splits.media.measured_inputs import (
+from splits.media.medium import GranularMedium, Interface, PoreFluids, check_other_fluids
+from splits.media.natural_snow import (
     GRAIN_SIZE_RANGE_UM,
     accepts_measured_inputs,
+    describe_grain_shape,
+    is_natural,
+    make_natural_snow,
     to_shortest_keywords,
 )
-from splits.media.medium import GranularMedium, Interface
-from splits.media.natural_snow import describe_grain_shape, is_natural, make_natural_snow
-from splits.media.pore_fluids import PoreFluids, check_other_fluids
 
 MIN_DENSITY_KG_M3 = 1e-12
 """Lower limit of the density: about one grain per 1e11 m of path, well within double precision."""

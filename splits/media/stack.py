@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, cast
 
@@ -12,15 +13,12 @@ import numpy as np
 
 from splits.core.keywords import reject_unknown_keywords
 from splits.core.validation import check_choice, invalid, key_prefix
-from splits.kernels.base.scene import MATRIX, WET_PORE
-from splits.media.formatting import format_input
-from splits.media.ground import Ground, describe_ground
-from splits.media.inputs import check_ground_reached
+from splits.kernels.scene import MATRIX, WET_PORE
+from splits.media.formatting import format_input, suggest_medium
+from splits.media.ground import Ground, check_ground_reached, describe_ground
 from splits.media.interpretations import INTERPRETATION_SETS
-from splits.media.medium import GranularMedium, Interface, Layer, Medium
+from splits.media.medium import GranularMedium, Interface, Layer, Medium, PoreFluids
 from splits.media.particle_layer import ParticleLayer
-from splits.media.pore_fluids import PoreFluids
-from splits.media.suggestions import suggest_medium
 
 MAX_LAYERS = 200
 UNSUPPORTED_IN_STACK = {
@@ -275,3 +273,67 @@ def _check_particle_layer(layer: ParticleLayer, is_top: bool, is_lowest: bool) -
             raise invalid(name, value, "left out" if allowed is None else "false", reason)
     if layer.is_semi_infinite and not is_lowest:
         raise invalid("optical_thickness", math.inf, "finite", ONLY_LOWEST_INFINITE)
+
+
+# --------------------------------------------------------------------------------------------------
+# Media whose particles are conservative, in a matrix that absorbs instead.
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AbsorbingMatrixLayer(ParticleLayer):
+    """Layer of conservative particles in an absorbing matrix.
+
+    Absorption at particles is equivalent to absorption along the path.  With the latter, path
+    lengths give the absorption between any two depths.
+
+    Parameters
+    ----------
+    absorption_per_m : float
+        Absorption coefficient of the matrix (1/m).
+    """
+
+    absorption_per_m: float = 0.0
+
+    @classmethod
+    def from_particle_layer(cls, layer: ParticleLayer) -> AbsorbingMatrixLayer:
+        """Return the layer that is equivalent to one of absorbing particles."""
+        albedo = layer.single_scattering_albedo
+        inputs: dict[str, Any] = {f.name: getattr(layer, f.name) for f in fields(layer)}
+        inputs |= {
+            "optical_thickness": albedo * layer.optical_thickness,
+            "single_scattering_albedo": 1.0,
+        }
+        return cls(**inputs, absorption_per_m=(1.0 - albedo) * layer.extinction_per_m)
+
+    @property
+    def ground(self) -> Ground | None:
+        """The bottom, whose hits are counted along the paths."""
+        return Ground.from_input(self.bottom_albedo)
+
+    def compute_added_absorption(self, wavelength_nm: np.ndarray) -> np.ndarray:
+        """Return the absorption coefficient of the matrix (1/m), shape (wavelengths, 2)."""
+        added = np.zeros((np.size(wavelength_nm), 2))
+        added[:, MATRIX] = self.absorption_per_m
+        return added
+
+
+@dataclass(frozen=True)
+class AbsorbingStack(Stack):
+    """Stack whose particles absorb along the path."""
+
+    @cached_property
+    def scene_layers(self) -> tuple[Layer, ...]:
+        """Layers, top first."""
+        return tuple(
+            layer if layer.has_grains else AbsorbingMatrixLayer.from_particle_layer(layer)
+            for layer in self.layers
+        )
+
+
+def absorb_along_path(medium: Medium) -> Medium:
+    """Return a medium that is equivalent, but whose particles absorb along the path."""
+    if isinstance(medium, ParticleLayer):
+        return AbsorbingMatrixLayer.from_particle_layer(medium)
+    if isinstance(medium, Stack) and not all(layer.has_grains for layer in medium.layers):
+        return AbsorbingStack(medium.layers, medium.ground)
+    return medium

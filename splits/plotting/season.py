@@ -12,7 +12,7 @@ from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from splits.media.snow_pack_quality import count_missing_results
+from splits.media.snow_packs import count_missing_results
 from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.lines import is_covering_line, place_legend_above
 from splits.plotting.spectra import make_axis_label

@@ -23,7 +23,7 @@ from splits.retrieval.forward_model import TableForwardModel, choose_quantity, g
 from splits.retrieval.map_minimization import project_spectra, retrieve_spectra
 from splits.retrieval.measurement import MAX_REFLECTANCE, Measurement, check_conditions
 from splits.retrieval.state_vector import SCALE, StateVector
-from splits.simulation.arguments import check_threads
+from splits.simulation.run_options import check_threads
 from splits.tables.table import Table
 
 MAX_COMPONENTS = 24

@@ -13,7 +13,7 @@ from splits.core.arrays import align_to_labels, as_float_array, check_increasing
 from splits.core.units import check_nanometres, convert_units
 from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid, short_repr
 from splits.illumination.bands import SpectralBand, as_bands
-from splits.simulation.arguments import check_wavelengths
+from splits.simulation.run_options import check_wavelengths
 from splits.tables.views import AZIMUTH, fold_azimuths
 
 MAX_REFLECTANCE = 2.0

@@ -19,9 +19,9 @@ from splits.core.validation import (
 )
 from splits.discrete_ordinates.applicability import find_obstacle, find_parameter_obstacle
 from splits.instruments.solver import MONTE_CARLO, SOLVERS, choose_solver
-from splits.media.checks import check_medium
-from splits.media.measured_inputs import check_no_equivalents
+from splits.media.kinds import check_medium
 from splits.media.medium import Medium
+from splits.media.natural_snow import check_no_equivalents
 from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
 from splits.retrieval.forward_model import SCALE_RANGE
 from splits.retrieval.measurement import Measurement
@@ -29,7 +29,7 @@ from splits.retrieval.medium_model import MediumForwardModel
 from splits.retrieval.ordinates_model import MAX_ERROR, OrdinatesForwardModel
 from splits.retrieval.simulation_model import SimulationForwardModel
 from splits.retrieval.state_vector import SCALE, ParameterRange, StateVector
-from splits.simulation.arguments import check_incidence
+from splits.simulation.run_options import check_incidence
 from splits.tables.axes import check_axis_values
 from splits.tables.interpolation import transform_axis
 

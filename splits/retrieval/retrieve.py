@@ -11,10 +11,10 @@ from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, check_integer, invalid
 from splits.instruments.solver import AUTO
-from splits.media.checks import MEDIUM_NAMES
+from splits.media.formatting import suggest_medium
+from splits.media.kinds import MEDIUM_NAMES
 from splits.media.medium import Medium
 from splits.media.parameters import INCIDENCE_KEY
-from splits.media.suggestions import suggest_medium
 from splits.retrieval.forward_model import (
     TableForwardModel,
     choose_quantity,

@@ -24,7 +24,7 @@ from splits.retrieval.optimal_estimation import find_active_bounds
 from splits.retrieval.residual_covariance import MIN_RESIDUAL_DOF, estimate_fit_covariance
 from splits.retrieval.sand_forward_model import Effort, SandForwardModel
 from splits.retrieval.sand_parameters import FitResult, FittedParameter, UnitCube
-from splits.simulation.arguments import check_incidence, check_wavelengths
+from splits.simulation.run_options import check_incidence, check_wavelengths
 
 
 def fit(

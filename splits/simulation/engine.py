@@ -9,11 +9,9 @@ from functools import partial
 import numpy as np
 
 from splits.core.progress import Progress, ProgressCallback
-from splits.kernels.base.scene import Scene
-from splits.kernels.compiler.features import Features
+from splits.kernels.scene import Features, Scene
 from splits.simulation.run_options import RunOptions
-from splits.simulation.stopping_rule import Evaluation, StoppingRule
-from splits.simulation.stratum import Stratum
+from splits.simulation.strata import Evaluation, StoppingRule, Stratum
 from splits.simulation.tally import Tally, WorkItem
 from splits.simulation.threads import DaemonThreadPool, limit_blas_threads
 

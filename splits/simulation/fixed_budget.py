@@ -15,16 +15,15 @@ from typing import Any
 import numpy as np
 
 from splits.core.validation import check_integer, invalid
-from splits.media.checks import check_medium
+from splits.media.kinds import check_medium
 from splits.media.medium import Medium
-from splits.simulation.arguments import check_incidence, check_wavelengths
 from splits.simulation.engine import simulate
-from splits.simulation.run_options import RunOptions
+from splits.simulation.run_options import RunOptions, check_incidence, check_wavelengths
 from splits.simulation.scene import build_scene
+from splits.simulation.shared_paths import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_nodes import make_nodes
-from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_tally import SINGLE_STRATUM, SpectralTally
-from splits.simulation.stopping_rule import StoppingRule
+from splits.simulation.strata import StoppingRule
 
 
 def estimate_fixed_budget(

@@ -2,21 +2,113 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.core.validation import invalid
-from splits.kernels.base.scene import NO_GROUND, NO_PARTICLES, Layers, ParticleScattering, Scene
-from splits.kernels.grains.population import GrainPopulation
-from splits.kernels.optics.source import Source
+from splits.core.arrays import as_1d_array
+from splits.core.incident_stokes import INCIDENT_STOKES
+from splits.core.validation import as_scalar, invalid
+from splits.kernels.arithmetic import Vector
 from splits.kernels.rough_surface.realization import HeightFields
-from splits.kernels.transport.rough_top import MAX_HEIGHT_SIGMA
-from splits.materials.lookup import absorption_coefficient
+from splits.kernels.scene import (
+    NO_GROUND,
+    NO_PARTICLES,
+    GrainPopulation,
+    Layers,
+    ParticleScattering,
+    Scene,
+    Source,
+)
+from splits.kernels.stokes import UNPOLARIZED, Stokes
+from splits.kernels.transport.events import MAX_HEIGHT_SIGMA
+from splits.materials.library import absorption_coefficient
 from splits.media.interpretations import Interpretation
 from splits.media.medium import Layer, Medium, ParticleMedium
-from splits.simulation.incident_light import IncidentPolarization
+
+# --------------------------------------------------------------------------------------------------
+# Polarization of the incident light.
+
+ALLOWED_STOKES = "true, false, or I, Q, U, V of the incident light"
+
+
+class IncidentPolarization(NamedTuple):
+    """Q, U and V over I of the incident light, for the plane of incidence as reference.
+
+    None in its place denotes a run without polarization, which differs from unpolarized light.
+    """
+
+    q: float = 0.0
+    u: float = 0.0
+    v: float = 0.0
+
+    def make_stokes(self, incidence_deg: float | str) -> Stokes:
+        """Return the `Stokes` of a beam, whose reference is in the plane of incidence.
+
+        The beam travels along (sin θ, 0, −cos θ).  At normal incidence the plane contains azimuth
+        0, the x axis.  For diffuse light, whose directions are sampled, the reference is arbitrary.
+        """
+        if isinstance(incidence_deg, str):
+            return UNPOLARIZED
+        angle = math.radians(incidence_deg)
+        return Stokes(Vector(math.cos(angle), 0.0, math.sin(angle)), *self)
+
+
+def describe_polarization(polarization: IncidentPolarization | None) -> dict[str, list[float]]:
+    """Return the attribute of a dataset: the Stokes vector of the incident light, if any."""
+    return {} if polarization is None else {INCIDENT_STOKES: [1.0, *polarization]}
+
+
+def requests_polarization(stokes: Any) -> bool:
+    """Return whether a value of `stokes` is anything but false."""
+    return as_scalar(stokes) is not False
+
+
+def check_stokes(
+    stokes: Any, medium: Medium, incidence_deg: float | str
+) -> IncidentPolarization | None:
+    """Return the polarization of the incident light, None for runs without polarization.
+
+    Parameters
+    ----------
+    stokes : bool or array_like
+        Whether polarization is traced, or the Stokes vector (I, Q, U, V) of the incident light.
+    medium : Medium
+        Polarized layers of particles require polarization, and other ones do not allow it.
+    incidence_deg : float or "diffuse"
+
+    Raises
+    ------
+    ValueError
+        For other values, polarized diffuse light, and layers that define no polarization.
+    """
+    if not requests_polarization(stokes):
+        return IncidentPolarization() if medium.polarized else None
+    light = IncidentPolarization()
+    if as_scalar(stokes) is not True:
+        values = as_1d_array("stokes", stokes, ALLOWED_STOKES)
+        if values.size != 4:
+            raise invalid("stokes", stokes, ALLOWED_STOKES)
+        intensity, *polarized = values.tolist()
+        total = math.hypot(*polarized)
+        # Values may have been rounded to single precision.
+        if not intensity > 0.0 or total > intensity * (1.0 + 1e-6):
+            raise invalid("stokes", stokes, "I > 0 and √(Q² + U² + V²) at most I")
+        intensity = max(intensity, total)
+        light = IncidentPolarization(*(value / intensity for value in polarized))
+    if isinstance(incidence_deg, str) and any(light):
+        raise invalid("stokes", stokes, "true for diffuse light", "which is unpolarized")
+    for number, layer in enumerate(medium.scene_layers):
+        if not (layer.has_grains or layer.polarized):
+            key = "polarized" if len(medium.scene_layers) == 1 else f"layers[{number}].polarized"
+            raise invalid(key, False, "true with stokes")
+    return light
+
+
+# --------------------------------------------------------------------------------------------------
+# Scenes: illuminated media in the form that kernels use.
 
 COLLISION_COEFFICIENT_RANGE = (1e-12, 1e300)
 """Scatterings per metre of a layer without particles, so that its mean free path is finite, and of
@@ -162,6 +254,8 @@ def _make_layers(
     if height_fields is not None:
         # Above the highest point that a realization of the surface may have.
         boundaries[0] = MAX_HEIGHT_SIGMA * np.linalg.norm(height_fields.rms_height)
+    # Rows of the particle table.
+    has_particles = np.array([not layer.has_grains for layer in media])
     return Layers(
         boundaries=boundaries,
         collision_coefficient=np.clip(
@@ -172,7 +266,7 @@ def _make_layers(
         first_type=np.cumsum([0, *n_types])[:-1],
         first_pore_material=first_materials[:-1],
         pore_cdf=_compute_pore_cdf(media),
-        particle_row=_find_particle_rows(media),
+        particle_row=np.where(has_particles, np.cumsum(has_particles) - 1, NO_PARTICLES),
     )
 
 
@@ -203,12 +297,6 @@ def add_recording_planes(scene: Scene, depths_m: Sequence[float]) -> Scene:
         name: getattr(layers, name)[original] for name in layers._fields if name != "boundaries"
     }
     return scene._replace(layers=Layers(boundaries=boundaries, **rows), record_crossings=True)
-
-
-def _find_particle_rows(media: Sequence[Layer]) -> np.ndarray:
-    """Return the row of each layer in the particle table, `NO_PARTICLES` for granular layers."""
-    has_particles = np.array([not layer.has_grains for layer in media])
-    return np.where(has_particles, np.cumsum(has_particles) - 1, NO_PARTICLES)
 
 
 def make_particle_table(layers: Sequence[ParticleMedium]) -> ParticleScattering:

@@ -14,17 +14,31 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.kernels.base.scene import Scene
-from splits.kernels.tallies.derivatives import tally_derivatives
-from splits.kernels.tallies.exits import BLOCK_SIZE, N_BATCHES, WeightSums, tally_weights
-from splits.simulation.exit_tally import ExitTally
-from splits.simulation.interpolation_bounds import bound_derivative_error, bound_fraction_error
-from splits.simulation.rare_light import allow_for_unseen_rays, find_required_rays
-from splits.simulation.ray_allocation import LARGE_PROBLEM_ROWS, VarianceTerms, allocate_rays
-from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.spectral_rows import SpectralRows
-from splits.simulation.stopping_rule import Evaluation, StoppingRule
-from splits.simulation.stratum import STRATUM_BOUNDS, Stratum, compute_absorption_per_mfp
+from splits.kernels.scene import Scene
+from splits.kernels.tallies.exits import (
+    BLOCK_SIZE,
+    N_BATCHES,
+    WeightSums,
+    tally_derivatives,
+    tally_weights,
+)
+from splits.simulation.shared_paths import SpectralRows
+from splits.simulation.spectral_nodes import (
+    IndexNodes,
+    bound_derivative_error,
+    bound_fraction_error,
+)
+from splits.simulation.strata import (
+    LARGE_PROBLEM_ROWS,
+    STRATUM_BOUNDS,
+    Evaluation,
+    StoppingRule,
+    Stratum,
+    VarianceTerms,
+    allocate_rays,
+    compute_absorption_per_mfp,
+)
+from splits.simulation.tally import ExitTally, allow_for_unseen_rays, find_required_rays
 
 PILOT_RAYS = 256
 ANALOG_PILOT_RAYS = 2048
@@ -74,6 +88,11 @@ class Derivatives(NamedTuple):
             np.concatenate(bias_bound, axis=1),
         )
 
+    @classmethod
+    def from_solution(cls, mean: np.ndarray, bias_bound: np.ndarray) -> Derivatives:
+        """Return derivatives without noise."""
+        return cls(mean, np.zeros((N_BATCHES, *mean.shape)), bias_bound)
+
     @property
     def stderr(self) -> np.ndarray:
         """Standard errors, shaped like the means."""
@@ -110,6 +129,18 @@ class SpectralEstimate:
     derivatives: Derivatives
     interpolation_bound: np.ndarray
     rays: dict[str, Any]
+
+    @classmethod
+    def from_solution(
+        cls, mean: np.ndarray, stderr: np.ndarray, attributes: dict[str, Any]
+    ) -> SpectralEstimate:
+        """Return a solution of the equation of transfer: no rays, no noise, no interpolation."""
+        sides, none = mean[:2], mean[:2, np.newaxis][:, :0]
+        return cls(
+            mean, stderr, np.zeros_like(stderr), np.zeros((N_BATCHES, *sides.shape)),
+            Derivatives.from_solution(none, none), np.zeros(mean.shape[1]),
+            {"rays": 0, **attributes},
+        )  # fmt: skip
 
     def get_stop_reason(self, max_stderr: float, max_rays: int) -> str:
         """Return why tracing stopped: the rows reached an error, which others may not have.

@@ -9,17 +9,95 @@ from typing import Any
 import numpy as np
 
 from splits.core.validation import invalid
-from splits.kernels.base.scene import Scene, make_bounding_optics
-from splits.kernels.base.work import NO_MAX_ORDER
-from splits.simulation.rare_light import allow_for_unseen_rays
+from splits.kernels import vectorized
+from splits.kernels.rough_surface.realization import allocate_realization
+from splits.kernels.scene import (
+    N_RAYS,
+    NO_GROUND,
+    NO_MAX_ORDER,
+    Optics,
+    Scene,
+    make_bounding_optics,
+)
+from splits.kernels.tallies.exits import (
+    CROSSING_RAY,
+    EXIT_LENGTH,
+    N_STOKES_COLUMNS,
+    TraceResult,
+    allocate_exits,
+)
+from splits.kernels.transport import history
+from splits.kernels.vectorized.trace import select_features
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.stopping_rule import Evaluation, StoppingRule
-from splits.simulation.stratum import (
+from splits.simulation.strata import (
     INITIAL_SEGMENTS,
     STRATUM_BOUNDS,
+    Evaluation,
+    StoppingRule,
     Stratum,
     compute_absorption_per_mfp,
 )
+
+# --------------------------------------------------------------------------------------------------
+# Allowance for light that few rays carry, in variances that are estimated from the same rays.
+#
+# Where most of the light is in few rays of large weight, a run may contain none of them.  Its
+# scatter is then that of many rays of small weight, and says nothing about the light that is
+# missing.  For example, strongly absorbed light that grains reflect without letting it enter has
+# the weight 1, and all other light hardly any.
+#
+# Of rays that have the weight W with the probability q, none is among n rays with the probability
+# exp(−nq), which is 6 % for nq = 2√2.  Twice an error of √2·W/n covers the missing light qW in the
+# other cases.  This error is that of two rays of the largest possible weight (Agresti and Coull
+# 1998 add two successes to a binomial sample for the same coverage).  The allowance decreases
+# linearly with the variance, to 0 where it is that of eight such rays.
+
+UNSEEN_RAYS, SUFFICIENT_RAYS = 2.0, 8.0
+"""Rays of the largest weight that may be missing, and whose scatter is reliable."""
+_SCATTER_FRACTION = 1.0 - UNSEEN_RAYS / SUFFICIENT_RAYS
+
+
+def allow_for_unseen_rays(
+    variance: np.ndarray, single_ray_variance: np.ndarray | float
+) -> np.ndarray:
+    """Return variances that include rays of large weight that a run does not contain.
+
+    Parameters
+    ----------
+    variance : float
+        From the scatter.
+    single_ray_variance : float
+        Square of the contribution of one ray of the largest possible weight.
+
+    Returns
+    -------
+    float
+        The larger of σ² and 3σ²/4 + 2s² for the variance σ² and that of a single ray s².
+    """
+    allowed = _SCATTER_FRACTION * variance + UNSEEN_RAYS * single_ray_variance
+    return np.maximum(variance, allowed)
+
+
+def find_required_rays(
+    variance: np.ndarray, single_ray_variance: np.ndarray, max_variance: np.ndarray
+) -> np.ndarray:
+    """Return the rays with which the variance of a mean, with the allowance, is the largest.
+
+    Parameters
+    ----------
+    variance, single_ray_variance : float
+        Variance of the weight of a ray, and square of its largest deviation from the mean.
+    max_variance : float
+        Largest variance of the mean.
+    """
+    scatter = _SCATTER_FRACTION * variance / max_variance
+    unseen = UNSEEN_RAYS * single_ray_variance / max_variance
+    required = 0.5 * (scatter + np.sqrt(scatter**2 + 4.0 * unseen))
+    return np.maximum(variance / max_variance, required)
+
+
+# --------------------------------------------------------------------------------------------------
+# Tallies: they trace the rays of a scene, score them, and add up the scores.
 
 RAYS_PER_CHUNK = 128
 """Rays whose scores are added up together: fixed, so that sums do not depend on the threads."""
@@ -68,7 +146,7 @@ class Tally(ABC):
         Rays of each stratum in the first round.
     first_stream : int
         First number of the random streams, which are identified by seed, stream number and ray
-        (`splits.kernels.math.rng`).  Each class of tallies owns a million numbers, so that with one
+        (`splits.kernels.rng`).  Each class of tallies owns a million numbers, so that with one
         seed no two instruments use the same random numbers.
     shares_kernel : bool
         Whether all strata are traced by one kernel, if possible, so that they fill its lanes.
@@ -287,3 +365,99 @@ class Tally(ABC):
             variance, (np.maximum(largest - np.abs(mean), 0.0) / n_rays) ** 2
         )
         return self.combine_nodes(mean), np.sqrt(self.combine_nodes(variance, power=2))
+
+
+# --------------------------------------------------------------------------------------------------
+# Tallies of the exits and crossings of rays, which the vectorized kernel traces where possible.
+
+CROSSINGS_PER_BOUNDARY = 4
+"""Expected crossings of a boundary per ray, for the memory of a job."""
+
+
+class ExitTally(Tally):
+    """Tally of the exits and crossings of rays, see `Tally`."""
+
+    @abstractmethod
+    def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> Any:
+        """Return the score of a chunk of a stratum's rays, from their exits and crossings."""
+
+    def count_ray_values(self, scene: Scene) -> int:
+        """Return the number of values that are recorded of each ray."""
+        n_lengths = self.absorption.shape[1]
+        n_recorded = int(scene.ground_column != NO_GROUND)
+        if scene.record_crossings:
+            n_recorded = len(scene.layers.boundaries) - 1
+        n_crossings = CROSSINGS_PER_BOUNDARY * n_recorded
+        return EXIT_LENGTH + n_lengths + N_STOKES_COLUMNS + n_crossings * (3 + n_lengths)
+
+    def select_kernel(self, scene: Scene, kernel: str) -> None:
+        """Set the features of the vectorized kernel of each stratum, None for the scalar kernel.
+
+        The kernel for reflection with extinction also handles negligible extinction, so that strata
+        that differ only in extinction can share it.
+        """
+        if kernel == "scalar":
+            return
+        for stratum in self.strata:
+            stratum.features = select_features(scene, stratum.optics)
+            if stratum.features is None:
+                super().select_kernel(scene, kernel)
+        if self.shares_kernel and any(
+            one.features and one.features.absorbing for one in self.strata
+        ):
+            for stratum in self.strata:
+                if stratum.features and not stratum.features.mixed:
+                    stratum.features = stratum.features._replace(absorbing=True)
+
+    def trace_job(self, seed: int, scene: Scene, job: Sequence[WorkItem]) -> list[ItemScores]:
+        """Trace the items of a job and score their chunks."""
+        work = np.array([(one.stream, rays.start, len(rays), one.max_order) for one, rays in job])
+        strata, end_rays = [stratum for stratum, _ in job], np.cumsum(work[:, N_RAYS])
+        n_stokes = 0 if scene.stokes is None else N_STOKES_COLUMNS
+        exits = allocate_exits(int(end_rays[-1]), self.absorption.shape[1], n_stokes)
+        exits_by_item = np.split(exits, end_rays[:-1])
+        if strata[0].features is None:
+            fields = scene.height_fields
+            realization = None if fields is None else allocate_realization(fields)
+            results = [
+                history.trace_rays(seed, item, scene, stratum.optics, item_exits, realization)
+                for item, stratum, item_exits in zip(work, strata, exits_by_item, strict=True)
+            ]
+        else:
+            optics = Optics(*map(np.stack, zip(*(one.optics for one in strata), strict=True)))
+            result = vectorized.trace_rays(seed, work, scene, optics, exits, strata[0].features)
+            results = _split_by_item(result, end_rays)
+        if any(result.lost for result in results):
+            raise RuntimeError(LOST_MESSAGE)
+        return [
+            (self._score_chunks(stratum, item_exits, crossings), int(n_segments[0]))
+            for stratum, item_exits, (n_segments, _, crossings) in zip(
+                strata, exits_by_item, results, strict=True
+            )
+        ]
+
+    def _score_chunks(
+        self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray
+    ) -> list[Any]:
+        """Return the score of each chunk of an item, in order."""
+        starts, scores = np.arange(0, len(exits), self.rays_per_chunk), []
+        rays = np.searchsorted(crossings[:, CROSSING_RAY], starts[1:])
+        for start, chunk_crossings in zip(starts, np.split(crossings, rays), strict=True):
+            chunk_crossings[:, CROSSING_RAY] -= start
+            chunk_exits = exits[start : start + self.rays_per_chunk]
+            scores.append(self.score(stratum, chunk_exits, chunk_crossings))
+        return scores
+
+
+def _split_by_item(result: TraceResult, end_rays: np.ndarray) -> list[TraceResult]:
+    """Return the results of work items, whose rays end at `end_rays`."""
+    n_segments, lost, crossings = result
+    # Stable, so that the crossings of each ray remain in order of time.
+    crossings = crossings[np.argsort(crossings[:, CROSSING_RAY], kind="stable")]
+    by_item = np.split(crossings, np.searchsorted(crossings[:, CROSSING_RAY], end_rays[:-1]))
+    for item_crossings, first_ray in zip(by_item[1:], end_rays[:-1], strict=True):
+        item_crossings[:, CROSSING_RAY] -= first_ray
+    return [
+        TraceResult(count, lost, item_crossings)
+        for count, item_crossings in zip(np.split(n_segments, len(by_item)), by_item, strict=True)
+    ]

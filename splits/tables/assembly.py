@@ -15,7 +15,7 @@ from splits.instruments.spectral_run import QUANTITY_LABELS
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.simulation.run_options import make_wavelength_coordinate
-from splits.simulation.stopping_rule import STOP_REASONS
+from splits.simulation.strata import STOP_REASONS
 from splits.tables.axes import INCIDENCE, ParameterGrid
 from splits.tables.axis_order import list_quantities
 from splits.tables.block import TableRequest

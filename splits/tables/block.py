@@ -14,7 +14,7 @@ from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO
 from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest
 from splits.io.netcdf import load, make_provenance, save
 from splits.kernels.tallies.exits import N_BATCHES
-from splits.simulation.truncated_medium import TruncatedMedium
+from splits.simulation.deep_medium import TruncatedMedium
 from splits.tables.block_directions import (
     make_view_variables,
     solve_directions,

@@ -9,11 +9,10 @@ import numpy as np
 
 from splits.core.error_target import ErrorTarget
 from splits.instruments.angular_estimate import AngularEstimate, join_wavelengths
-from splits.instruments.angular_solver import AngularRequest, AngularResult, solve_angular_results
-from splits.instruments.directional_spectra import simulate_directions
-from splits.instruments.goniophotometer import make_direction_mask
+from splits.instruments.goniophotometer import make_direction_mask, simulate_directions
+from splits.instruments.solver import AngularRequest, AngularResult, solve_angular_results
 from splits.instruments.spectral_run import SpectralRequest
-from splits.simulation.truncated_medium import TruncatedMedium
+from splits.simulation.deep_medium import TruncatedMedium
 from splits.tables.media_cache import MediaCache
 from splits.tables.plan import DIFFUSE, PathGroup
 from splits.tables.views import DIFFUSE_PREFIX, VIEW_AXES, ViewGrid, has_diffuse, list_view_axes
@@ -63,16 +62,13 @@ def trace_directions(
     truncation: TruncatedMedium | None,
 ) -> tuple[AngularEstimate, dict[str, Any]]:
     """Return the estimate of a path group by Monte Carlo, as `solve_directions`."""
-    simulation = simulate_directions(
+    estimate, rays, stop_reason = simulate_directions(
         group.path_sharing, truncation, request, *views, _make_target(views)
     )
     # With enough rays, only light from below a truncation depth leaves a larger error.
-    converged = simulation.stop_reason == "converged"
-    otherwise = "interpolation_bound" if converged else simulation.stop_reason
-    attributes = {"rays": simulation.rays} | _describe_error(
-        simulation.estimate, request.max_stderr, views, otherwise
-    )
-    return simulation.estimate, attributes
+    otherwise = "interpolation_bound" if stop_reason == "converged" else stop_reason
+    attributes = _describe_error(estimate, request.max_stderr, views, otherwise)
+    return estimate, {"rays": rays, **attributes}
 
 
 def _make_target(views: ViewGrid) -> ErrorTarget:
@@ -103,7 +99,7 @@ def make_view_variables(
 ) -> dict[str, Any]:
     """Return the variables of a block with their errors, over ``point``, views and wavelength."""
     values = {
-        "reflectance": (estimate.hemispherical[0, 0], estimate.hemispherical[1, 0]),
+        "reflectance": (estimate.hemispherical[0], estimate.hemispherical_stderr[0]),
         "reflectance_factor": (np.pi * estimate.mean[0], np.pi * estimate.stderr[0]),
         "anisotropy_factor": (estimate.anisotropy, estimate.anisotropy_stderr),
     }

@@ -24,8 +24,8 @@ from splits.instruments.goniophotometer import MAX_CONVERGED_POLAR_DEG
 from splits.instruments.solver import MONTE_CARLO
 from splits.instruments.spectral_run import SpectralRequest
 from splits.media.medium import Medium
-from splits.simulation.path_reuse import compute_absorption_signature, compute_path_signature
 from splits.simulation.run_options import RunOptions
+from splits.simulation.shared_paths import compute_absorption_signature, compute_path_signature
 from splits.tables.assembly import (
     allocate_arrays,
     assemble_dataset,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
-from splits.simulation.spectral_rows import PathSharingMedia
+from splits.simulation.shared_paths import PathSharingMedia
 
 Value = TypeVar("Value")
 

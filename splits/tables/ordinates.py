@@ -7,8 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from splits.discrete_ordinates.applicability import make_granular_stack
-from splits.discrete_ordinates.granular_stack import GranularStack, SpectrumSolution
-from splits.discrete_ordinates.transmittance_error import solve_with_exponent_error
+from splits.discrete_ordinates.granular_stack import (
+    GranularStack,
+    SpectrumSolution,
+    solve_with_exponent_error,
+)
 from splits.instruments.solver import make_estimate
 from splits.instruments.spectral_run import SpectralRequest
 from splits.media.medium import Medium

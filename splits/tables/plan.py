@@ -10,11 +10,15 @@ import numpy as np
 from splits.core.validation import invalid, suggest_name
 from splits.discrete_ordinates.applicability import find_direction_obstacle
 from splits.instruments.solver import DISCRETE_ORDINATES, choose_solver
-from splits.media.checks import check_medium
+from splits.media.kinds import check_medium
 from splits.media.medium import Medium
-from splits.simulation.arguments import check_incidence
-from splits.simulation.path_reuse import MAX_SHARED_ROWS, MediaGroup, group_by_shared_paths
-from splits.simulation.spectral_rows import PathSharingMedia
+from splits.simulation.run_options import check_incidence
+from splits.simulation.shared_paths import (
+    MAX_SHARED_ROWS,
+    MediaGroup,
+    PathSharingMedia,
+    group_by_shared_paths,
+)
 from splits.tables.axes import INCIDENCE, ParameterGrid
 from splits.tables.views import ANGLES
 

@@ -12,7 +12,6 @@ import xarray as xr
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback, report_whole_table
 from splits.core.validation import check_integer
-from splits.instruments.delay_dataset import FLAG_NAME
 from splits.instruments.delay_record import (
     Pulse,
     check_granular_layers,
@@ -20,11 +19,11 @@ from splits.instruments.delay_record import (
     describe_record,
     make_receiver,
 )
+from splits.instruments.delay_tally import FLAG_NAME
 from splits.instruments.time_of_flight import DelayRequest, simulate_delays
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.media.medium import Medium
-from splits.simulation.arguments import check_incidence, check_wavelengths
-from splits.simulation.run_options import RunOptions
+from splits.simulation.run_options import RunOptions, check_incidence, check_wavelengths
 from splits.tables.axes import INCIDENCE, ParameterGrid
 from splits.tables.plan import make_point_medium
 

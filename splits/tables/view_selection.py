@@ -15,7 +15,7 @@ import xarray as xr
 from splits.core.arrays import align_to_labels, check_array_range
 from splits.core.uncertainty import make_variable
 from splits.core.validation import check_number, check_range, invalid, snap_to_limits
-from splits.simulation.arguments import FULL_TURN_DEG, check_direction_angles
+from splits.simulation.run_options import FULL_TURN_DEG, check_direction_angles
 from splits.tables.axes import INCIDENCE
 from splits.tables.axis_order import list_axes, list_quantities, load_selection
 from splits.tables.comparison import rename_comparison

@@ -10,7 +10,7 @@ import numpy as np
 from splits.core.arrays import as_1d_array, check_increasing
 from splits.core.validation import invalid
 from splits.instruments.spectral_run import SIDE_QUANTITIES
-from splits.simulation.arguments import check_direction_angles
+from splits.simulation.run_options import check_direction_angles
 from splits.tables.axes import INCIDENCE, ParameterGrid
 
 POLAR, AZIMUTH = "polar_deg", "azimuth_deg"

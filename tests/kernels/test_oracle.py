@@ -16,11 +16,10 @@ from scenes import compute_optics, make_medium_scene, make_oracle_slab
 
 import splits
 from splits.kernels import vectorized
-from splits.kernels.base.scene import Optics
-from splits.kernels.base.work import NO_MAX_ORDER
+from splits.kernels.scene import NO_MAX_ORDER, Optics
 from splits.kernels.tallies.exits import EXIT_LENGTH, EXIT_SIDE, EXIT_WEIGHT, allocate_exits
 from splits.kernels.transport import history
-from splits.kernels.vectorized.eligibility import select_features
+from splits.kernels.vectorized.trace import select_features
 
 pytestmark = [NEEDS_JIT, pytest.mark.long]
 

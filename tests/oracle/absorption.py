@@ -46,7 +46,7 @@ def attenuate_segment(state, distance, material, optics, rules, length, roulette
         Length of the segment (m).
     material : int
     optics, rules
-        See `splits.kernels.base.scene`.
+        See `splits.kernels.scene`.
     length : float64[materials]
         Path lengths (m), advanced in place.
     roulette_state : float64[3]

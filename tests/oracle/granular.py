@@ -257,7 +257,7 @@ def trace_ray(state, grains, slab, rules, optics, path_lengths, roulette_state, 
     state : uint64[1]
         The ray's random stream.
     grains, slab, rules, optics
-        See `splits.kernels.base.scene`.
+        See `splits.kernels.scene`.
     path_lengths : float64[materials]
         Set to the path length in each material (m).
     roulette_state : float64[3]
@@ -299,7 +299,7 @@ def trace_rays(seed, work, grains, slab, rules, optics, exits):
         Ensemble, first ray, number of rays, and order of scattering after which a ray counts as
         absorbed.  Seed, ensemble and number of a ray determine its random stream.
     grains, slab, rules, optics
-        See `splits.kernels.base.scene`.
+        See `splits.kernels.scene`.
     exits : float64[rays, columns]
         A row for each ray, see `oracle.tally`; must come from `allocate_exits`.
 

@@ -12,11 +12,16 @@ import sys
 
 import numpy as np
 
-from splits.kernels.math.rng import start_stream, uniform
-from splits.kernels.math.vectors import Vector, dot, make_tangents, normalize, scale
-from splits.kernels.optics.interface import ComplexIndex
-from splits.kernels.optics.polarized_interface import sample_polarized_interface
-from splits.kernels.optics.stokes import Stokes
+from splits.kernels.arithmetic import (
+    Vector,
+    dot,
+    make_tangents,
+    normalize,
+    scale,
+)
+from splits.kernels.interface import ComplexIndex, sample_polarized_interface
+from splits.kernels.rng import start_stream, uniform
+from splits.kernels.stokes import Stokes
 
 INDEX = 1.31
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.discrete_ordinates.adding import Boundary, Element, apply_rows, iterate_levels
-from splits.discrete_ordinates.streams import Streams
+from splits.discrete_ordinates.homogeneous_layer import Streams
 
 
 class Profile(NamedTuple):

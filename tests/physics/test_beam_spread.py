@@ -7,7 +7,8 @@ import pytest
 from chi2 import NEEDS_JIT, judge_scatter, judge_z
 
 import splits
-from splits.instruments.beam_spread_tally import N_MAP_PIXELS
+from splits.instruments.beam_spread import N_MAP_PIXELS
+from splits.kernels.tallies.distributions import tally_radial
 from splits.kernels.tallies.exits import (
     EXIT_DIRECTION,
     EXIT_LENGTH,
@@ -17,7 +18,6 @@ from splits.kernels.tallies.exits import (
     EXIT_WEIGHT,
     allocate_exits,
 )
-from splits.kernels.tallies.radial import tally_radial
 
 pytestmark = pytest.mark.long
 

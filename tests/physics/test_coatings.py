@@ -14,8 +14,8 @@ from scenes import make_coated_grains, make_optics, make_scene, sample_pore
 from scipy import integrate
 
 import splits
+from splits.kernels.arithmetic import Vector, dot
 from splits.kernels.grains.spheroid import GrainSize
-from splits.kernels.math.vectors import Vector, dot
 
 pytestmark = NEEDS_JIT
 

@@ -14,7 +14,7 @@ from splits.media.parameters import (
     list_parameters,
     replace_parameter,
 )
-from splits.simulation.finite_differences import (
+from splits.simulation.derivatives import (
     _compute_stencil_weights,
     compute_difference_weights,
     compute_finite_difference,

@@ -7,7 +7,7 @@ import pytest
 from chi2 import NEEDS_JIT, judge_scatter, judge_z
 
 import splits
-from splits.kernels.optics.fresnel import fresnel
+from splits.kernels.interface import fresnel
 
 pytestmark = NEEDS_JIT
 

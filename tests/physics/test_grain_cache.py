@@ -13,7 +13,7 @@ from chi2 import NEEDS_JIT
 import splits
 from splits.discrete_ordinates import grain_cache
 from splits.discrete_ordinates.grain_cache import GRAINS_SUFFIX, load_grains
-from splits.discrete_ordinates.traced_grains import MIN_RAYS, GrainTracing
+from splits.discrete_ordinates.grains import MIN_RAYS, GrainTracing
 
 WAVELENGTHS = np.array([1300.0])
 SNOW = splits.Snow(interpretation="radiative_transfer", saturation=0.0)

@@ -10,12 +10,11 @@ from numba import njit
 from spheroids import normalize, to_real_space, to_unit_sphere
 
 import splits
-from splits.kernels.base.ray import Segment
-from splits.kernels.base.sampling_rules import PROJECTED_ENTRY, UNIFORM_ENTRY
+from splits.kernels import rng
+from splits.kernels.arithmetic import Vector
 from splits.kernels.grains import spheroid
 from splits.kernels.grains.spheroid import EntryPoint, GrainSize, Spheroid
-from splits.kernels.math import rng
-from splits.kernels.math.vectors import Vector
+from splits.kernels.scene import PROJECTED_ENTRY, UNIFORM_ENTRY, Segment
 
 B = 1.7
 SPHERICITIES = (0.35, 0.7, 0.9, 1.0)

@@ -9,11 +9,18 @@ from scenes import make_medium_scene
 
 import splits
 from splits.kernels import vectorized
-from splits.kernels.base.scene import Optics, make_bounding_optics
-from splits.kernels.tallies.crossings import CROSSING_LENGTH, CROSSING_RAY, CROSSING_WEIGHT
-from splits.kernels.tallies.exits import EXIT_LENGTH, EXIT_SIDE, EXIT_WEIGHT, allocate_exits
+from splits.kernels.scene import Optics, make_bounding_optics
+from splits.kernels.tallies.exits import (
+    CROSSING_LENGTH,
+    CROSSING_RAY,
+    CROSSING_WEIGHT,
+    EXIT_LENGTH,
+    EXIT_SIDE,
+    EXIT_WEIGHT,
+    allocate_exits,
+)
 from splits.kernels.transport import history
-from splits.kernels.vectorized.eligibility import select_features
+from splits.kernels.vectorized.trace import select_features
 from splits.simulation.scene import compute_optical_constants
 
 WAVELENGTHS = [500.0, 900.0, 1300.0]

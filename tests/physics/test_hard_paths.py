@@ -19,16 +19,26 @@ from scenes import make_medium_scene, make_optics, make_scene, trace_ray
 from scipy import integrate
 
 import splits
-from splits.kernels.base.ray import REFLECTED, TRANSMITTED, Segment
-from splits.kernels.base.sampling_rules import ANY_FACETS, PROJECTED_FACETS, UNWEIGHTED_FACETS
+from splits.kernels import arithmetic
+from splits.kernels.arithmetic import (
+    Vector,
+    add_scaled,
+    dot,
+    scale,
+)
 from splits.kernels.grains import spheroid
 from splits.kernels.grains.grain_path import sample_interaction
-from splits.kernels.grains.interaction import InterfaceState, relative_index
 from splits.kernels.grains.spheroid import EntryPoint, GrainSize, Spheroid
-from splits.kernels.math import vectors
-from splits.kernels.math.vectors import Vector, add_scaled, dot, scale
-from splits.kernels.optics.fresnel import FresnelResult, fresnel, refract
-from splits.kernels.optics.interface import ComplexIndex
+from splits.kernels.grains.surface import InterfaceState, relative_index
+from splits.kernels.interface import ComplexIndex, FresnelResult, fresnel, refract
+from splits.kernels.scene import (
+    ANY_FACETS,
+    PROJECTED_FACETS,
+    REFLECTED,
+    TRANSMITTED,
+    UNWEIGHTED_FACETS,
+    Segment,
+)
 
 pytestmark = pytest.mark.long
 
@@ -312,9 +322,9 @@ def test_interface_of_underflowing_contrast():
 @pytest.mark.parametrize("axis", AXES, ids=str)
 def test_tangents_reflection_and_refraction_along_axes(axis):
     n, d = Vector(*axis), Vector(*-axis)
-    basis = np.array([*vectors.make_tangents(n), n])
+    basis = np.array([*arithmetic.make_tangents(n), n])
     assert basis @ basis.T == pytest.approx(np.eye(3), abs=0.0)
-    assert vectors.reflect(d, n) == n
+    assert arithmetic.reflect(d, n) == n
     assert refract(d, n, 1.0, FresnelResult(0.0, 1.0 / 1.31, 1.0)) == pytest.approx(d, abs=1e-15)
 
 

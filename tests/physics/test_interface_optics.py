@@ -7,8 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from splits.kernels.math.vectors import Vector
-from splits.kernels.optics.fresnel import FresnelResult, fresnel, fresnel_between, refract
+from splits.kernels.arithmetic import Vector
+from splits.kernels.interface import (
+    FresnelResult,
+    fresnel,
+    fresnel_between,
+    refract,
+)
 
 COSINES = np.concatenate([np.linspace(0.01, 1.0, 41), [1e-6, 1e-3, 0.999999]])
 INDICES = [

@@ -10,7 +10,7 @@ from chi2 import NEEDS_JIT, judge_z
 from test_layer_exact import REFERENCE, make_layer
 
 import splits
-from splits.simulation.diffusion import effective_mean_free_path
+from splits.simulation.deep_medium import effective_mean_free_path
 
 pytestmark = pytest.mark.long
 

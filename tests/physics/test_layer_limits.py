@@ -11,9 +11,9 @@ from chi2 import NEEDS_JIT, compute_z_bound, judge_scatter, judge_z
 from scattering_matrices import make_matrix
 
 import splits
-from splits.instruments.next_event import make_detectors
-from splits.kernels.base.scene import make_bounding_optics
-from splits.kernels.optics.fresnel import fresnel
+from splits.instruments.detector_tally import make_detectors
+from splits.kernels.interface import fresnel
+from splits.kernels.scene import make_bounding_optics
 from splits.kernels.transport.history import trace_to_detectors
 from splits.kernels.transport.next_event import ABOVE
 from splits.simulation.scene import build_scene, compute_optical_constants

@@ -21,8 +21,8 @@ from chi2 import (
 from scipy import integrate, stats
 
 import splits
-from splits.kernels.optics import forward_peak
-from splits.kernels.optics.phase_function import evaluate_phase_function
+from splits.kernels import phase_function
+from splits.kernels.phase_function import evaluate_phase_function
 
 pytestmark = pytest.mark.long
 
@@ -151,8 +151,8 @@ def test_results_are_independent_of_the_peak_threshold(settings, monkeypatch):
     layer = splits.ParticleLayer(**{"optical_thickness": 1.0, **settings})
     runs = []
     for seed, limits in enumerate(((math.inf, 1.0), (0.0, 0.1))):
-        monkeypatch.setattr(forward_peak, "PEAK_THRESHOLD_PER_SR", limits[0])
-        monkeypatch.setattr(forward_peak, "PEAK_BASE_PER_SR", limits[1])
+        monkeypatch.setattr(phase_function, "PEAK_THRESHOLD_PER_SR", limits[0])
+        monkeypatch.setattr(phase_function, "PEAK_BASE_PER_SR", limits[1])
         runs.append(
             splits.goniophotometer(
                 layer, NM, 40.0, 100_000, seed, estimator="next_event", polar_deg=[0.0, 45.0, 82.0],
@@ -204,23 +204,23 @@ def make_peaked_phase(name):
 
 @pytest.mark.parametrize("name", PEAKED_PHASES)
 def test_peak_fraction_is_the_light_above_the_base(name):
-    phase, base = make_peaked_phase(name), forward_peak.PEAK_BASE_PER_SR
+    phase, base = make_peaked_phase(name), phase_function.PEAK_BASE_PER_SR
     # Dense where 1 − |µ| is small.
     distance = np.concatenate([[0.0], np.geomspace(1e-12, 2.0, 40_001)])
     cosine = 1.0 - distance[::-1] if phase.g > 0.0 else distance - 1.0
     density = np.array([evaluate_phase_function(phase, x) for x in cosine])
     above = 2.0 * np.pi * np.trapezoid(np.maximum(density - base, 0.0), cosine)
-    peak = forward_peak.separate_peak(phase)
+    peak = phase_function.separate_peak(phase)
     assert peak.fraction == pytest.approx(above, rel=2e-5)
-    wide = density * [forward_peak.compute_wide_fraction(peak, phase, x) for x in cosine]
+    wide = density * [phase_function.compute_wide_fraction(peak, phase, x) for x in cosine]
     np.testing.assert_allclose(wide, np.minimum(density, base), rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", PEAKED_PHASES)
 def test_cosines_in_the_peak_have_the_density_above_the_base(name):
     phase = make_peaked_phase(name)
-    peak, sign = forward_peak.separate_peak(phase), math.copysign(1.0, phase.g)
-    cosines = draw_samples(forward_peak.sample_peak_cosine, 40_000, peak)
+    peak, sign = phase_function.separate_peak(phase), math.copysign(1.0, phase.g)
+    cosines = draw_samples(phase_function.sample_peak_cosine, 40_000, peak)
     # Classes of equal probability, from the integral on a grid that is dense near the peak.
     distance = np.concatenate([[0.0], np.geomspace(1e-12, 2.0, 40_001)])
     density = np.array([evaluate_phase_function(phase, sign * (1.0 - x)) for x in distance])
@@ -233,7 +233,7 @@ def test_cosines_in_the_peak_have_the_density_above_the_base(name):
 def test_wide_phase_functions_have_no_peak():
     for settings in ({"asymmetry": 0.9}, {"phase_function": "rayleigh"}):
         phase = splits.ParticleLayer(**settings).kernel_phase_function
-        assert forward_peak.separate_peak(phase) is None
+        assert phase_function.separate_peak(phase) is None
 
 
 @pytest.mark.parametrize("rest", [0.0, 1e-9])

@@ -17,17 +17,20 @@ from numba import njit
 from scenes import compute_optics
 
 import splits
-from splits.kernels.base.ray import ALIVE, make_ray
-from splits.kernels.base.work import NO_MAX_ORDER
-from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH
+from splits.kernels.arithmetic import (
+    ORIGIN,
+    UP,
+    Vector,
+    linear_combination,
+)
 from splits.kernels.grains.grain_path import trace_through_grain
 from splits.kernels.grains.single_grain import IsolatedGrain, sample_hit_grain
-from splits.kernels.math.rng import start_stream
-from splits.kernels.math.vectors import ORIGIN, UP, Vector, linear_combination
-from splits.kernels.optics.stokes import Stokes, compute_azimuth, rotate_reference_to
+from splits.kernels.grains.spheroid import FIRST_ROULETTE_DEPTH
+from splits.kernels.rng import start_stream
+from splits.kernels.scene import ALIVE, NO_MAX_ORDER, make_ray
+from splits.kernels.stokes import Stokes, compute_azimuth, rotate_reference_to
 from splits.kernels.tallies.exits import compute_path_weight
-from splits.simulation.incident_light import IncidentPolarization
-from splits.simulation.scene import build_scene
+from splits.simulation.scene import IncidentPolarization, build_scene
 
 pytestmark = NEEDS_JIT
 

@@ -8,9 +8,7 @@ import pytest
 import splits
 from splits.discrete_ordinates.applicability import make_granular_stack
 from splits.discrete_ordinates.granular_stack import solve_spectrum
-from splits.discrete_ordinates.layer_optics import LayerOptics
-from splits.discrete_ordinates.slab import solve_slab
-from splits.discrete_ordinates.streams import Streams
+from splits.discrete_ordinates.homogeneous_layer import LayerOptics, Streams, solve_slab
 
 
 @pytest.mark.parametrize("mode", [0, 3])

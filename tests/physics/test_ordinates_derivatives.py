@@ -8,15 +8,18 @@ import numpy as np
 import pytest
 
 from splits.discrete_ordinates.adding import Boundary, Element, compute_budget, make_isotropic
-from splits.discrete_ordinates.derivatives import Gradient, compute_gradient
-from splits.discrete_ordinates.divided_differences import (
+from splits.discrete_ordinates.derivatives import (
+    Gradient,
+    compute_gradient,
     differentiate_impedances,
     divide_impedances,
 )
-from splits.discrete_ordinates.integrals import compute_impedances
-from splits.discrete_ordinates.layer_optics import LayerOptics
-from splits.discrete_ordinates.slab import solve_slab
-from splits.discrete_ordinates.streams import Streams
+from splits.discrete_ordinates.homogeneous_layer import (
+    LayerOptics,
+    Streams,
+    compute_impedances,
+    solve_slab,
+)
 
 N = 8
 STREAMS = Streams.from_number(N)

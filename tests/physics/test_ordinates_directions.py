@@ -10,7 +10,7 @@ from chi2 import NEEDS_JIT, judge_z
 
 import splits
 from splits.discrete_ordinates.granular_stack import WET_ERROR
-from splits.instruments.angular_dataset import BEAM_TOTALS
+from splits.instruments.goniophotometer import BEAM_TOTALS
 
 WAVELENGTHS = [600.0, 1030.0, 1500.0]
 DIRECTIONS = {"polar_deg": [0.0, 25.0, 50.0, 75.0], "azimuth_deg": [0.0, 60.0, 120.0, 180.0, 300.0]}

@@ -9,19 +9,22 @@ from chi2 import NEEDS_JIT, judge_z
 import splits
 from splits.core.uncertainty import compute_difference
 from splits.discrete_ordinates.applicability import make_granular_stack
-from splits.discrete_ordinates.derivative_errors import WetDerivatives, solve_derivatives
-from splits.discrete_ordinates.grain_table import Axis
 from splits.discrete_ordinates.grain_tabulation import N_RAYS, TableAxes, tabulate_grains
+from splits.discrete_ordinates.grains import Axis
 from splits.discrete_ordinates.granular_stack import (
     GranularStack,
     compute_optics_error,
     load_natural_grains,
     solve_spectrum,
 )
-from splits.discrete_ordinates.many_snowpacks import solve_spectra
-from splits.discrete_ordinates.parameter_derivatives import DryDerivatives
+from splits.discrete_ordinates.parameter_derivatives import (
+    DryDerivatives,
+    WetDerivatives,
+    solve_derivatives,
+)
+from splits.discrete_ordinates.snow_packs import solve_spectra
+from splits.simulation.grain_optics import GRAIN_RAYS_PER_CHUNK
 from splits.simulation.run_options import RunOptions
-from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK
 
 GRAZING = [88.3, 88.7, 89.2, 89.5, 89.74, 89.9, 89.96]
 VERY_WET = {

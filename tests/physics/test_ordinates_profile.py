@@ -7,9 +7,7 @@ import pytest
 from level_fluxes import compute_profile, join_cosines
 
 from splits.discrete_ordinates.adding import Boundary, Element, compute_budget, make_isotropic
-from splits.discrete_ordinates.layer_optics import LayerOptics
-from splits.discrete_ordinates.slab import solve_slab
-from splits.discrete_ordinates.streams import Streams
+from splits.discrete_ordinates.homogeneous_layer import LayerOptics, Streams, solve_slab
 
 BEAMS = np.array([0.5, 0.9])
 DIVIDED = ([0.3, 1.2, 2.0, 1.0], [0.95, 0.95, 0.8, 0.8], [0.6, 0.6, 0.2, 0.2])

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from splits.discrete_ordinates.adding import Boundary, Element, compute_budget, make_isotropic
-from splits.discrete_ordinates.direct_light import trace_direct_light
-from splits.discrete_ordinates.geometry import TRANSMITTED, Geometry, PlaneLayers
-from splits.discrete_ordinates.layer_optics import LayerOptics
-from splits.discrete_ordinates.radiance import compute_bidirectional, sum_legendre
-from splits.discrete_ordinates.slab import solve_slab
-from splits.discrete_ordinates.streams import Streams
+from splits.discrete_ordinates.homogeneous_layer import LayerOptics, Streams, solve_slab
+from splits.discrete_ordinates.radiance import (
+    compute_bidirectional,
+    sum_legendre,
+    trace_direct_light,
+)
+from splits.discrete_ordinates.refraction import TRANSMITTED, Geometry, PlaneLayers
 
 ORDERS = 400
 BLACK = np.array(0.0)

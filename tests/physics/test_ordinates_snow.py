@@ -9,11 +9,11 @@ import pytest
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
-from splits.discrete_ordinates.grain_table import Axis
 from splits.discrete_ordinates.grain_tabulation import TableAxes, tabulate_grains
+from splits.discrete_ordinates.grains import Axis
 from splits.discrete_ordinates.granular_stack import load_natural_grains
+from splits.simulation.grain_optics import GRAIN_RAYS_PER_CHUNK
 from splits.simulation.run_options import RunOptions
-from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK
 
 WAVELENGTHS = [400.0, 700.0, 1030.0, 1300.0, 1500.0, 1900.0, 2250.0]
 WET_WAVELENGTHS = [900.0, 1150.0, 1700.0]

@@ -8,12 +8,12 @@ from chi2 import NEEDS_JIT, judge_z
 
 import splits
 from splits.discrete_ordinates.applicability import make_granular_stack
-from splits.discrete_ordinates.grain_table import Axis
 from splits.discrete_ordinates.grain_tabulation import N_RAYS, TableAxes, tabulate_grains
-from splits.discrete_ordinates.interval_profile import find_similarity_error
-from splits.discrete_ordinates.transmittance_error import OPTICS_SHARE
+from splits.discrete_ordinates.grains import Axis
+from splits.discrete_ordinates.granular_stack import OPTICS_SHARE
+from splits.discrete_ordinates.profiles import find_similarity_error
+from splits.simulation.grain_optics import GRAIN_RAYS_PER_CHUNK
 from splits.simulation.run_options import RunOptions
-from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK
 
 BEAM = np.array([1.0])
 WAVELENGTHS = np.array([800.0, 1030.0, 1300.0])

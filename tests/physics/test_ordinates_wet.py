@@ -13,15 +13,13 @@ from splits.discrete_ordinates.adding import (
     make_isotropic,
     reflect_at_bottom,
 )
-from splits.discrete_ordinates.layer_optics import LayerOptics
-from splits.discrete_ordinates.pores import (
+from splits.discrete_ordinates.homogeneous_layer import LayerOptics, Streams, solve_slab
+from splits.discrete_ordinates.refraction import (
     RefractingCells,
     make_wet_boundary,
     make_wet_interface,
     refract_directions,
 )
-from splits.discrete_ordinates.slab import solve_slab
-from splits.discrete_ordinates.streams import Streams
 
 N = 16
 STREAMS = Streams.from_number(N)

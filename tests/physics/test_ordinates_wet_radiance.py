@@ -6,17 +6,14 @@ import numpy as np
 import pytest
 from test_ordinates_wet import WATER, N, Stack, make_optics
 
-from splits.discrete_ordinates.direct_light import trace_direct_light
-from splits.discrete_ordinates.geometry import Geometry, PlaneLayers
-from splits.discrete_ordinates.layer_optics import LayerOptics
-from splits.discrete_ordinates.phase_series import (
+from splits.discrete_ordinates.granular_layers import (
     N_PEAK_ORDERS,
     estimate_phase_error,
     extend_forward_peak,
 )
-from splits.discrete_ordinates.pores import compute_reflectance
-from splits.discrete_ordinates.radiance import compute_bidirectional
-from splits.discrete_ordinates.streams import Streams
+from splits.discrete_ordinates.homogeneous_layer import LayerOptics, Streams
+from splits.discrete_ordinates.radiance import compute_bidirectional, trace_direct_light
+from splits.discrete_ordinates.refraction import Geometry, PlaneLayers, compute_reflectance
 
 COSINES = np.cos(np.radians([0.0, 60.0, 85.0]))
 AZIMUTHS = np.array([0.0, 0.7, np.pi])

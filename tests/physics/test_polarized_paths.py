@@ -19,23 +19,28 @@ from numba import njit
 from scenes import compute_optics
 
 import splits
-from splits.kernels.base.ray import make_ray
-from splits.kernels.base.scene import make_bounding_optics
-from splits.kernels.base.work import NO_MAX_ORDER
+from splits.kernels.arithmetic import (
+    ORIGIN,
+    UP,
+    Vector,
+    dot,
+)
 from splits.kernels.grains import grain_path
-from splits.kernels.grains.grain_path import trace_through_grain
+from splits.kernels.grains.grain_path import (
+    sample_entry_variates,
+    sample_grain,
+    trace_through_grain,
+)
 from splits.kernels.grains.spheroid import sample_entry_point
-from splits.kernels.grains.state import sample_entry_variates, sample_grain
-from splits.kernels.math.rng import start_stream
-from splits.kernels.math.vectors import ORIGIN, UP, Vector, dot
-from splits.kernels.optics.stokes import Stokes, make_tangents
+from splits.kernels.rng import start_stream
 from splits.kernels.rough_surface.realization import (
     allocate_realization,
     sample_realization_if_rough,
 )
-from splits.kernels.transport import events, history, rough_top
-from splits.simulation.incident_light import IncidentPolarization
-from splits.simulation.scene import build_scene, compute_optical_constants
+from splits.kernels.scene import NO_MAX_ORDER, make_bounding_optics, make_ray
+from splits.kernels.stokes import Stokes, make_tangents
+from splits.kernels.transport import events, history
+from splits.simulation.scene import IncidentPolarization, build_scene, compute_optical_constants
 
 EPSILON = 2.0**-52
 N_EVENTS = 100_000
@@ -57,7 +62,7 @@ MEDIA = {
 }
 EVENTS = (
     (grain_path, "sample_interaction"), (events, "reflect_or_refract_ray"),
-    (rough_top, "reflect_or_refract_ray"), (events, "sample_scattering"),
+    (events, "sample_scattering"),
 )  # fmt: skip
 """Functions of the kernels that change the polarization of a ray, by the module that calls them."""
 

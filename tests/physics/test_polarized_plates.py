@@ -17,12 +17,11 @@ from numba import njit
 from scenes import compute_optics
 
 import splits
-from splits.kernels.base.ray import ALIVE, REFLECTED, make_ray
-from splits.kernels.base.work import NO_MAX_ORDER
-from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH
-from splits.kernels.math.rng import start_stream
-from splits.kernels.math.vectors import ORIGIN, Vector
-from splits.kernels.optics.stokes import Stokes, rotate_reference_to
+from splits.kernels.arithmetic import ORIGIN, Vector
+from splits.kernels.grains.spheroid import FIRST_ROULETTE_DEPTH
+from splits.kernels.rng import start_stream
+from splits.kernels.scene import ALIVE, NO_MAX_ORDER, REFLECTED, make_ray
+from splits.kernels.stokes import Stokes, rotate_reference_to
 from splits.kernels.transport.events import enter_layer
 from splits.kernels.transport.history import trace_history
 from splits.simulation.scene import build_scene

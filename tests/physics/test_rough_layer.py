@@ -9,7 +9,7 @@ import pytest
 from chi2 import compute_p_of_counts, judge_p, judge_z
 
 import splits
-from splits.instruments.lens import lens
+from splits.instruments.rough_surfaces import lens
 
 NM = [550.0]
 

@@ -10,8 +10,8 @@ from chi2 import judge_z
 
 import splits
 from splits.core.validation import InvalidValue
-from splits.kernels.rough_surface.bands import BOUND_SIGMA
-from splits.kernels.transport.rough_top import MAX_HEIGHT_SIGMA
+from splits.kernels.rough_surface.realization import BOUND_SIGMA
+from splits.kernels.transport.events import MAX_HEIGHT_SIGMA
 
 WAVES = {"rms_height_m": 0.02, "wave_number_per_m": 20.0, "correlation": "gaussian", "waves": 24}
 SETTINGS = {

@@ -11,17 +11,21 @@ from chi2 import NEEDS_JIT, judge_z
 import splits
 from splits.core.validation import InvalidValue
 from splits.simulation import deep_medium
-from splits.simulation.deep_medium import truncate_deep_medium
-from splits.simulation.diffusion import DiffusiveSubstrate, diffuse_reflectance
+from splits.simulation.deep_medium import (
+    THEORY_UNCERTAINTY,
+    DiffusiveSubstrate,
+    diffuse_reflectance,
+    truncate_deep_medium,
+)
 from splits.simulation.grain_optics import (
+    GRAIN_RAYS_PER_CHUNK,
+    WEIGHTED_MEANS,
     GrainOpticsRequest,
     pool_optics_by_type,
 )
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import compute_material_constants
-from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK, WEIGHTED_MEANS
-from splits.simulation.spectral_rows import PathSharingMedia
-from splits.simulation.truncated_medium import THEORY_UNCERTAINTY
+from splits.simulation.shared_paths import PathSharingMedia
 
 CLEAR = {"ice": 1.31, "water": 1.33}
 RUN = RunOptions.from_arguments(1, 2)

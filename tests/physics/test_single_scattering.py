@@ -13,7 +13,7 @@ import splits
 from splits.analysis.theory.asymptotic import compute_shape_factors
 from splits.instruments.single_scattering import GRAIN_RAYS_PER_CHUNK, single_scattering
 from splits.materials import ice_density
-from splits.simulation.arguments import check_wavelengths
+from splits.simulation.run_options import check_wavelengths
 
 pytestmark = NEEDS_JIT
 

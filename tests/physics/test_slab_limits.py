@@ -11,10 +11,8 @@ from scenes import make_optics, make_scene, trace_ray
 from scipy import integrate
 
 import splits
-from splits.kernels.base.ray import TRANSMITTED
-from splits.kernels.base.scene import NO_GROUND
-from splits.kernels.base.work import NO_MAX_ORDER
-from splits.kernels.optics.fresnel import fresnel
+from splits.kernels.interface import fresnel
+from splits.kernels.scene import NO_GROUND, NO_MAX_ORDER, TRANSMITTED
 from splits.kernels.tallies.exits import allocate_exits, tally_weights
 from splits.kernels.transport import history
 

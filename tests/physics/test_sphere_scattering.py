@@ -14,9 +14,9 @@ from scipy import integrate
 from spheroids import compute_normal, evaluate_quadratic, to_real_space
 
 import splits
-from splits.kernels.base.ray import ALIVE
+from splits.kernels.arithmetic import Vector, dot
 from splits.kernels.grains.spheroid import GrainSize
-from splits.kernels.math.vectors import Vector, dot
+from splits.kernels.scene import ALIVE
 
 pytestmark = NEEDS_JIT
 

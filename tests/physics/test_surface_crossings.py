@@ -12,9 +12,9 @@ from events import sample_unit_sphere
 from numba import njit
 from scipy import stats
 
-from splits.kernels.math import rng
-from splits.kernels.math.vectors import Vector, add_scaled, scale
-from splits.kernels.optics.interface import ComplexIndex, sample_interface
+from splits.kernels import rng
+from splits.kernels.arithmetic import Vector, add_scaled, scale
+from splits.kernels.interface import ComplexIndex, sample_interface
 from splits.kernels.rough_surface.intersection import (
     NO_HIT,
     STEP_LIMIT_REACHED,

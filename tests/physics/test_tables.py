@@ -12,9 +12,8 @@ from chi2 import NEEDS_JIT, judge_z
 import splits
 from splits.core.validation import InvalidValue
 from splits.instruments.spectral_run import SpectralRequest
-from splits.simulation.path_reuse import compute_path_signature
 from splits.simulation.run_options import RunOptions
-from splits.simulation.spectral_rows import PathSharingMedia
+from splits.simulation.shared_paths import PathSharingMedia, compute_path_signature
 from splits.tables import build
 from splits.tables.axes import ParameterGrid
 from splits.tables.block import TableRequest

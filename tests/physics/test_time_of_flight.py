@@ -7,7 +7,7 @@ import pytest
 
 import splits
 from splits.core.uncertainty import compute_batch_stderr
-from splits.instruments.slowness import compute_slowness
+from splits.instruments.delay_record import compute_slowness
 from tests.statistics.chi2 import judge_z
 
 SPEED_OF_LIGHT = 299_792_458.0

@@ -14,24 +14,27 @@ from scenes import make_medium_scene, to_single_item
 
 import splits
 from splits.kernels import vectorized
-from splits.kernels.base.scene import Optics
-from splits.kernels.base.work import NO_MAX_ORDER
-from splits.kernels.compiler.features import Features
-from splits.kernels.grains.interaction import RelativeIndex
+from splits.kernels.arithmetic import Vector
 from splits.kernels.grains.spheroid import Spheroid
-from splits.kernels.math.vectors import Vector
-from splits.kernels.optics.interface import ComplexIndex
+from splits.kernels.grains.surface import RelativeIndex
+from splits.kernels.interface import ComplexIndex
+from splits.kernels.scene import NO_MAX_ORDER, Features, Optics
 from splits.kernels.tallies.exits import EXIT_DIRECTION, EXIT_POSITION, allocate_exits
-from splits.kernels.vectorized import lane_state
-from splits.kernels.vectorized.interaction import run_surface_pass
-from splits.kernels.vectorized.lane_state import N_LANES, Lane, Material, Pore
+from splits.kernels.vectorized import lanes
+from splits.kernels.vectorized.lanes import (
+    N_LANES,
+    Lane,
+    Material,
+    Pore,
+)
+from splits.kernels.vectorized.passes import run_surface_pass
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import build_scene
+from splits.simulation.shared_paths import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_nodes import make_separate_nodes
-from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_tally import SINGLE_STRATUM, SpectralTally
-from splits.simulation.stopping_rule import StoppingRule
+from splits.simulation.strata import StoppingRule
 from splits.simulation.tally import RAYS_PER_CHUNK
 
 pytestmark = NEEDS_JIT
@@ -244,7 +247,7 @@ def put_inside_grains(state, qx, qy, qz, dx, dy, dz):
     m_in, m_out = single(1.31), single(1.0 / 1.31)
     for i in range(N_LANES):
         lane = Lane(state, i)
-        lane.status, lane.shell, lane.side = lane_state.AT_SURFACE, one, -one
+        lane.status, lane.shell, lane.side = lanes.AT_SURFACE, one, -one
         lane.grain = Spheroid(
             Vector(qx[i], qy[i], qz[i]), Vector(zero, zero, one), zero, single(1e-4)
         )
@@ -264,7 +267,7 @@ def get_rows(state, name):
 def test_rounding_does_not_drift_into_total_reflection():
     # Just within total reflection all rays stay inside; rounding may only drift outwards.
     passes, cosine = 20_000, 0.64
-    state = np.zeros(lane_state.STATE_SIZE, dtype=np.uint32)
+    state = np.zeros(lanes.STATE_SIZE, dtype=np.uint32)
     generator = np.random.default_rng(1)
     q = generator.normal(size=(3, N_LANES))
     q /= np.linalg.norm(q, axis=0)

@@ -16,7 +16,7 @@ import pytest
 from numba import njit
 from scipy import stats
 
-from splits.kernels.math.rng import start_stream
+from splits.kernels.rng import start_stream
 
 SIGNIFICANCE = 0.01
 NEEDS_JIT = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="too slow without compiled kernels")

@@ -13,24 +13,23 @@ from chi2 import start_random_stream
 from numba import njit
 from scenes import make_ray_at
 
-from splits.kernels.base.ray import ALIVE
-from splits.kernels.base.sampling_rules import WRONG_SIDE_LOBE
-from splits.kernels.base.work import NO_MAX_ORDER
-from splits.kernels.compiler.features import ALL_FEATURES
-from splits.kernels.grains import interaction, microfacet, spheroid
-from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH
-from splits.kernels.grains.grain_path import sample_interaction, trace_through_grain
-from splits.kernels.grains.interaction import InteractionVariates, InterfaceState
-from splits.kernels.grains.spheroid import Spheroid
-from splits.kernels.grains.state import GrainSample, sample_entry_variates
-from splits.kernels.math import rng
-from splits.kernels.math.elementary import Angle
-from splits.kernels.math.vectors import UP, Vector
-from splits.kernels.optics.interface import InterfaceSample
+from splits.kernels import rng
+from splits.kernels.arithmetic import UP, Angle, Vector
+from splits.kernels.grains import spheroid, surface
+from splits.kernels.grains.grain_path import (
+    GrainSample,
+    sample_entry_variates,
+    sample_interaction,
+    trace_through_grain,
+)
+from splits.kernels.grains.spheroid import FIRST_ROULETTE_DEPTH, Spheroid
+from splits.kernels.grains.surface import InteractionVariates, InterfaceState
+from splits.kernels.interface import InterfaceSample
+from splits.kernels.scene import ALIVE, ALL_FEATURES, NO_MAX_ORDER, WRONG_SIDE_LOBE
 from splits.kernels.transport import history
-from splits.kernels.vectorized import lane_state
-from splits.kernels.vectorized.interaction import draw_interaction_variates
-from splits.kernels.vectorized.lane_state import Lane
+from splits.kernels.vectorized import lanes as lane_module
+from splits.kernels.vectorized.lanes import Lane
+from splits.kernels.vectorized.passes import draw_interaction_variates
 
 single = np.float32
 
@@ -60,8 +59,8 @@ def start_lane(lanes, i, start):
 
 def make_lanes(ray=0):
     """Return the state of lanes at the start of their random streams."""
-    lanes = np.zeros(lane_state.STATE_SIZE, dtype=np.uint32)
-    for i in range(lane_state.N_LANES):
+    lanes = np.zeros(lane_module.STATE_SIZE, dtype=np.uint32)
+    for i in range(lane_module.N_LANES):
         start_lane(lanes, i, start_random_stream(ray + i)[0])
     return lanes
 
@@ -114,14 +113,14 @@ def make_flat_surface_by_lane(normal):
 @njit
 def sample_facet(state, d, normal, facetness, rule):
     """Return a sampled facet of a surface, as `grain_path.sample_interaction` samples it."""
-    smooth = microfacet.make_smooth_facet(d, make_flat_surface(normal), 1.0)
+    smooth = surface.make_smooth_facet(d, make_flat_surface(normal), 1.0)
     while True:
         azimuth = rng.sample_azimuth(state)
         azimuth = Angle(abs(azimuth.cos), azimuth.sin)
         variates = InteractionVariates(
             rng.uniform(state), 0.5, 0.0, rng.sample_half_normal(state), azimuth
         )
-        facet = microfacet.sample_microfacet(d, smooth, 0.5 * facetness, variates, False, rule)
+        facet = surface.sample_microfacet(d, smooth, 0.5 * facetness, variates, False, rule)
         if facet.accepted:
             return facet
 
@@ -129,10 +128,10 @@ def sample_facet(state, d, normal, facetness, rule):
 @njit
 def sample_facet_by_lane(lanes, d, normal, sigma, rule):
     """Return a sampled facet of a surface, as the vectorized surface pass samples it."""
-    smooth = microfacet.make_smooth_facet(d, make_flat_surface_by_lane(normal), single(1.0))
+    smooth = surface.make_smooth_facet(d, make_flat_surface_by_lane(normal), single(1.0))
     while True:
         variates = draw_interaction_variates(Lane(lanes, 0), True, True)
-        facet = microfacet.sample_microfacet(d, smooth, sigma, variates, False, rule)
+        facet = surface.sample_microfacet(d, smooth, sigma, variates, False, rule)
         if facet.accepted:
             return facet
 
@@ -140,9 +139,7 @@ def sample_facet_by_lane(lanes, d, normal, sigma, rule):
 @njit
 def compute_facet_normal(d, facet):
     """Return the normal of a facet on the side of the ray, as `reflect_or_refract` uses it."""
-    normal = interaction.compute_facet_normal(
-        d, facet.normal, facet.cos_i, facet.tilt, facet.azimuth
-    )
+    normal = surface.compute_facet_normal(d, facet.normal, facet.cos_i, facet.tilt, facet.azimuth)
     sign = -1.0 if facet.back_side else 1.0
     return Vector(sign * normal.x, sign * normal.y, sign * normal.z)
 
@@ -159,13 +156,13 @@ def attempt_interaction(state, d, interface_state, normal, facetness, media, rul
 def attempt_interaction_by_lane(lanes, d, interface_state, normal, sigma, media, rules):
     """Return the result of one sampling attempt, as the vectorized surface pass makes it."""
     variates = draw_interaction_variates(Lane(lanes, 0), True, True)
-    facet = microfacet.make_smooth_facet(d, make_flat_surface_by_lane(normal), interface_state.side)
+    facet = surface.make_smooth_facet(d, make_flat_surface_by_lane(normal), interface_state.side)
     if sigma > single(0.0):
-        facet = microfacet.sample_microfacet(
+        facet = surface.sample_microfacet(
             d, facet, sigma, variates, interface_state.in_lobe, rules.facet_sampling
         )
     mirrored = rules.wrong_side != WRONG_SIDE_LOBE
-    return interaction.reflect_or_refract(
+    return surface.reflect_or_refract(
         d, interface_state, facet, media, variates.u_fresnel, mirrored, ALL_FEATURES
     )
 
@@ -174,7 +171,7 @@ def attempt_interaction_by_lane(lanes, d, interface_state, normal, sigma, media,
 def resolve_interaction(state, d, normal, facetness, near, far, rules):
     """Return the accepted interaction of a ray with a surface whose normal points against it."""
     interface_state = InterfaceState(0.0, 1.0, False, False)
-    media = interaction.relative_index(near, far)
+    media = surface.relative_index(near, far)
     while True:
         result = attempt_interaction(state, d, interface_state, normal, facetness, media, rules)
         if result.accepted:
@@ -187,7 +184,7 @@ def resolve_interaction_by_lane(lanes, d, normal, sigma, near, far, rules):
     """Return the accepted interaction of a ray with a surface, by random numbers of a lane."""
     zero, one = single(0.0), single(1.0)
     interface_state = InterfaceState(zero, one, False, False)
-    media = interaction.relative_index(near, far)
+    media = surface.relative_index(near, far)
     while True:
         result = attempt_interaction_by_lane(lanes, d, interface_state, normal, sigma, media, rules)
         if result.accepted:

@@ -9,24 +9,26 @@ from numba import njit
 from oracle import scene as oracle_scene
 
 import splits
-from splits.kernels.base.ray import Segment, make_ray
-from splits.kernels.base.sampling_rules import OVERLAP_KEEP
-from splits.kernels.base.scene import (
+from splits.kernels.arithmetic import ORIGIN, Vector
+from splits.kernels.compiler.jit import replace
+from splits.kernels.grains import grain_path as ray_state
+from splits.kernels.scene import (
     NO_GROUND,
+    NO_MAX_ORDER,
     NO_PARTICLES,
+    OVERLAP_KEEP,
+    GrainPopulation,
+    GrainTypes,
     Layers,
     Optics,
     Scene,
+    Segment,
+    Source,
     make_bounding_optics,
+    make_ray,
 )
-from splits.kernels.base.work import NO_MAX_ORDER
-from splits.kernels.compiler.replace import replace
-from splits.kernels.grains import state as ray_state
-from splits.kernels.grains.population import GrainPopulation, GrainTypes
-from splits.kernels.math.vectors import ORIGIN, Vector
-from splits.kernels.optics.source import Source
 from splits.kernels.transport import history
-from splits.materials.lookup import absorption_coefficient
+from splits.materials.library import absorption_coefficient
 from splits.simulation.scene import build_scene
 
 

@@ -35,13 +35,11 @@ from scenes import (
 from spheroids import compute_normal, dot_product, find_closest_approach, to_real_space
 
 import splits
-from splits.kernels.base import ray as ray_module
-from splits.kernels.base.scene import DRY_PORE, WET_PORE
-from splits.kernels.math import rng
-from splits.kernels.math.vectors import ORIGIN, UP, Vector
-from splits.kernels.optics import fresnel, interface
-from splits.kernels.optics.interface import ComplexIndex
-from splits.kernels.optics.source import Source, sample_source_direction
+from splits.kernels import interface, rng
+from splits.kernels import scene as ray_module
+from splits.kernels.arithmetic import ORIGIN, UP, Vector
+from splits.kernels.interface import ComplexIndex
+from splits.kernels.scene import DRY_PORE, WET_PORE, Source, sample_source_direction
 from splits.kernels.transport.flight import BOUNDARY, NO_EVENT
 from splits.media import grain_statistics
 
@@ -177,7 +175,7 @@ def test_reflected_fraction_at_a_plane_interface():
             out = draw_samples(_sample_crossing, N_SAMPLES // 4, mu, n1, n2, width=4)
             transmitted, dx, dy, dz = out.T
             sine_t = n1 / n2 * math.sqrt(1.0 - mu * mu)
-            reflectance = fresnel.fresnel(n1, n2, 0.0, abs(mu)).reflectance
+            reflectance = interface.fresnel(n1, n2, 0.0, abs(mu)).reflectance
             z += compute_binomial_z(transmitted, 1.0 - reflectance)
             crossed = transmitted == 1.0
             assert (dz[~crossed] == -mu).all() and (dy == 0.0).all()
@@ -228,7 +226,7 @@ def test_reflected_fraction_at_a_smooth_grain(precision):
             out = sample_interactions(precision, N_SAMPLES // 4, cos_i, n1, n2, k2, 0.0, rules)
             transmitted, _, _, dz = out.T
             z += compute_binomial_z(
-                transmitted, 1.0 - fresnel.fresnel(n1, n2, k2, cos_i).reflectance
+                transmitted, 1.0 - interface.fresnel(n1, n2, k2, cos_i).reflectance
             )
             assert ((dz < 0.0) == (transmitted == 1.0)).all()
     judge_z(z, "grain")
@@ -239,14 +237,14 @@ def _sample_reflectance(state, cos_i, n1, n2, facetness, rules):
     """Return the reflectance of a sampled facet."""
     d = Vector(math.sqrt(1.0 - cos_i * cos_i), 0.0, -cos_i)
     facet = sample_facet(state, d, UP, facetness, rules.facet_sampling)
-    return fresnel.fresnel(n1, n2, 0.0, facet.cos_facet).reflectance
+    return interface.fresnel(n1, n2, 0.0, facet.cos_facet).reflectance
 
 
 @njit
 def _sample_reflectance_by_lane(state, lanes, cos_i, n1, n2, sigma, rules):
     d = to_single_precision(Vector(math.sqrt(1.0 - cos_i * cos_i), 0.0, -cos_i))
     facet = sample_facet_by_lane(lanes, d, to_single_precision(UP), sigma, rules.facet_sampling)
-    return fresnel.fresnel(n1, n2, 0.0, min(np.float64(facet.cos_facet), 1.0)).reflectance
+    return interface.fresnel(n1, n2, 0.0, min(np.float64(facet.cos_facet), 1.0)).reflectance
 
 
 def sample_reflectances(precision, count, cos_i, n1, n2, facetness, rules, ray):

@@ -23,11 +23,10 @@ from numba import njit
 from scipy import stats
 
 import splits
-from splits.kernels.grains.interaction import InterfaceState, relative_index
-from splits.kernels.math import elementary, rng, vectors
-from splits.kernels.math.elementary import Angle
-from splits.kernels.math.vectors import Vector
-from splits.kernels.optics.interface import ComplexIndex
+from splits.kernels import arithmetic, rng
+from splits.kernels.arithmetic import Angle, Vector
+from splits.kernels.grains.surface import InterfaceState, relative_index
+from splits.kernels.interface import ComplexIndex
 
 N_SAMPLES = scale_sample_size(200_000)
 NORMALS = np.array(
@@ -81,12 +80,12 @@ def test_azimuths_are_uniform():
 
 @njit
 def _sample_circle(state):
-    return elementary.sample_circle(rng.uniform(state))
+    return arithmetic.sample_circle(rng.uniform(state))
 
 
 @njit
 def _sample_half_circle(state):
-    return elementary.sample_half_circle(rng.uniform(state))
+    return arithmetic.sample_half_circle(rng.uniform(state))
 
 
 def test_circle_directions_are_uniform():
@@ -119,13 +118,13 @@ def test_sphere_directions_are_uniform():
 
 @njit
 def _sample_lobe(state, x, y, z):
-    return vectors.sample_cosine_lobe(Vector(x, y, z), rng.uniform(state), rng.uniform(state))
+    return arithmetic.sample_cosine_lobe(Vector(x, y, z), rng.uniform(state), rng.uniform(state))
 
 
 @njit
 def _sample_single_precision_lobe(state, x, y, z):
     u, u_azimuth = np.float32(rng.uniform(state)), np.float32(rng.uniform(state))
-    d = vectors.sample_cosine_lobe(to_single_precision(Vector(x, y, z)), u, u_azimuth)
+    d = arithmetic.sample_cosine_lobe(to_single_precision(Vector(x, y, z)), u, u_azimuth)
     return float(d.x), float(d.y), float(d.z)
 
 
@@ -166,8 +165,8 @@ def _sample_grain_lobe(state, x, y, z, transmitted):
     """Return the lobe direction of a ray that a facet of a grain sent to the wrong side."""
     normal = Vector(x, y, z)
     # Any direction against the normal.
-    t = vectors.make_tangents(normal)
-    d = vectors.linear_combination(0.6, t.u, -0.8, normal)
+    t = arithmetic.make_tangents(normal)
+    d = arithmetic.linear_combination(0.6, t.u, -0.8, normal)
     result = attempt_interaction(
         state, d, InterfaceState(0.0, 1.0, True, transmitted), normal, 0.5, MEDIA, RULES
     )
@@ -181,8 +180,8 @@ def _sample_grain_lobe(state, x, y, z, transmitted):
 @njit
 def _sample_grain_lobe_by_lane(state, x, y, z, lanes, transmitted):
     normal = Vector(x, y, z)
-    t = vectors.make_tangents(normal)
-    d = to_single_precision(vectors.linear_combination(0.6, t.u, -0.8, normal))
+    t = arithmetic.make_tangents(normal)
+    d = to_single_precision(arithmetic.linear_combination(0.6, t.u, -0.8, normal))
     interface_state = InterfaceState(np.float32(0.0), np.float32(1.0), True, transmitted)
     zero, one = np.float32(0.0), np.float32(1.0)
     media = relative_index(ComplexIndex(one, zero), ComplexIndex(np.float32(1.31), zero))
@@ -210,7 +209,7 @@ def test_lobe_of_a_grain_in_single_precision(transmitted):
 @njit
 def _make_bases(normals, out):
     for i in range(normals.shape[0]):
-        t = vectors.make_tangents(Vector(normals[i, 0], normals[i, 1], normals[i, 2]))
+        t = arithmetic.make_tangents(Vector(normals[i, 0], normals[i, 1], normals[i, 2]))
         for j in range(3):
             out[i, j] = t.u[j]
             out[i, 3 + j] = t.v[j]
@@ -234,7 +233,9 @@ def test_rotate_around_keeps_the_polar_angle():
         sine = np.sqrt(1.0 - cosine**2)
         for normal in NORMALS[:6]:
             d = np.array(
-                vectors.direction_around(Vector(*normal), Angle(cosine, sine), Angle(0.28, -0.96))
+                arithmetic.direction_around(
+                    Vector(*normal), Angle(cosine, sine), Angle(0.28, -0.96)
+                )
             )
             assert abs(d @ normal - cosine) < 1e-14
             assert abs(d @ d - 1.0) < 1e-14
@@ -243,7 +244,7 @@ def test_rotate_around_keeps_the_polar_angle():
 def test_reflect_reverses_the_normal_component():
     for normal in NORMALS[:6]:
         d = np.array([0.36, -0.48, 0.8])
-        m = np.array(vectors.reflect(Vector(*d), Vector(*normal)))
+        m = np.array(arithmetic.reflect(Vector(*d), Vector(*normal)))
         assert abs(m @ m - 1.0) < 1e-14
         assert abs(m @ normal + d @ normal) < 1e-14
         assert np.abs(np.cross(m - d, normal)).max() < 1e-14

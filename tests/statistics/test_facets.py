@@ -15,8 +15,8 @@ from events import compute_facet_normal, sample_facet, sample_unit_sphere
 from numba import njit
 from scipy import stats
 
-from splits.kernels.base.sampling_rules import ANY_FACETS, PROJECTED_FACETS, UNWEIGHTED_FACETS
-from splits.kernels.math.vectors import UP, Vector, dot
+from splits.kernels.arithmetic import UP, Vector, dot
+from splits.kernels.scene import ANY_FACETS, PROJECTED_FACETS, UNWEIGHTED_FACETS
 
 N_SAMPLES = scale_sample_size(200_000)
 FACETNESS = (0.3, 1.0)

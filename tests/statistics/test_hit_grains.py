@@ -17,12 +17,12 @@ from numba import njit
 from scipy import integrate, stats
 from spheroids import compute_normal, dot_product, evaluate_quadratic, to_real_space
 
-from splits.kernels.base.sampling_rules import PROJECTED_ENTRY, UNIFORM_ENTRY
+from splits.kernels import rng
+from splits.kernels.arithmetic import Vector
+from splits.kernels.grains.grain_path import sample_entry_variates
 from splits.kernels.grains.spheroid import GrainSize
-from splits.kernels.grains.state import sample_entry_variates
-from splits.kernels.math import rng
-from splits.kernels.math.rng import make_table_probabilities
-from splits.kernels.math.vectors import Vector
+from splits.kernels.rng import make_table_probabilities
+from splits.kernels.scene import PROJECTED_ENTRY, UNIFORM_ENTRY
 from splits.media import grain_statistics
 
 N_SAMPLES = scale_sample_size(200_000)

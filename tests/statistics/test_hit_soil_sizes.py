@@ -19,8 +19,8 @@ from scenes import find_next_event, make_medium_scene, make_optics, make_ray_at
 from scipy import stats
 
 import splits
-from splits.kernels.math import rng
-from splits.kernels.math.vectors import Vector
+from splits.kernels import rng
+from splits.kernels.arithmetic import Vector
 from splits.kernels.transport.flight import BOUNDARY
 
 N_SAMPLES = scale_sample_size(200_000)

@@ -17,9 +17,9 @@ from chi2 import (
 )
 from numba import njit
 
-from splits.kernels.math.vectors import Vector
-from splits.kernels.optics import phase_function, polarized_interface, stokes
-from splits.kernels.optics.interface import ComplexIndex
+from splits.kernels import interface, phase_function, stokes
+from splits.kernels.arithmetic import Vector
+from splits.kernels.interface import ComplexIndex
 
 N_SAMPLES = scale_sample_size(200_000)
 RAYLEIGH = phase_function.make_rayleigh()
@@ -223,7 +223,7 @@ def test_directions_of_polarized_light_follow_their_density():
 
 @njit
 def _sample_transmission(state, d, light, normal, n1, n2):
-    sample = polarized_interface.sample_polarized_interface(state, d, light, normal, n1, n2)
+    sample = interface.sample_polarized_interface(state, d, light, normal, n1, n2)
     return 1.0 if sample.transmitted else 0.0
 
 
@@ -236,7 +236,7 @@ def test_reflected_fraction_of_polarized_light():
             for s in LIGHT.values():
                 media = ComplexIndex(n1, 0.0), ComplexIndex(n2, 0.0)
                 beam = ALONG, stokes.Stokes(REFERENCE, *s), normal, *media
-                reflectance = polarized_interface.reflect_polarized(*beam).reflectance
+                reflectance = interface.reflect_polarized(*beam).reflectance
                 transmitted = draw_samples(_sample_transmission, N_SAMPLES // 8, *beam, ray=len(z))
                 if reflectance == 1.0:
                     assert not transmitted.any()

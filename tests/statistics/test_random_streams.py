@@ -14,7 +14,7 @@ from chi2 import (
 )
 from numba import njit
 
-from splits.kernels.math import rng
+from splits.kernels import rng
 
 MASK = 2**64 - 1
 N_STREAMS = scale_sample_size(400_000)

@@ -18,9 +18,14 @@ from chi2 import (
 from numba import njit
 from scipy import stats
 
-from splits.kernels.math import rng
+from splits.kernels import rng
 from splits.kernels.rough_surface import realization as kernels
-from splits.kernels.rough_surface.wave_sums import AMPLITUDE, KX, KY, PHASE
+from splits.kernels.rough_surface.realization import (
+    AMPLITUDE,
+    KX,
+    KY,
+    PHASE,
+)
 from splits.media.rough_surface import RoughSurface
 
 N_REALIZATIONS = scale_sample_size(60_000)

@@ -22,11 +22,12 @@ from scenes import keep_all_grains, make_medium_scene
 from scipy import stats
 
 import splits
-from splits.kernels.compiler.features import Features
-from splits.kernels.grains.state import get_layer_geometry
-from splits.kernels.math.vectors import Vector, to_single
-from splits.kernels.vectorized import flight, lane_state, sampling
-from splits.kernels.vectorized.lane_state import Lane
+from splits.kernels.arithmetic import Vector, to_single
+from splits.kernels.grains.grain_path import get_layer_geometry
+from splits.kernels.scene import Features
+from splits.kernels.vectorized import lanes as lane_module
+from splits.kernels.vectorized import passes
+from splits.kernels.vectorized.lanes import Lane
 from splits.media import grain_statistics
 
 pytestmark = NEEDS_JIT
@@ -35,7 +36,7 @@ N_SAMPLES = 400_000
 single = np.float32
 
 
-N_LANES = lane_state.N_LANES
+N_LANES = lane_module.N_LANES
 DEPTH_M = 1e4
 
 
@@ -55,7 +56,7 @@ def make_deep_scene(medium):
 
 
 class HitGrains(NamedTuple):
-    """Grains that rays have hit, as in `lane_state.Lane`, and the distances to them (m)."""
+    """Grains that rays have hit, as in `lanes.Lane`, and the distances to them (m)."""
 
     q: np.ndarray
     w: np.ndarray
@@ -74,7 +75,7 @@ def _start_lanes(lanes, layer_geometry):
         lane.position = Vector(single(0.0), single(0.0), single(-0.5 * DEPTH_M))
         lane.direction = Vector(single(0.48), single(-0.64), single(0.6))
         lane.previous_length, lane.next_roulette, lane.weight = -1.0, np.inf, 1.0
-        lane.layer_geometry, lane.status = layer_geometry, lane_state.IN_FLIGHT
+        lane.layer_geometry, lane.status = layer_geometry, lane_module.IN_FLIGHT
 
 
 @njit
@@ -82,11 +83,11 @@ def _sample_flights(lanes, features, rules, tables, type_cdf, hit):
     """Fill `hit` with the grains that the rays of all lanes hit successively."""
     filled = 0
     while filled < hit.distance.size:
-        sampling.draw_grain_properties(lanes, N_LANES, features, tables, type_cdf)
-        flight.run_flight_pass(lanes, N_LANES, features, rules)
+        passes.draw_grain_properties(lanes, N_LANES, features, tables, type_cdf)
+        passes.run_flight_pass(lanes, N_LANES, features, rules)
         for i in range(N_LANES):
             lane = Lane(lanes, i)
-            if lane.status == lane_state.AT_SURFACE:
+            if lane.status == lane_module.AT_SURFACE:
                 if filled < hit.distance.size:
                     q, w = lane.grain.q, lane.grain.w
                     hit.q[filled, 0], hit.q[filled, 1], hit.q[filled, 2] = q.x, q.y, q.z
@@ -96,7 +97,7 @@ def _sample_flights(lanes, features, rules, tables, type_cdf, hit):
                     hit.roughness[filled], hit.grain_type[filled] = lane.roughness, lane.grain_type
                     hit.distance[filled] = lane.previous_length
                     filled += 1
-                lane.status = lane_state.IN_FLIGHT
+                lane.status = lane_module.IN_FLIGHT
                 lane.position = Vector(single(0.0), single(0.0), single(-0.5 * DEPTH_M))
 
 

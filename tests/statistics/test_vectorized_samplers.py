@@ -23,14 +23,13 @@ from events import make_lanes, sample_facet_by_lane, start_lane, to_single_preci
 from numba import njit
 from scipy import stats
 
-from splits.kernels.base.sampling_rules import ANY_FACETS
-from splits.kernels.math import rng
-from splits.kernels.math.elementary import log, sample_circle
-from splits.kernels.math.vectors import UP, Vector
-from splits.kernels.vectorized import lane_rng, lane_state, sampling
-from splits.kernels.vectorized.interaction import draw_interaction_variates
-from splits.kernels.vectorized.intrinsics import gather_interpolate
-from splits.kernels.vectorized.lane_state import Lane
+from splits.kernels import rng
+from splits.kernels.arithmetic import UP, Vector, log, sample_circle
+from splits.kernels.scene import ANY_FACETS
+from splits.kernels.vectorized import lanes as lane_module
+from splits.kernels.vectorized import passes
+from splits.kernels.vectorized.lanes import Lane, gather_interpolate
+from splits.kernels.vectorized.passes import draw_interaction_variates
 from splits.media import grain_statistics
 
 pytestmark = NEEDS_JIT
@@ -54,12 +53,12 @@ def _draw_words(lanes, i, first, out):
     lane = Lane(lanes, i)
     for offset in range(out.size):
         lane.n_drawn = np.uint32(first)
-        out[offset] = lane_rng.compute_random_bits(lane, offset)
+        out[offset] = lane_module.compute_random_bits(lane, offset)
 
 
 @njit
 def _to_unit_interval(bits):
-    return lane_rng.to_uniform_31(np.uint64(bits))
+    return lane_module.to_uniform_31(np.uint64(bits))
 
 
 def test_uniform_numbers_are_below_one():
@@ -78,7 +77,7 @@ def _draw_stream_words(state, out):
 @njit
 def _draw_doubles(words, out):
     for i in range(out.size):
-        out[i] = lane_rng.to_uniform_52(words[i])
+        out[i] = lane_module.to_uniform_52(words[i])
 
 
 @njit
@@ -87,9 +86,9 @@ def _draw_uniforms(state, out):
         out[i] = rng.uniform(state)
 
 
-@pytest.mark.parametrize("lane", [0, 1, lane_state.N_LANES - 1])
+@pytest.mark.parametrize("lane", [0, 1, lane_module.N_LANES - 1])
 def test_lanes_use_the_random_stream_of_their_ray(lane):
-    lanes = np.full(lane_state.STATE_SIZE, 0xDEADBEEF, dtype=np.uint32)
+    lanes = np.full(lane_module.STATE_SIZE, 0xDEADBEEF, dtype=np.uint32)
     for ray in (0, 1, 12_345, 2**40):
         state = start_random_stream(ray)
         start_lane(lanes, lane, state[0])
@@ -107,7 +106,7 @@ def test_lanes_use_the_random_stream_of_their_ray(lane):
 
 
 def test_streams_continue_after_2_to_the_31_numbers():
-    lanes = np.zeros(lane_state.STATE_SIZE, dtype=np.uint32)
+    lanes = np.zeros(lane_module.STATE_SIZE, dtype=np.uint32)
     start = start_random_stream(5)
     start_lane(lanes, 3, start[0])
     actual, expected = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.uint64)
@@ -123,19 +122,19 @@ def test_streams_continue_after_2_to_the_31_numbers():
 
 @njit
 def _draw_three(state):
-    a, b, c = lane_rng.to_three_uniforms(draw_bits(state))
+    a, b, c = lane_module.to_three_uniforms(draw_bits(state))
     return float(a), float(b), float(c)
 
 
 @njit
 def _to_uniform(word):
-    a, b, c = lane_rng.to_three_uniforms(word)
+    a, b, c = lane_module.to_three_uniforms(word)
     return (
         float(a),
         float(b),
         float(c),
-        float(lane_rng.to_uniform_46(word)),
-        lane_rng.to_uniform_52(word),
+        float(lane_module.to_uniform_46(word)),
+        lane_module.to_uniform_52(word),
     )
 
 
@@ -169,14 +168,14 @@ def test_extreme_random_words_give_valid_numbers():
 def _draw_fine_uniform(state, zeros):
     """Return a number sampled with `zeros` leading zero bits, times 2^zeros."""
     word = draw_bits(state) >> np.uint64(zeros)
-    return float(lane_rng.to_uniform_46(word)) * 2.0**zeros
+    return float(lane_module.to_uniform_46(word)) * 2.0**zeros
 
 
 @njit
 def _draw_path_remainder(state, zeros):
     """Return −ln u of a number with `zeros` leading zero bits, less zeros · ln 2."""
     word = draw_bits(state) >> np.uint64(zeros)
-    return -float(log(lane_rng.to_uniform_46(word))) - zeros * math.log(2.0)
+    return -float(log(lane_module.to_uniform_46(word))) - zeros * math.log(2.0)
 
 
 def test_fine_numbers_are_uniform_in_the_lower_tail():
@@ -199,7 +198,7 @@ def test_fine_numbers_are_uniform_in_the_lower_tail():
 
 @njit
 def _sample_circle(state):
-    u, _, _ = lane_rng.to_three_uniforms(draw_bits(state))
+    u, _, _ = lane_module.to_three_uniforms(draw_bits(state))
     x, y = sample_circle(u)
     return float(x), float(y)
 
@@ -323,13 +322,13 @@ def test_facets_follow_their_density(rule):
 # --- tables -----------------------------------------------------------------------------------
 
 
-NEW_ROUGHNESS = lane_state.N_LANES * Lane.fields["new_roughness"].row
+NEW_ROUGHNESS = lane_module.N_LANES * Lane.fields["new_roughness"].row
 
 
 @njit
 def _look_up(table, row, x):
     """Return the value that a lane interpolates in a table."""
-    lanes = np.zeros(lane_state.STATE_SIZE, dtype=single)
+    lanes = np.zeros(lane_module.STATE_SIZE, dtype=single)
     lane = Lane(lanes, 0)
     lane.new_type, lane.quantile_roughness = row, x
     gather_interpolate(table, lane, "new_type", "quantile_roughness", "new_roughness")
@@ -341,14 +340,14 @@ def _sample_quantile(state, table):
     """Return a quantile from 31 bits, interpolated at a single-precision position."""
     u = (single(np.int32(draw_bits(state) >> np.uint64(33))) + single(0.5)) * single(2.0**-31)
     return float(
-        _look_up(table, 0, sampling.compute_quantile_position(u, single(table.shape[1] - 1)))
+        _look_up(table, 0, passes.compute_quantile_position(u, single(table.shape[1] - 1)))
     )
 
 
 @njit
 def _look_up_exact(table, exact, u, out):
     for i in range(u.size):
-        x = sampling.compute_quantile_position(u[i], single(table.shape[1] - 1))
+        x = passes.compute_quantile_position(u[i], single(table.shape[1] - 1))
         out[i, 0] = _look_up(table, 0, x)
         out[i, 1] = rng.interpolate_quantile(exact, 0, float(u[i]))
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from chi2 import scale_sample_size
 
-from splits.kernels.math.vectors import Vector
-from splits.kernels.optics.stokes import Stokes
+from splits.kernels.arithmetic import Vector
+from splits.kernels.stokes import Stokes
 
 GEOMETRIES = scale_sample_size(50_000) // 1000 * 4
 IDENTITY = np.eye(3)

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from splits.kernels.rough_surface.realization import make_realization
-from splits.kernels.rough_surface.wave_sums import AMPLITUDE, KX, KY, PHASE
+from splits.kernels.rough_surface.realization import (
+    AMPLITUDE,
+    KX,
+    KY,
+    PHASE,
+    make_realization,
+)
 from splits.media.rough_surface import RoughSurface
 
 GAUSSIAN = {"rms_height_m": 0.5, "wave_number_per_m": 1.0, "correlation": "gaussian", "waves": 16}

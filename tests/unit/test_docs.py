@@ -23,8 +23,8 @@ from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.settings import ArchiveAuthor, Settings
 from splits.experiments.config.simulation import FitSection
 from splits.experiments.config.studies import Study, StudyOutput
-from splits.instruments.pack_run import RESULT_FLAGS
-from splits.simulation.stopping_rule import STOP_REASONS
+from splits.instruments.snow_packs import RESULT_FLAGS
+from splits.simulation.strata import STOP_REASONS
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

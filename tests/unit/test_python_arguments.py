@@ -12,7 +12,7 @@ import xarray as xr
 import splits
 from splits.core.keywords import reject_unknown_keywords
 from splits.core.validation import check_integer, check_number, short_repr
-from splits.simulation.arguments import check_beam_angle, check_incidence, check_wavelengths
+from splits.simulation.run_options import check_beam_angle, check_incidence, check_wavelengths
 
 
 @pytest.mark.parametrize("value", [30, 30.0, np.float32(30), np.array(30.0), xr.DataArray(30.0)])

@@ -22,8 +22,7 @@ from splits.core.validation import (
     key_prefix,
     unknown_key,
 )
-from splits.illumination.bands import as_bands
-from splits.illumination.sensors import SENSORS
+from splits.illumination.bands import SENSORS, as_bands
 from splits.plotting.annotations import annotate_figure
 from splits.plotting.style import (
     BAND_SIGMA,

@@ -24,7 +24,7 @@ from splits.core.arrays import as_1d_array, as_float_array
 from splits.core.optional import import_optional
 from splits.core.uncertainty import make_variable
 from splits.core.validation import check_choice, check_range
-from splits.simulation.diffusion import effective_mean_free_path
+from splits.simulation.deep_medium import effective_mean_free_path
 
 EXTRAPOLATION_LENGTH = 1.072
 """Extrapolation length of a half-space times 3/2, see `kz04`."""
@@ -34,7 +34,7 @@ def correct_dense_packing(optics: xr.Dataset) -> xr.Dataset:
     """Return optics with an optical thickness corrected for path lengths inside grains.
 
     Radiative transfer has path lengths between grains only, while rays of the model also advance
-    inside grains: see `splits.simulation.diffusion.effective_mean_free_path`.
+    inside grains: see `splits.simulation.deep_medium.effective_mean_free_path`.
 
     Parameters
     ----------

@@ -14,9 +14,7 @@ from splits.analysis.theory.error_propagation import propagate_errors
 from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import invalid
 from splits.discrete_ordinates.adding import Boundary, Element, compute_budget, make_isotropic
-from splits.discrete_ordinates.layer_optics import LayerOptics
-from splits.discrete_ordinates.slab import solve_slab
-from splits.discrete_ordinates.streams import Streams
+from splits.discrete_ordinates.homogeneous_layer import LayerOptics, Streams, solve_slab
 from splits.media.ground import Ground, describe_ground
 
 OPTICS_INPUTS = ("optical_thickness", "single_scattering_albedo", "legendre_moment")
@@ -69,7 +67,7 @@ def solve_discrete_ordinates(
     References
     ----------
     Stamnes, Tsay, Wiscombe & Jayaweera (1988), Applied Optics 27, 2502; Wiscombe (1977), Journal
-    of the Atmospheric Sciences 34, 1408; `splits.discrete_ordinates.slab` for the solution.
+    of the Atmospheric Sciences 34, 1408.
     """
     cosine = compute_incidence_cosine(incidence_deg)
     layers = [optics] if isinstance(optics, xr.Dataset) else list(optics)

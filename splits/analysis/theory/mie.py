@@ -26,8 +26,7 @@ from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.materials import make_refractive_index, parse_refractive_index
 from splits.materials.library import MATERIALS
 from splits.media.scattering_matrix import ANGLE, ELEMENTS
-from splits.simulation.arguments import check_wavelengths
-from splits.simulation.run_options import make_wavelength_coordinate
+from splits.simulation.run_options import check_wavelengths, make_wavelength_coordinate
 
 MATERIAL = "spheres"
 """Name of the material in messages on its refractive index."""

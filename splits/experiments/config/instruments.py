@@ -30,21 +30,25 @@ from splits.experiments.config.sections import (
     check_different,
 )
 from splits.illumination.bands import as_bands
-from splits.illumination.sky_spectra import CLEAR_SKY, list_sky_names, sky
-from splits.instruments.lens import DEFAULT_RAYS, check_ring_radius, check_screen_depths
-from splits.instruments.pack_run import SUN
+from splits.illumination.sky import CLEAR_SKY, list_sky_names, sky
+from splits.instruments.rough_surfaces import (
+    DEFAULT_RAYS,
+    MAX_REALIZATIONS,
+    check_ring_radius,
+    check_screen_depths,
+)
 from splits.instruments.sky_mixing import choose_wavelengths
+from splits.instruments.snow_packs import SUN
 from splits.instruments.solver import choose_solver
 from splits.instruments.spectrophotometer import find_path_obstacle
-from splits.instruments.surface_map import MAX_REALIZATIONS
 from splits.media.medium import Medium
-from splits.simulation.arguments import (
+from splits.simulation.run_options import (
     check_direction_angles,
     check_incidence,
     check_n_bins,
     check_wavelengths,
 )
-from splits.simulation.incident_light import ALLOWED_STOKES
+from splits.simulation.scene import ALLOWED_STOKES
 from splits.tables.axes import ParameterGrid
 from splits.tables.plan import choose_table_solver
 from splits.tables.views import VIEW_AXES, ViewGrid, check_quantities

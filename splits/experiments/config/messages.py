@@ -16,8 +16,8 @@ from splits.core.validation import (
     suggest_name,
     suggest_number,
 )
+from splits.media.formatting import NAMED_MEDIA
 from splits.media.kinds import MEDIUM_CLASSES
-from splits.media.suggestions import NAMED_MEDIA
 
 MAPPING = "a mapping of keys to values"
 ALLOWED = {

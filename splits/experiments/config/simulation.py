@@ -40,11 +40,11 @@ from splits.experiments.config.media import (
 )
 from splits.experiments.config.sections import ConfigSection, MeasuredFile, Number, match_pattern
 from splits.media.kinds import LAYERS_KEY, MEDIUM_CLASSES, get_kind, make_medium
-from splits.media.measured_inputs import override_keywords
 from splits.media.medium import Medium
+from splits.media.natural_snow import override_keywords
 from splits.media.snow_packs import SnowPacks
 from splits.retrieval.sand_parameters import resolve_ranges
-from splits.simulation.arguments import check_incidence
+from splits.simulation.run_options import check_incidence
 from splits.tables.axes import INCIDENCE, ParameterGrid
 
 NAME_PATTERN = re.compile(r"(?!(con|prn|aux|nul|com\d|lpt\d)$)[a-z][a-z0-9_]{0,63}")

@@ -3,15 +3,242 @@
 from __future__ import annotations
 
 import functools
+import operator
+import warnings
 from typing import Any
 
+import numba
 import numpy as np
 from numba import config, njit
+from numba.core import ir, types
+from numba.core.compiler import Compiler
+from numba.core.compiler_machinery import AnalysisPass, FunctionPass, register_pass
+from numba.core.typed_passes import NativeLowering
+from numba.core.untyped_passes import DeadBranchPrune
 from numba.extending import overload
 
 from splits.kernels.compiler.cache import enable_caching
-from splits.kernels.compiler.deferred import make_deferred_options
-from splits.kernels.compiler.passes import RefcountCheckedCompiler
+
+# --------------------------------------------------------------------------------------------------
+# Numba compiler passes: reference-count check, and pruning of None fields.
+#
+# Reference counting is enabled only in functions that allocate or return arrays.  Numba counts
+# references to an array in and out of every function that takes it.  Kernels pass the dozens of
+# arrays of a scene to small functions at every step, and the counting took half of the run time.
+# Only functions that allocate or return arrays count (`inline_allocating`, `entry_point`);
+# all others borrow their arguments (Numba's option `_nrt`).  A function without reference counting
+# must not return an array, which is checked here; nor does it call NumPy functions on arrays, which
+# are compiled separately and cannot be checked.
+#
+# Pruning of None fields.  A field of a named tuple that is None means that the scene lacks a
+# feature, which is known from the type of the tuple.  Numba prunes on arguments only: without this
+# pass it would type and lower everything after ``if features.layered is not None`` before it finds
+# the branch dead.
+
+_COMPARISONS = {operator.is_: True, operator.is_not: False}
+
+
+@register_pass(mutates_CFG=False, analysis_only=False)
+class _NoneFieldPruning(FunctionPass):
+    """Replace comparisons with None of fields of arguments by constants."""
+
+    _name = "prune_none_fields"
+
+    def __init__(self) -> None:
+        FunctionPass.__init__(self)
+
+    def run_pass(self, state: Any) -> bool:
+        definitions = state.func_ir._definitions
+        changed = False
+        for block in state.func_ir.blocks.values():
+            for assignment in block.find_insts(ir.Assign):
+                known = _evaluate_none_comparison(assignment.value, definitions, state.args)
+                if known is None:
+                    continue
+                values = definitions[assignment.target.name]
+                position = next(i for i, value in enumerate(values) if value is assignment.value)
+                assignment.value = values[position] = ir.Const(known, assignment.loc)
+                changed = True
+        return changed
+
+
+def _evaluate_none_comparison(value: Any, definitions: Any, args: Any) -> bool | None:
+    """Return the value of a comparison with None, or None if it is unknown."""
+    if not (isinstance(value, ir.Expr) and value.op == "binop" and value.fn in _COMPARISONS):
+        return None
+    right = _find_single_definition(value.rhs, definitions)
+    if not (isinstance(right, ir.Const) and right.value is None):
+        return None
+    left = _infer_type(value.lhs, definitions, args)
+    if left is None or isinstance(left, (types.Optional, types.Omitted)):
+        return None
+    return isinstance(left, types.NoneType) == _COMPARISONS[value.fn]
+
+
+def _find_single_definition(variable: Any, definitions: Any) -> Any:
+    """Return the only definition of a variable, or None if it has several."""
+    values = definitions.get(variable.name, [])
+    return values[0] if len(values) == 1 else None
+
+
+def _infer_type(variable: Any, definitions: Any, args: Any) -> Any:
+    """Return the type of an argument or of a field of one, or None for other values."""
+    value = _find_single_definition(variable, definitions)
+    if isinstance(value, ir.Var):
+        return _infer_type(value, definitions, args)
+    if isinstance(value, ir.Arg):
+        return args[value.index]
+    if isinstance(value, ir.Expr) and value.op == "getattr":
+        owner = _infer_type(value.value, definitions, args)
+        is_named_tuple = isinstance(owner, (types.NamedTuple, types.NamedUniTuple))
+        if is_named_tuple and value.attr in owner.fields:
+            return owner[owner.fields.index(value.attr)]
+    return None
+
+
+def insert_pass(pipelines: list[Any], before: Any, new_pass: Any, description: str) -> list[Any]:
+    """Insert a pass before another in each pipeline, and return the pipelines."""
+    for pipeline in pipelines:
+        position = [known for known, _ in pipeline.passes].index(before)
+        pipeline.passes.insert(position, (new_pass, description))
+    return pipelines
+
+
+class NonePruningCompiler(Compiler):
+    """Numba's compiler with pruning of None fields."""
+
+    def define_pipelines(self) -> list[Any]:
+        """Return Numba's pipelines with the pruning pass."""
+        pipelines = super().define_pipelines()
+        return insert_pass(pipelines, DeadBranchPrune, _NoneFieldPruning, "prune None fields")
+
+
+@register_pass(mutates_CFG=False, analysis_only=True)
+class _RefcountCheck(AnalysisPass):
+    """Reject a function that allocates or returns arrays without reference counting."""
+
+    _name = "check_no_refcounted_values"
+
+    def __init__(self) -> None:
+        AnalysisPass.__init__(self)
+
+    def run_pass(self, state: Any) -> bool:
+        if not state.flags.nrt and any(
+            _is_refcounted(state, value_type) for value_type in _list_return_types(state)
+        ):
+            name = state.func_id.func_qualname
+            raise TypeError(f"{name}: allocates or returns arrays: must be `inline_allocating`")
+        return False
+
+
+def _list_return_types(state: Any) -> list[Any]:
+    """Return the return types of a function and of the functions that it calls."""
+    return_types = [state.return_type]
+    for call, signature in state.calltypes.items():
+        if isinstance(call, ir.Expr) and call.op == "call":
+            is_constructor = isinstance(state.typemap[call.func.name], types.NamedTupleClass)
+            return_types += [] if is_constructor else [signature.return_type]
+    return return_types
+
+
+def _is_refcounted(state: Any, value_type: Any) -> bool:
+    """Return whether values of a type contain reference-counted memory, such as an array."""
+    has_meminfo: bool = state.targetctx.data_model_manager[value_type].contains_nrt_meminfo()
+    # The type of a generator does not show what it holds.
+    return has_meminfo or isinstance(value_type, types.Generator)
+
+
+class RefcountCheckedCompiler(NonePruningCompiler):
+    """Numba's compiler with pruning of None fields and the reference-count check."""
+
+    def define_pipelines(self) -> list[Any]:
+        """Return the pipelines with the reference-count check."""
+        pipelines = super().define_pipelines()
+        return insert_pass(
+            pipelines, NativeLowering, _RefcountCheck, "check that no values are reference-counted"
+        )
+
+
+# --------------------------------------------------------------------------------------------------
+# Deferred code generation of functions that only kernels call.
+#
+# Numba generates and optimizes machine code for every function, although all of it is repeated in
+# each function into which that one is inlined; this took most of the compile time of a kernel.
+# Here such functions stay unoptimized LLVM code and are optimized once, within the kernel.  (Passes
+# within one function still run: they eliminate its named tuples.)
+#
+# This needs private classes of Numba.  A version without them compiles the same kernels more
+# slowly.
+
+
+def make_deferred_options() -> dict[str, Any]:
+    """Return the Numba options of functions that only other functions call."""
+    options = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    try:
+        return {**options, "pipeline_class": _define_compiler()}
+    except (ImportError, AttributeError) as error:
+        warnings.warn(
+            f"Numba {numba.__version__} has changed ({error}): kernels compile more slowly",
+            stacklevel=2,
+        )
+        return {"pipeline_class": RefcountCheckedCompiler}
+
+
+def _define_compiler() -> type[RefcountCheckedCompiler]:
+    """Return the compiler, from classes that Numba does not document."""
+    from numba import _dynfunc  # type: ignore[attr-defined]
+    from numba.core.codegen import JITCodeLibrary
+
+    class DeferredLibrary(JITCodeLibrary):
+        """LLVM library that is optimized only after it is linked into a caller."""
+
+        def _optimize_final_module(self) -> None:
+            """Do nothing: the caller optimizes this code."""
+
+        def _finalize_final_module(self) -> None:
+            self._finalize_dynamic_globals()
+            self._finalized = True
+
+    @register_pass(mutates_CFG=True, analysis_only=False)
+    class DeferredLowering(NativeLowering):
+        """Lower a function to LLVM code without generating machine code."""
+
+        _name = "deferred_lowering"
+
+        def run_pass(self, state: Any) -> bool:
+            state.library = DeferredLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+            state.flags = state.flags.copy()
+            state.flags.no_compile = True
+            super().run_pass(state)
+            result = state["cr"]
+            description = result.fndesc
+            # Numba looks the code up by the function that Python would call: here an empty one.
+            placeholder = _dynfunc.make_function(
+                description.lookup_module(), description.qualname, "", 0, result.env,
+                (state.library,),
+            )  # fmt: skip
+            state.targetctx.insert_user_function(placeholder, description, [state.library])
+            state["cr"] = result._replace(cfunc=placeholder)
+            return True
+
+    class DeferredCodegenCompiler(RefcountCheckedCompiler):
+        """Compiler of functions that only other functions call."""
+
+        def define_pipelines(self) -> list[Any]:
+            """Return the pipelines with deferred lowering as their last pass."""
+            pipelines = super().define_pipelines()
+            for pipeline in pipelines:
+                pipeline.passes = [
+                    (DeferredLowering if known is NativeLowering else known, description)
+                    for known, description in pipeline.passes
+                ]
+            return pipelines
+
+    return DeferredCodegenCompiler
+
+
+# --------------------------------------------------------------------------------------------------
+# Decorators that compile the kernels with common options, and constants of either precision.
 
 COMMON_OPTIONS: Any = {"error_model": "numpy", "forceinline": True}
 """Options of all small functions, see `inline`."""
@@ -129,3 +356,24 @@ ONE_AND_HALF = float32_constant(1.5)
 TINY = float32_constant(1e-30)
 """Lower bound of a square whose reciprocal root is multiplied by zero; its value does not affect
 results."""
+
+
+# --------------------------------------------------------------------------------------------------
+# Named tuples with some fields replaced, in kernels and in Python.
+
+
+def replace(value: Any, **changes: Any) -> Any:
+    """Return a named tuple with some fields replaced, as `dataclasses.replace` does."""
+    return value._replace(**changes)
+
+
+@overload(replace, strict=False, jit_options=INLINE_OPTIONS)
+def _replace_in_kernel(value: Any, **changes: Any) -> Any:
+    # Numba has no keyword arguments of unknown names, so the function is written for these ones.
+    # It finds the compiled code by the types of all arguments, so the last one carries the names.
+    kind = value.instance_class
+    arguments = ", ".join(name if name in changes else f"value.{name}" for name in kind._fields)
+    parameters = ", ".join(["value", *changes, f"names={' '.join(changes)!r}"])
+    scope = {"Kind": kind}
+    exec(f"def replace({parameters}):\n    return Kind({arguments})", scope)
+    return scope["replace"]

@@ -1,1 +1,1 @@
-"""Grains: scenes, shape and surface of grains, free paths, and paths through a grain."""
+"""Grains: shape and surface of grains, free paths, and paths through a grain."""

@@ -11,15 +11,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.kernels.arithmetic import exp_float32
 from splits.kernels.compiler.jit import HALF, ONE, ZERO, entry_point, float32_constant, inline
-from splits.kernels.math.elementary import exp_float32
-from splits.kernels.tallies.crossings import (
+from splits.kernels.tallies.exits import (
     CROSSING_CODE,
     CROSSING_LENGTH,
     CROSSING_RAY,
     CROSSING_WEIGHT,
+    EXIT_LENGTH,
+    EXIT_SIDE,
+    EXIT_WEIGHT,
+    transpose_absorption,
 )
-from splits.kernels.tallies.exits import EXIT_LENGTH, EXIT_SIDE, EXIT_WEIGHT, transpose_absorption
 
 DOWNWELLING, UPWELLING = range(2)
 _MAX_SERIES_DEPTH = float32_constant(0.05)
@@ -46,24 +49,6 @@ class FluxSums(NamedTuple):
     path_length: np.ndarray
 
 
-class _Materials(NamedTuple):
-    """Absorption coefficients, float32[materials, wavelengths], and the arguments of `tally_flux`.
-
-    These are the path fractions, in single precision, and the column of the ground.
-    """
-
-    alpha: np.ndarray
-    path_fractions: np.ndarray
-    ground_column: int
-
-
-class _LastCrossing(NamedTuple):
-    """State of a ray at its last crossing: path lengths, and exp(−optical depth) by wavelength."""
-
-    path_lengths: np.ndarray
-    transmittance: np.ndarray
-
-
 @entry_point
 def tally_flux(exits, crossings, absorption, path_fractions, n_layers, ground_column):
     """Tally the weights of rays at boundaries, and their absorption in the layers.
@@ -72,7 +57,7 @@ def tally_flux(exits, crossings, absorption, path_fractions, n_layers, ground_co
     ----------
     exits : float64[rays, columns]
     crossings : float64[crossings, columns]
-        Of these rays, ray by ray, see `splits.kernels.tallies.crossings`.
+        Of these rays, ray by ray, see `splits.kernels.tallies.exits`.
     absorption : float64[wavelengths, materials]
         Absorption coefficients (1/m) of recorded path lengths; −ln of the albedo for a ground.
     path_fractions : float64[materials]
@@ -87,38 +72,44 @@ def tally_flux(exits, crossings, absorption, path_fractions, n_layers, ground_co
     """
     wavelengths, materials = absorption.shape
     alpha = transpose_absorption(absorption)
-    constants = _Materials(alpha, path_fractions.astype(np.float32), ground_column)
+    fractions = path_fractions.astype(np.float32)
     sums = FluxSums(
         np.zeros((2, n_layers + 1, wavelengths)),
         np.zeros((n_layers, materials, wavelengths)),
         np.zeros((n_layers, wavelengths)),
     )
-    last = _LastCrossing(np.zeros(materials), np.ones(wavelengths, dtype=np.float32))
+    # Path lengths and exp(−optical depth) of a ray at its last crossing.
+    last_lengths, transmittance = np.zeros(materials), np.ones(wavelengths, dtype=np.float32)
     light = np.empty(wavelengths, dtype=np.float32)
     first = 0
     for ray in range(exits.shape[0]):
-        last.path_lengths[:] = 0.0
-        last.transmittance[:] = ONE
+        last_lengths[:] = 0.0
+        transmittance[:] = ONE
         layer = 0
         while first < crossings.shape[0] and crossings[first, CROSSING_RAY] == ray:
             row = crossings[first]
             weight = row[CROSSING_WEIGHT]
-            _tally_segment(sums, last, light, row[CROSSING_LENGTH:], weight, constants, layer)
+            _tally_segment(
+                sums, layer, light, weight, row[CROSSING_LENGTH:], last_lengths, transmittance,
+                alpha, fractions, ground_column,
+            )  # fmt: skip
             boundary, upward = divmod(int(row[CROSSING_CODE]), 2)
             _add_weighted(sums.boundary_weight[upward, boundary], light, weight)
             layer = boundary - upward
             if boundary == n_layers:
                 # Light that the ground reflects has hit it once more.
                 layer = n_layers - 1
-                last.path_lengths[ground_column] += 1.0
+                last_lengths[ground_column] += 1.0
                 for i in range(wavelengths):
-                    last.transmittance[i] *= exp_float32(-alpha[ground_column, i])
-                _add_weighted(sums.boundary_weight[UPWELLING, boundary], last.transmittance, weight)
+                    transmittance[i] *= exp_float32(-alpha[ground_column, i])
+                _add_weighted(sums.boundary_weight[UPWELLING, boundary], transmittance, weight)
             first += 1
         side, weight = int(exits[ray, EXIT_SIDE]), exits[ray, EXIT_WEIGHT]
         if side >= 0:
-            lengths = exits[ray, EXIT_LENGTH:]
-            _tally_segment(sums, last, light, lengths, weight, constants, layer)
+            _tally_segment(
+                sums, layer, light, weight, exits[ray, EXIT_LENGTH:], last_lengths, transmittance,
+                alpha, fractions, ground_column,
+            )  # fmt: skip
             boundary, upward = (0, UPWELLING) if side == 0 else (n_layers, DOWNWELLING)
             _add_weighted(sums.boundary_weight[upward, boundary], light, weight)
     return sums
@@ -132,35 +123,39 @@ def _add_weighted(total, light, weight):
 
 
 @inline
-def _tally_segment(sums, last, light, path_lengths, weight, constants, layer):
-    """Tally the absorption of a ray on a segment, and advance `last` to its end.
+def _tally_segment(
+    sums, layer, light, weight, path_lengths, last_lengths, transmittance, alpha, path_fractions,
+    ground_column,
+):  # fmt: skip
+    """Tally the absorption of a ray on a segment, and advance the ray to its end.
 
     The weight at the end of the segment counts for all of it, although roulette may change it on
     the way: the mean is the same.
     """
-    alpha, path_fractions, ground_column = constants
     absorbed, path_length = sums.absorbed[layer], sums.path_length[layer]
     light[:] = ZERO
     length = 0.0
     for material in range(alpha.shape[0]):
-        segment = np.float32(path_lengths[material] - last.path_lengths[material])
+        segment = np.float32(path_lengths[material] - last_lengths[material])
         if segment > ZERO and material != ground_column:
             length += segment * path_fractions[material]
             for i in range(light.size):
                 light[i] += alpha[material, i] * segment
     for i in range(light.size):
+        # Mean of exp(−optical depth) along the segment, (1 − e^(−τ))/τ; a series where it cancels.
         depth = light[i]
-        transmittance = exp_float32(-depth)
+        passing = exp_float32(-depth)
         series = ONE - depth * (HALF - depth * (_SIXTH - depth * _TWENTY_FOURTH))
-        ratio = (ONE - transmittance) / max(depth, _MAX_SERIES_DEPTH)
-        light[i] = last.transmittance[i] * (series if depth < _MAX_SERIES_DEPTH else ratio)
-        last.transmittance[i] *= transmittance
+        ratio = (ONE - passing) / max(depth, _MAX_SERIES_DEPTH)
+        light[i] = transmittance[i] * (series if depth < _MAX_SERIES_DEPTH else ratio)
+        transmittance[i] *= passing
     for material in range(alpha.shape[0]):
-        segment = path_lengths[material] - last.path_lengths[material]
+        # Absorbed light: the Beer-Lambert law, with the mean weight on the segment.
+        segment = path_lengths[material] - last_lengths[material]
         if segment > 0.0 and material != ground_column:
             for i in range(light.size):
                 absorbed[material, i] += light[i] * weight * (alpha[material, i] * segment)
-        last.path_lengths[material] = path_lengths[material]
+        last_lengths[material] = path_lengths[material]
     for i in range(light.size):
         path_length[i] += light[i] * weight * length
-        light[i] = last.transmittance[i]
+        light[i] = transmittance[i]

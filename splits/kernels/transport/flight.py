@@ -12,18 +12,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from splits.kernels.base.ray import ALIVE, LOST, Segment, compute_position
-from splits.kernels.base.scene import NO_PARTICLES
-from splits.kernels.compiler.jit import inline_only
-from splits.kernels.compiler.replace import replace
-from splits.kernels.grains.free_path import (
-    MAX_REJECTIONS,
-    Collision,
-    compute_boundary_hit,
-    sample_collision,
-)
-from splits.kernels.grains.spheroid import EntryPoint
-from splits.kernels.grains.state import (
+from splits.kernels.arithmetic import ORIGIN, Vector
+from splits.kernels.compiler.jit import inline_only, replace
+from splits.kernels.grains.grain_path import (
     GrainSample,
     attenuate,
     get_layer_geometry,
@@ -34,10 +25,23 @@ from splits.kernels.grains.state import (
     sample_entry_variates,
     sample_grain,
 )
-from splits.kernels.math.rng import uniform
-from splits.kernels.math.vectors import ORIGIN, Vector
+from splits.kernels.grains.spheroid import (
+    MAX_REJECTIONS,
+    Collision,
+    EntryPoint,
+    compute_boundary_hit,
+    sample_collision,
+)
+from splits.kernels.rng import uniform
 from splits.kernels.rough_surface.realization import SurfaceSlope
-from splits.kernels.tallies.crossings import append_crossing, encode_crossing
+from splits.kernels.scene import (
+    ALIVE,
+    LOST,
+    NO_PARTICLES,
+    Segment,
+    compute_position,
+)
+from splits.kernels.tallies.exits import append_crossing, encode_crossing
 
 COLLISION, BOUNDARY, ROUGH_TOP, NO_EVENT = range(4)
 """Kinds of events: a grain or a particle, a layer boundary, the rough top, or none was found."""
@@ -199,6 +203,8 @@ def sample_next_event(state, ray, scene, optics):
         if collision.accepted:
             kind, distance, height = COLLISION, collision.distance, collision.height
             break
+        # Segments are memoryless (SPLITSnow Eq 1): sampling goes on behind a boundary that does not
+        # refract, with the mean distance of the next layer.
         if collision.leaves_layer:
             boundary_hit = compute_boundary_hit(ray, geometry)
             distance, height = boundary_hit.distance, boundary_hit.position.z

@@ -10,18 +10,30 @@ from __future__ import annotations
 
 import numpy as np
 
-from splits.kernels.base.ray import ABSORBED, ALIVE, LOST, REFLECTED, TO_GROUND, make_ray
-from splits.kernels.base.work import FIRST_RAY, MAX_ORDER, N_RAYS, STREAM
+from splits.kernels.arithmetic import Vector
 from splits.kernels.compiler.jit import entry_point, inline_only
-from splits.kernels.math.rng import start_stream, uniform
-from splits.kernels.math.vectors import Vector
-from splits.kernels.optics.source import sample_source_direction
-from splits.kernels.optics.stokes import make_unpolarized, rotate_reference_to
+from splits.kernels.rng import start_stream, uniform
 from splits.kernels.rough_surface.realization import (
     compute_entry_position,
     sample_realization_if_rough,
 )
-from splits.kernels.tallies.crossings import (
+from splits.kernels.scene import (
+    ABSORBED,
+    ALIVE,
+    FIRST_RAY,
+    LOST,
+    MAX_ORDER,
+    N_RAYS,
+    REFLECTED,
+    STREAM,
+    TO_GROUND,
+    make_ray,
+    sample_source_direction,
+)
+from splits.kernels.stokes import make_unpolarized, rotate_reference_to
+from splits.kernels.tallies.exits import (
+    EXIT_LENGTH,
+    TraceResult,
     allocate_crossings,
     append_crossing,
     copy_into_row,
@@ -30,16 +42,19 @@ from splits.kernels.tallies.crossings import (
     enlarge_buffer,
     get_recorded,
     has_capacity,
+    record_exit,
     set_current_ray,
 )
-from splits.kernels.tallies.exits import EXIT_LENGTH, TraceResult, record_exit
 from splits.kernels.transport.events import (
     apply_roulette,
     collide,
     cross_interface,
     enter_layer,
     find_first_roulette,
+    interact_at_rough_top,
+    intersect_rough_top,
     reflect_from_ground,
+    trace_above_surface,
 )
 from splits.kernels.transport.flight import (
     BOUNDARY,
@@ -48,11 +63,6 @@ from splits.kernels.transport.flight import (
     end_segment,
     locate_layer,
     sample_next_event,
-)
-from splits.kernels.transport.rough_top import (
-    interact_at_rough_top,
-    intersect_rough_top,
-    trace_above_surface,
 )
 
 TOTAL, UNSCATTERED = range(2)
@@ -72,7 +82,7 @@ def trace_history(state, ray, scene, optics, path_lengths, crossings, rough_top)
         The ray's random stream.
     ray : Ray
     scene, optics
-        See `splits.kernels.base.scene`.
+        See `splits.kernels.scene`.
     path_lengths : float64[materials]
         Path lengths (m), accumulated in place.
     crossings : CrossingBuffer or None
@@ -181,9 +191,9 @@ def trace_rays(seed, work, scene, optics, exits, surface_buffer):
     ----------
     seed : int
     work : int64[4]
-        See `splits.kernels.base.work`.
+        See `splits.kernels.scene`.
     scene, optics
-        See `splits.kernels.base.scene`.
+        See `splits.kernels.scene`.
     exits : float64[rays, columns]
         A row for each ray, from `splits.kernels.tallies.exits.allocate_exits`; polarized rays have
         three columns more, Q, U, V over I, with Q along the plane of the normal.

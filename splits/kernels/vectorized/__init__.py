@@ -10,7 +10,7 @@ grain.
 
 After a rejected interaction or grain a lane is handled by the next pass.  Rare events (boundaries,
 new rays) are handled in a plain loop between the passes.  The formulas are those of the scalar
-kernel: `microfacet`, `fresnel` and `spheroid` serve both.
+kernel: `surface`, `interface` and `spheroid` serve both.
 """
 
 from splits.kernels.vectorized.trace import trace_rays

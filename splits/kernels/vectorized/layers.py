@@ -5,21 +5,174 @@ See `splits.kernels.transport.flight` and `splits.kernels.transport.events` for 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy import float32 as single
 
-from splits.kernels.base.scene import NO_GROUND, Optics
+from splits.kernels.arithmetic import UP, Vector, sample_cosine_lobe, to_single
 from splits.kernels.compiler.jit import ZERO, inline_only
-from splits.kernels.grains.free_path import compute_boundary_hit
-from splits.kernels.grains.state import pore_material, refractive_index_of
-from splits.kernels.math.vectors import UP, Vector, sample_cosine_lobe
-from splits.kernels.tallies.crossings import append_crossing, encode_crossing, set_current_ray
+from splits.kernels.compiler.structure_of_arrays import initialize
+from splits.kernels.grains.grain_path import pore_material, refractive_index_of
+from splits.kernels.grains.spheroid import compute_boundary_hit
+from splits.kernels.interface import orient_horizontal_normal, sample_interface
+from splits.kernels.rng import compute_stream_start
+from splits.kernels.scene import (
+    DRY_PORE,
+    FIRST_RAY,
+    MAX_ORDER,
+    NO_GROUND,
+    STREAM,
+    WET_PORE,
+    Features,
+    Optics,
+    Scene,
+    sample_source_direction,
+)
+from splits.kernels.tallies.exits import (
+    EXIT_LENGTH,
+    append_crossing,
+    copy_into_row,
+    encode_crossing,
+    record_exit,
+    set_current_ray,
+)
 from splits.kernels.transport.flight import find_adjacent_layer, find_next_material, is_continuous
-from splits.kernels.vectorized import lane_state
-from splits.kernels.vectorized.lane_motion import load_ray, move_to_boundary
-from splits.kernels.vectorized.lane_optics import set_layer_optics
-from splits.kernels.vectorized.lane_rng import draw_uniform
-from splits.kernels.vectorized.lifecycle import enter_layer, flush_path_lengths, refract_at_boundary
+from splits.kernels.vectorized import lanes
+from splits.kernels.vectorized.lanes import (
+    N_LANES,
+    STATE_SIZE,
+    STRIDE,
+    Lane,
+    attenuate,
+    draw_uniform,
+    load_ray,
+    move_to_boundary,
+    set_layer_optics,
+)
+
+# --------------------------------------------------------------------------------------------------
+# Launch and exit of rays, and the boundaries of a single layer, between the passes.
+
+
+class TraceJob(NamedTuple):
+    """Work of a kernel call, with its scene.
+
+    Attributes
+    ----------
+    seed : int
+    work : int64[items, 4]
+        See `splits.kernels.vectorized.trace.trace_rays`.
+    scene : Scene
+    optics : Optics
+        With a row for each item.
+    features : Features
+    """
+
+    seed: int
+    work: np.ndarray
+    scene: Scene
+    optics: Optics
+    features: Features
+
+
+@inline_only
+def sample_source(lane, job, ray, item, ray_in_item):
+    """Launch a ray of the light source; return whether it enters the sample."""
+    source, work = job.scene.source, job.work
+    initialize(lane)
+    lane.ray, lane.item, lane.max_order = ray, item, work[item, MAX_ORDER]
+    key = compute_stream_start(job.seed, work[item, STREAM], work[item, FIRST_RAY] + ray_in_item)
+    lane.key_high, lane.key_low = np.uint32(key >> np.uint64(32)), np.uint32(key)
+    u = draw_uniform(lane) if source.diffuse_fraction > 0.0 else 1.0
+    entered = enter_layer(lane, job, 0, sample_source_direction(source, u))
+    set_layer_optics(lane, job)
+    return entered
+
+
+@inline_only
+def enter_layer(lane, job, layer, d):
+    """Sample the pore of a ray from outside; return whether it is transmitted into the layer."""
+    layers, wet, pore_variate = job.scene.layers, False, 0.0
+    if job.features.wet is not None:
+        pore_variate = draw_uniform(lane)
+        wet = pore_variate < layers.wet_fraction[layer]
+    lane.pore_wet, lane.pore_variate = wet, pore_variate
+    if wet and job.scene.rules.boundary_fresnel:
+        dry = layers.first_pore_material[layer]
+        near = refractive_index_of(job.optics, (lane.item, dry))
+        far = refractive_index_of(job.optics, (lane.item, dry + WET_PORE))
+        return refract_at_boundary(lane, d, near, far)
+    lane.direction = to_single(d)
+    return True
+
+
+@inline_only
+def refract_at_boundary(lane, d, near, far):
+    """Refract or reflect a ray at a horizontal interface; return whether it is transmitted."""
+    d = Vector(np.float64(d.x), np.float64(d.y), np.float64(d.z))
+    sample = sample_interface(d, orient_horizontal_normal(d), near, far, draw_uniform(lane))
+    lane.direction = to_single(sample.direction)
+    return sample.transmitted
+
+
+@inline_only
+def flush_path_lengths(lane, path_lengths, scene):
+    """Add the path lengths of a lane since the last flush to its double-precision sums."""
+    types, grain_type = scene.types, lane.grain_type
+    path_lengths[DRY_PORE] += lane.dry_path
+    path_lengths[WET_PORE] += lane.wet_path
+    path_lengths[types.material[grain_type, 0]] += lane.coating_path
+    path_lengths[types.material[grain_type, types.n_shells[grain_type] - 1]] += lane.core_path
+    lane.dry_path = lane.wet_path = lane.coating_path = lane.core_path = ZERO
+
+
+@inline_only
+def cross_boundary(lane, job):
+    """Move a ray to the boundary ahead; return whether it leaves the sample there."""
+    ray = load_ray(lane)
+    boundary_hit = compute_boundary_hit(ray, lane.layer_geometry)
+    move_to_boundary(lane, ray, boundary_hit)
+    attenuate(lane, boundary_hit.distance, job.features)
+    if not (lane.pore_wet and job.scene.rules.boundary_fresnel):
+        return True
+    lane.n_rejected, lane.status = ZERO, lanes.IN_FLIGHT
+    near = refractive_index_of(job.optics, (lane.item, WET_PORE))
+    far = refractive_index_of(job.optics, (lane.item, DRY_PORE))
+    return refract_at_boundary(lane, ray.direction, near, far)
+
+
+@inline_only
+def record_lane_exit(lane, path_lengths, exits):
+    """Write the exit of a ray into its row."""
+    row, direction = exits[lane.ray], lane.direction
+    record_exit(row, direction.z > ZERO, lane.position, direction, lane.weight, lane.order)
+    copy_into_row(row, EXIT_LENGTH, path_lengths)
+
+
+@inline_only
+def compact_lanes(state, path_lengths, width, n_active):
+    """Compact the active lanes, and return the new width.
+
+    A ray takes its random stream along, so its path does not depend on the lane.
+    """
+    new_width = -(-n_active // STRIDE) * STRIDE
+    free = 0
+    for i in range(new_width, width):
+        lane = Lane(state, i)
+        if lane.status == lanes.IDLE:
+            continue
+        while Lane(state, free).status != lanes.IDLE:
+            free += 1
+        for row in range(0, STATE_SIZE, N_LANES):
+            state[row + free] = state[row + i]
+        copy_into_row(path_lengths[free], 0, path_lengths[i])
+        lane.status = lanes.IDLE
+    return new_width
+
+
+# --------------------------------------------------------------------------------------------------
+# Layer boundaries, segments through several layers, and the ground, between the passes.
 
 
 @inline_only
@@ -90,7 +243,7 @@ def restart_flight(lane, job):
     """Restart the sampling of a grain at the start of the segment or at the last skipped grain."""
     set_layer(lane, job, lane.draw_layer)
     lane.start_distance = lane.skip_distance
-    lane.status = lane_state.IN_FLIGHT
+    lane.status = lanes.IN_FLIGHT
 
 
 @inline_only
@@ -114,7 +267,7 @@ def locate_layer(lane, job, path_lengths, crossings):
         layer = next_layer
     set_layer(lane, job, layer)
     start_flight(lane)
-    lane.on_boundary, lane.status = True, lane_state.IN_FLIGHT
+    lane.on_boundary, lane.status = True, lanes.IN_FLIGHT
 
 
 @inline_only
@@ -127,7 +280,7 @@ def cross_interface(lane, job, path_lengths, crossings):
     boundary_hit = compute_boundary_hit(ray, lane.layer_geometry)
     next_layer = find_adjacent_layer(layer, ray.direction)
     inside = 0 <= next_layer < layers.collision_coefficient.size
-    lane.status = lane_state.IN_FLIGHT
+    lane.status = lanes.IN_FLIGHT
     if lane_is_continuous(lane, job, layer, next_layer):
         set_layer(lane, job, next_layer)
         lane.start_distance = max(boundary_hit.distance, lane.start_distance)
@@ -173,7 +326,7 @@ def reflect_from_ground(lane, job, path_lengths, crossings):
         set_layer(lane, job, bottom_layer)
         start_flight(lane)
     lane.n_rejected = ZERO
-    lane.status = lane_state.IN_FLIGHT if entered else lane_state.AT_GROUND
+    lane.status = lanes.IN_FLIGHT if entered else lanes.AT_GROUND
     if lane.order >= lane.max_order:
-        lane.status = lane_state.LANE_ABSORBED
+        lane.status = lanes.LANE_ABSORBED
     lane.order += 1

@@ -2,52 +2,198 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import config
 
-from splits.kernels.base.work import N_RAYS
-from splits.kernels.compiler.alignment import align_stack, allocate_aligned
-from splits.kernels.compiler.jit import ZERO, entry_point, inline_allocating, inline_only
-from splits.kernels.compiler.replace import replace
-from splits.kernels.tallies.crossings import (
+from splits.kernels.compiler.jit import (
+    ZERO,
+    entry_point,
+    entry_point_no_refcount,
+    inline_allocating,
+    inline_only,
+    replace,
+)
+from splits.kernels.interface import fresnel
+from splits.kernels.scene import (
+    DRY_PORE,
+    N_RAYS,
+    NO_PARTICLES,
+    WET_PORE,
+    Features,
+    GrainTypes,
+    Optics,
+    Scene,
+)
+from splits.kernels.tallies.exits import (
+    TraceResult,
     allocate_crossings,
     count_recorded,
     enlarge_buffer,
     get_recorded,
     has_capacity,
 )
-from splits.kernels.tallies.exits import TraceResult
-from splits.kernels.vectorized import lane_state
-from splits.kernels.vectorized.flight import run_flight_pass
-from splits.kernels.vectorized.interaction import run_surface_pass
-from splits.kernels.vectorized.lane_optics import set_grain_optics
-from splits.kernels.vectorized.lane_state import N_LANES, STRIDE, Lane
-from splits.kernels.vectorized.layers import (
-    attenuate_segment,
-    cross_interface,
-    locate_layer,
-    reaches_ground,
-    reflect_from_ground,
-    restart_flight,
+from splits.kernels.vectorized import lanes
+from splits.kernels.vectorized.lanes import (
+    N_LANES,
+    STRIDE,
+    Lane,
+    align_stack,
+    allocate_aligned,
+    set_grain_optics,
 )
-from splits.kernels.vectorized.lifecycle import (
+from splits.kernels.vectorized.layers import (
     TraceJob,
+    attenuate_segment,
     compact_lanes,
     cross_boundary,
+    cross_interface,
     flush_path_lengths,
+    locate_layer,
+    reaches_ground,
     record_lane_exit,
+    reflect_from_ground,
+    restart_flight,
     sample_source,
 )
-from splits.kernels.vectorized.sampling import draw_grain_properties
+from splits.kernels.vectorized.passes import (
+    draw_grain_properties,
+    run_flight_pass,
+    run_surface_pass,
+)
+
+# --------------------------------------------------------------------------------------------------
+# Choice of the kernel for a scene, and the features for which it is compiled.
+
+EXTINCTION_TOLERANCE = 1e-5
+"""Largest change of the diffuse reflectance for which extinction coefficients are neglected in
+reflection.  Their effect is largest for an absorbing medium of lower index."""
+
+MIN_FIRST_DEPTH = 1e-6
+"""Smallest mean depth of the first grain in a beam for single precision, in semi-major axes of the
+largest grain.
+
+It decides whether the grain fits below the boundary.  Relative to the grains that fit, 1 % of the
+decisions differ at this depth from double precision, in both directions alike.
+"""
+
+MAX_INDEX = 1e3
+"""Largest refractive index and extinction coefficient whose powers single precision can hold."""
+
+_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(96)
+
+MAX_DEPTH_MFP = 1e5
+"""Largest depth in mean free paths for single precision.
+
+Rounding of positions is then below 1 % of the mean free path.
+"""
+
+
+def select_features(scene: Scene, optics: Optics) -> Features | None:
+    """Return the features of a scene, or None if only the scalar kernel supports it.
+
+    The vectorized kernel does not support polarization, layers of particles, grains other than
+    spheroids, pores of more than two media, analog absorption, more than one coating, samples
+    deeper than `MAX_DEPTH_MFP` mean free paths, beams with their first grain above
+    `MIN_FIRST_DEPTH`, and indices above `MAX_INDEX` or below its inverse; and it needs the
+    compiler.
+
+    Parameters
+    ----------
+    scene, optics
+        See `splits.kernels.scene`.
+    """
+    if config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return None
+    source, layers, types, rules, *_ = scene
+    depth = layers.boundaries[0] - layers.boundaries[-1]
+    if (layers.particle_row != NO_PARTICLES).any() or layers.pore_cdf.shape[1] > 0:
+        return None
+    if type(types) is not GrainTypes or scene.stokes is not None:
+        return None
+    if (
+        rules.analog
+        or types.n_shells.max() > 2
+        or depth * layers.collision_coefficient.max() > MAX_DEPTH_MFP
+    ):
+        return None
+    first_depth = (
+        source.cos_incidence / layers.collision_coefficient[0] * types.inverse_semi_major.min()
+    )
+    if source.diffuse_fraction < 1.0 and first_depth < MIN_FIRST_DEPTH:
+        return None
+    if max(optics.n.max(), optics.k.max()) > MAX_INDEX or optics.n.min() < 1.0 / MAX_INDEX:
+        return None
+    layered = layers.collision_coefficient.size > 1
+    mixed = layered or types.n_shells.size > 1 or types.n_shells.max() > 1
+    absorbing = False
+    if not mixed:
+        core = types.material[0, 0]
+        pores = [DRY_PORE, WET_PORE] if layers.wet_fraction.max() > 0.0 else [DRY_PORE]
+        pairs = [(pore, core) for pore in pores] + [(core, pore) for pore in pores]
+        absorbing = any(
+            compute_extinction_effect(optics, near, far) > EXTINCTION_TOLERANCE
+            for near, far in pairs
+        )
+    return Features(
+        wet=_to_feature(layers.wet_fraction.max() > 0.0),
+        faceted=_to_feature(bool((types.facetness > 0.0).any())),
+        absorbing=_to_feature(absorbing),
+        mixed=_to_feature(bool(mixed)),
+        layered=_to_feature(layered),
+    )
+
+
+def compute_extinction_effect(optics: Optics, near: int, far: int) -> float:
+    """Return the effect of the extinction of the far side on the diffuse reflectance.
+
+    The integral of 2μ |R(n, k) − R(n, 0)| over the cosine of incidence μ.
+
+    Parameters
+    ----------
+    optics : Optics
+    near, far : int
+        Materials on the side of incidence and on the far side.
+    """
+    n1, n2, k2 = float(optics.n[near]), float(optics.n[far]), float(optics.k[far])
+    return float(_integrate_extinction_effect(n1, n2, k2)) if k2 > 0.0 else 0.0
+
+
+@entry_point_no_refcount
+def _integrate_extinction_effect(n1, n2, k2):
+    """Integrate the effect on both sides of the critical angle, where the difference peaks.
+
+    Nodes are quadratically denser towards that angle, where the reflectance has a square root.
+    """
+    critical = math.sqrt(max(1.0 - (n2 / n1) ** 2, 0.0)) if n2 < n1 else 0.0
+    total = 0.0
+    for i in range(_GAUSS_NODES.size):
+        t = 0.5 * (_GAUSS_NODES[i] + 1.0)
+        for span in (critical - 1.0, critical):
+            # A fraction t² of the interval from the critical cosine to 1 or to 0.
+            mu = critical - span * t * t
+            if span != 0.0:
+                effect = fresnel(n1, n2, k2, mu)[0] - fresnel(n1, n2, 0.0, mu)[0]
+                total += _GAUSS_WEIGHTS[i] * t * abs(span) * 2.0 * mu * abs(effect)
+    return total
+
+
+def _to_feature(present: bool) -> bool | None:
+    return True if present else None
+
+
+# --------------------------------------------------------------------------------------------------
+# Kernel that traces rays of several work items at once on lanes.
 
 
 @inline_allocating
 def allocate_lanes():
     """Return the state of idle lanes."""
-    state = allocate_aligned(lane_state.STATE_SIZE)
+    state = allocate_aligned(lanes.STATE_SIZE)
     for i in range(N_LANES):
-        Lane(state, i).status = lane_state.IDLE
+        Lane(state, i).status = lanes.IDLE
     return state
 
 
@@ -59,13 +205,13 @@ def advance_flights(state, path_lengths, width, tables, job, crossings):
     if features.mixed is not None:
         for i in range(width):
             lane = Lane(state, i)
-            if lane.status == lane_state.IN_FLIGHT:
+            if lane.status == lanes.IN_FLIGHT:
                 flush_path_lengths(lane, path_lengths[i], job.scene)
     run_flight_pass(state, width, features, job.scene.rules)
     if features.mixed is not None:
         for i in range(width):
             lane = Lane(state, i)
-            if lane.status == lane_state.AT_SURFACE and lane.shell == ZERO:
+            if lane.status == lanes.AT_SURFACE and lane.shell == ZERO:
                 set_grain_optics(lane, job)
                 if features.layered is not None and not lane.segment_attenuated:
                     attenuate_segment(lane, job, path_lengths[i], crossings)
@@ -118,21 +264,21 @@ def launch_next_ray(lane, job, path_lengths, exits, queue):
         if entered:
             return queue
         record_lane_exit(lane, path_lengths, exits)
-    lane.status = lane_state.IDLE
+    lane.status = lanes.IDLE
     return queue
 
 
 @inline_only
 def handle_boundary(lane, job, path_lengths, crossings):
     """Handle a ray at a boundary, or one that changes its layer; return whether it leaves."""
-    if lane.status == lane_state.AT_GROUND:
+    if lane.status == lanes.AT_GROUND:
         return True
     if job.features.layered is None:
         return cross_boundary(lane, job)
-    if lane.status == lane_state.RESTART:
+    if lane.status == lanes.RESTART:
         restart_flight(lane, job)
         return False
-    if lane.status == lane_state.RELOCATE:
+    if lane.status == lanes.RELOCATE:
         locate_layer(lane, job, path_lengths, crossings)
         return False
     return cross_interface(lane, job, path_lengths, crossings)
@@ -144,21 +290,21 @@ def handle_waiting_lanes(state, all_path_lengths, width, job, crossings, exits, 
     for i in range(width):
         lane, path_lengths = Lane(state, i), all_path_lengths[i]
         status = lane.status
-        if status < lane_state.AT_BOUNDARY:
+        if status < lanes.AT_BOUNDARY:
             continue
-        if status == lane_state.LANE_LOST:
+        if status == lanes.LANE_LOST:
             return replace(queue, lost=True)
-        if status == lane_state.IDLE and queue.next_ray == queue.n_rays:
+        if status == lanes.IDLE and queue.next_ray == queue.n_rays:
             continue
         leaves = False
-        if status <= lane_state.RELOCATE:
+        if status <= lanes.RELOCATE:
             leaves = handle_boundary(lane, job, path_lengths, crossings)
             if leaves and reaches_ground(lane, job):
                 reflect_from_ground(lane, job, path_lengths, crossings)
                 leaves = False
             if not leaves:
                 continue
-        if status != lane_state.IDLE:
+        if status != lanes.IDLE:
             queue = replace(queue, n_active=queue.n_active - 1)
             n_segments[lane.item] += lane.n_segments
         if leaves:
@@ -174,8 +320,8 @@ def count_lanes(state, width):
     n_in_flight, n_waiting = np.int32(0), np.int32(0)
     for i in range(width):
         status = Lane(state, i).status
-        n_in_flight = np.int32(n_in_flight + (status == lane_state.IN_FLIGHT))
-        n_waiting = np.int32(n_waiting + (status >= lane_state.AT_BOUNDARY))
+        n_in_flight = np.int32(n_in_flight + (status == lanes.IN_FLIGHT))
+        n_waiting = np.int32(n_waiting + (status >= lanes.AT_BOUNDARY))
     return n_in_flight, n_waiting
 
 
@@ -189,9 +335,9 @@ def trace_rays(seed, work, scene, optics, exits, features):
     ----------
     seed : int
     work : int64[items, 4]
-        See `splits.kernels.base.work`.  Results of a ray do not depend on its lane either.
+        See `splits.kernels.scene`.  Results of a ray do not depend on its lane either.
     scene : Scene
-        See `splits.kernels.base.scene`; at most one coating.
+        See `splits.kernels.scene`; at most one coating.
     optics : Optics
         With a row for each item.
     exits : float64[rays, columns]

@@ -15,7 +15,7 @@ from splits.core.convergence import (
     describe_missed_error,
     nest_runs,
 )
-from splits.simulation.stopping_rule import STOP_REASONS
+from splits.simulation.strata import STOP_REASONS
 
 NATURAL = splits.Snow.natural(specific_surface_area_m2_kg=20, depth_m=0.1)
 LAYER = splits.ParticleLayer(1.0, 0.9, 0.0)

@@ -43,7 +43,7 @@ def test_digest_is_independent_of_line_endings(package):
 @pytest.mark.parametrize(
     "name",
     [
-        "materials/mixing.py",
+        "materials/refractive_index.py",
         "media/snow.py",
         "kernels/vectorized/trace.py",
         "simulation/engine.py",

@@ -14,7 +14,7 @@ import splits
 from splits.analysis.colour import covers_visible
 from splits.core.validation import InvalidValue, check_range, snap_to_limits
 from splits.materials import make_refractive_index
-from splits.simulation.arguments import check_direction_angles, check_wavelengths
+from splits.simulation.run_options import check_direction_angles, check_wavelengths
 
 NARROW_TABLE = make_table(
     lambda size, _: evaluate_spectrum(size, 0.0),

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import splits
-from splits.illumination.bands import SpectralBand, as_bands
-from splits.illumination.sensors import SENSORS
+from splits.illumination.bands import SENSORS, SpectralBand, as_bands
 
 W = np.array([400.0, 500.0, 700.0, 1000.0])
 SKY = {

@@ -9,11 +9,11 @@ import pytest
 from chi2 import compute_z_bound
 
 import splits
-from splits.illumination.bands import as_bands
-from splits.illumination.sensors import (
+from splits.illumination.bands import (
     GAUSSIAN_SENSORS,
     PYRSR_SENSORS,
     SENSORS,
+    as_bands,
     load_band_centres,
 )
 

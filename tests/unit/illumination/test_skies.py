@@ -13,7 +13,7 @@ from chi2 import NEEDS_JIT
 import splits
 from splits.core.validation import InvalidValue
 from splits.illumination.bands import SpectralBand
-from splits.illumination.sky_spectra import ATMOSPHERE_PARAMETERS, list_sky_names
+from splits.illumination.sky import ATMOSPHERE_PARAMETERS, list_sky_names
 from splits.instruments.sky_mixing import mix_direct_and_diffuse
 
 W = np.array([400.0, 500.0, 700.0, 1000.0])

@@ -6,12 +6,8 @@ import numpy as np
 import pytest
 
 import splits
-from splits.instruments.absorption_steps import (
-    CHORD_ERROR,
-    PathRatio,
-    compute_absorption_steps,
-)
-from splits.media.absorbing_matrix_layer import absorb_along_path
+from splits.instruments.flux_media import CHORD_ERROR, PathRatio, compute_absorption_steps
+from splits.media.stack import absorb_along_path
 from splits.simulation.scene import compute_optical_constants
 
 WAVELENGTHS = np.array([900.0, 1500.0])

@@ -7,15 +7,15 @@ import pytest
 import xarray as xr
 
 from splits.analysis.directions import merge_angular_bins, select_principal_plane
-from splits.instruments.angular_bins import compute_bin_centres
-from splits.instruments.angular_truncation import (
+from splits.instruments.angular_estimate import (
     MAX_POWER_RATIO,
     VARIANCE_PENALTY,
     estimate_truncation_error,
     make_direction_grid,
     select_terms,
 )
-from splits.kernels.tallies.angular import (
+from splits.instruments.angular_tallies import compute_bin_centres
+from splits.kernels.tallies.distributions import (
     evaluate_basis_at,
     make_basis,
     tally_angular_bins,

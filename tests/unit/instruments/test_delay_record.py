@@ -14,7 +14,7 @@ from splits.instruments.delay_record import (
     compute_max_order,
     make_receiver,
 )
-from splits.kernels.base.work import NO_MAX_ORDER
+from splits.kernels.scene import NO_MAX_ORDER
 from splits.simulation.scene import build_scene
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splits.instruments.next_event import compute_refracted_cosines, compute_transmission
-from splits.kernels.optics.polarized_interface import compute_fresnel_mueller
+from splits.instruments.detector_tally import compute_refracted_cosines, compute_transmission
+from splits.kernels.interface import compute_fresnel_mueller
 from splits.kernels.transport.next_event import ABOVE, BELOW, DOWNWARD, UPWARD
 
 POLAR = np.radians([0.0, 20.0, 56.3, 85.0])

@@ -5,17 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from splits.core.uncertainty import compute_batch_stderr
-from splits.instruments.flux_errors import (
+from splits.instruments.flux_tally import (
     MIN_EFFECTIVE_BATCHES,
+    FluxTarget,
+    allocate_flux_rays,
     bound_unsampled_light,
     estimate_rare_event_error,
     estimate_unseen_reflection,
+    make_variance_terms,
 )
-from splits.instruments.flux_target import FluxTarget, allocate_flux_rays, make_variance_terms
-from splits.instruments.radiation_profile import make_sky_targets
+from splits.instruments.profiles import make_sky_targets
 from splits.kernels.tallies.exits import N_BATCHES
-from splits.simulation.rare_light import UNSEEN_RAYS
-from splits.simulation.stratum import Stratum
+from splits.simulation.strata import Stratum
+from splits.simulation.tally import UNSEEN_RAYS
 
 RANDOM = np.random.default_rng(1)
 ROWS = np.array([0, 1, 2, 1, 2, 3])

@@ -5,10 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splits.instruments.linear_polarization import (
-    MAX_ANGLE_STDERR_DEG,
-    compute_linear_polarization,
-)
+from splits.instruments.angular_tallies import MAX_ANGLE_STDERR_DEG, compute_linear_polarization
 
 STDERR = 0.01
 DOUBLE_ANGLE = 0.7

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 import splits
-from splits.instruments import pack_skies
+from splits.instruments import snow_packs
 
 TIMES = pd.date_range("2024-02-01", periods=5, freq="h")
 ZENITH = np.array([20.0, 50.03, 70.0, 89.5, 100.0])
@@ -75,7 +75,7 @@ def test_rounding_of_the_zenith_angle_has_a_small_effect(monkeypatch):
     zenith = np.array([30.024, 60.024, 75.024, 85.024, 88.024])
     packs = make_packs(zenith)
     rounded = splits.albedo(packs, "clear", WAVELENGTHS)
-    monkeypatch.setattr(pack_skies, "ZENITH_STEP_DEG", 0.001)
+    monkeypatch.setattr(snow_packs, "ZENITH_STEP_DEG", 0.001)
     exact = splits.albedo(packs, "clear", WAVELENGTHS)
     assert abs(rounded.band_albedo - exact.band_albedo).max() < 1e-4
     assert abs(rounded.albedo - exact.albedo).max() < 5e-4

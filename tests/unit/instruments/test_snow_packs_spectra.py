@@ -9,9 +9,9 @@ import xarray as xr
 
 import splits
 from splits.core.progress import Progress
-from splits.discrete_ordinates import many_snowpacks
-from splits.discrete_ordinates.many_snowpacks import estimate_bytes
-from splits.instruments.pack_run import RESULT_FLAGS
+from splits.discrete_ordinates import snow_packs
+from splits.discrete_ordinates.snow_packs import estimate_bytes
+from splits.instruments.snow_packs import RESULT_FLAGS
 
 TIMES = pd.date_range("2024-02-01", periods=6, freq="h")
 WAVELENGTHS = [400.0, 700.0, 900.0, 1300.0, 1800.0]
@@ -151,7 +151,7 @@ def test_parts_and_threads_change_nothing(monkeypatch):
     packs = splits.SnowPacks(make_dataset(sun_zenith_deg=ZENITH))
     wavelengths = np.linspace(400, 2000, 20)
     whole = splits.spectrophotometer(packs, wavelengths, "sun", threads=1)
-    monkeypatch.setattr(many_snowpacks, "MAX_ROWS", 3)
+    monkeypatch.setattr(snow_packs, "MAX_ROWS", 3)
     parts = splits.spectrophotometer(packs, wavelengths, "sun", threads=2)
     np.testing.assert_allclose(parts.reflectance, whole.reflectance, rtol=1e-12)
 

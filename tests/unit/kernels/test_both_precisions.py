@@ -13,22 +13,29 @@ import pytest
 from chi2 import NEEDS_JIT
 from numba import njit
 
-from splits.kernels.base.ray import Ray, Segment
-from splits.kernels.base.sampling_rules import (
+from splits.kernels.arithmetic import Angle, Vector
+from splits.kernels.grains import spheroid, surface
+from splits.kernels.grains.spheroid import (
+    EntryPoint,
+    EntryVariates,
+    GrainSize,
+    LayerGeometry,
+    RejectionRules,
+    Spheroid,
+)
+from splits.kernels.grains.surface import InteractionVariates, InterfaceState
+from splits.kernels.interface import ComplexIndex
+from splits.kernels.scene import (
+    ALL_FEATURES,
     ANY_FACETS,
     PROJECTED_ENTRY,
     PROJECTED_FACETS,
     UNIFORM_ENTRY,
     UNWEIGHTED_FACETS,
+    Features,
+    Ray,
+    Segment,
 )
-from splits.kernels.compiler.features import ALL_FEATURES, Features
-from splits.kernels.grains import free_path, interaction, microfacet, spheroid
-from splits.kernels.grains.free_path import LayerGeometry, RejectionRules
-from splits.kernels.grains.interaction import InteractionVariates, InterfaceState
-from splits.kernels.grains.spheroid import EntryPoint, EntryVariates, GrainSize, Spheroid
-from splits.kernels.math.elementary import Angle
-from splits.kernels.math.vectors import Vector
-from splits.kernels.optics.interface import ComplexIndex
 
 pytestmark = NEEDS_JIT
 
@@ -109,18 +116,18 @@ def _sample_interactions(x, lobe, through, features, rule, flip, out):
         row = x[i]
         d, n = Vector(row[0], row[1], row[2]), Vector(row[3], row[4], row[5])
         zero, one = row[6], row[7]
-        facet = microfacet.make_smooth_facet(d, Spheroid(n, n, zero, one), one)
+        facet = surface.make_smooth_facet(d, Spheroid(n, n, zero, one), one)
         variates = InteractionVariates(
             row[8], row[9], row[9], row[10], Angle(abs(row[11]), row[12])
         )
         if features.faceted is not None:
-            facet = microfacet.sample_microfacet(d, facet, row[13], variates, lobe, rule)
-        media = interaction.relative_index(
+            facet = surface.sample_microfacet(d, facet, row[13], variates, lobe, rule)
+        media = surface.relative_index(
             ComplexIndex(row[14], row[15]), ComplexIndex(row[16], row[17])
         )
         state = InterfaceState(zero, one, lobe, through)
-        after = interaction.reflect_or_refract(d, state, facet, media, row[9], flip, features)
-        next_region = interaction.find_next_region(state, after, one, features.mixed)
+        after = surface.reflect_or_refract(d, state, facet, media, row[9], flip, features)
+        next_region = surface.find_next_region(state, after, one, features.mixed)
         out[i, 0], out[i, 1], out[i, 2], out[i, 3] = (
             after.direction.x,
             after.direction.y,
@@ -334,8 +341,8 @@ def _sample_collisions(x, rules, out):
             None, None, None, None,
         )  # fmt: skip
         layer = LayerGeometry(row[22], row[23], row[25], row[26], zero, zero)
-        collision = free_path.sample_collision(ray, size, variates, row[24], layer, rules)
-        boundary = free_path.compute_boundary_hit(ray, layer)
+        collision = spheroid.sample_collision(ray, size, variates, row[24], layer, rules)
+        boundary = spheroid.compute_boundary_hit(ray, layer)
         n = collision.entry.normal
         out[i, 0], out[i, 1], out[i, 2] = collision.distance, collision.height, boundary.distance
         out[i, 3], out[i, 4], out[i, 5] = (
@@ -394,7 +401,7 @@ def _play_roulettes(x, out):
             None, None, None, None, None, None, None, None, row[2], row[0], row[1], None, None,
             None, None,
         )  # fmt: skip
-        result = free_path.russian_roulette(ray, row[3], row[4] > row[5])
+        result = spheroid.russian_roulette(ray, row[3], row[4] > row[5])
         out[i, 0], out[i, 1] = result.next_roulette, result.weight
         out[i, 2] = result.terminated
 

@@ -25,7 +25,7 @@ from splits.kernels.compiler.cache_folder import find_cache_folder, make_private
 
 SCRIPT = """
 import numpy as np
-from splits.kernels.math.rng import mix64, start_stream, uniform
+from splits.kernels.rng import mix64, start_stream, uniform
 state = np.zeros(1, dtype=np.uint64)
 start_stream(state, 1, 2, 3)
 print(uniform(state), mix64(np.uint64(7)))

@@ -11,8 +11,7 @@ from chi2 import NEEDS_JIT
 from numba import njit
 from numba.extending import overload
 
-from splits.kernels.compiler.deferred import make_deferred_options
-from splits.kernels.compiler.passes import RefcountCheckedCompiler
+from splits.kernels.compiler.jit import RefcountCheckedCompiler, make_deferred_options
 
 
 def compile_square_sum(options):

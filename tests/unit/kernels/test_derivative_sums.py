@@ -5,19 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splits.kernels.tallies.crossings import (
+from splits.kernels.tallies.exits import (
+    BLOCK_SIZE,
     CROSSING_CODE,
     CROSSING_LENGTH,
     CROSSING_RAY,
     CROSSING_WEIGHT,
-)
-from splits.kernels.tallies.derivatives import tally_derivatives
-from splits.kernels.tallies.exits import (
-    BLOCK_SIZE,
     EXIT_LENGTH,
     EXIT_SIDE,
     EXIT_WEIGHT,
     allocate_exits,
+    tally_derivatives,
     tally_weights,
 )
 

@@ -13,7 +13,7 @@ import pytest
 from chi2 import NEEDS_JIT
 from numba import njit
 
-from splits.kernels.math import arithmetic, elementary
+from splits.kernels import arithmetic
 
 pytestmark = NEEDS_JIT
 single = np.float32
@@ -30,10 +30,10 @@ def compile_loop(function):
     return loop
 
 
-_logarithms = compile_loop(elementary.log)
-_exponentials = compile_loop(elementary.exp_float32)
-_half_circles = compile_loop(elementary.sample_half_circle)
-_circles = compile_loop(elementary.sample_circle)
+_logarithms = compile_loop(arithmetic.log)
+_exponentials = compile_loop(arithmetic.exp_float32)
+_half_circles = compile_loop(arithmetic.sample_half_circle)
+_circles = compile_loop(arithmetic.sample_circle)
 _reciprocal_roots = compile_loop(arithmetic.rsqrt)
 _roots = compile_loop(arithmetic.sqrt)
 

@@ -12,20 +12,17 @@ from scenes import make_coated_grains, make_medium_scene, make_optics, make_scen
 from scipy import integrate
 
 import splits
-from splits.kernels.base.ray import Ray, Segment
-from splits.kernels.base.sampling_rules import UNIFORM_ENTRY
-from splits.kernels.base.scene import DRY_PORE, WET_PORE
-from splits.kernels.compiler.features import Features
-from splits.kernels.grains.free_path import (
+from splits.kernels.arithmetic import Vector, make_tangents, sample_circle
+from splits.kernels.grains.spheroid import (
+    EntryVariates,
+    GrainSize,
     LayerGeometry,
     RejectionRules,
     sample_collision,
 )
-from splits.kernels.grains.spheroid import EntryVariates, GrainSize
-from splits.kernels.math.elementary import sample_circle
-from splits.kernels.math.vectors import Vector, make_tangents
-from splits.kernels.optics.fresnel import fresnel
-from splits.kernels.vectorized.eligibility import (
+from splits.kernels.interface import fresnel
+from splits.kernels.scene import DRY_PORE, UNIFORM_ENTRY, WET_PORE, Features, Ray, Segment
+from splits.kernels.vectorized.trace import (
     EXTINCTION_TOLERANCE,
     MAX_DEPTH_MFP,
     MIN_FIRST_DEPTH,

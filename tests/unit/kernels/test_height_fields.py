@@ -11,9 +11,7 @@ from rough_surfaces import GAUSSIAN, SPECTRUM, TABLE, TABULATED
 from scipy import integrate, special
 
 from splits.kernels.rough_surface import realization
-from splits.media.height_spectra import HEIGHT_SPECTRA
-from splits.media.random_height_field import RandomHeightField
-from splits.media.rough_surface import RoughSurface
+from splits.media.rough_surface import HEIGHT_SPECTRA, RandomHeightField, RoughSurface
 
 INVALID_SURFACES = [
     ("rms_height_m", -0.1, "in [0, 1e+06] m"),

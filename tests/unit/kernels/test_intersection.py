@@ -10,17 +10,19 @@ from chi2 import NEEDS_JIT, scale_sample_size, start_random_stream
 from rough_surfaces import GAUSSIAN, SURFACES, draw_realization, sum_waves
 from scipy import optimize
 
-from splits.kernels.math.vectors import Vector
+from splits.kernels.arithmetic import Vector
 from splits.kernels.rough_surface import intersection
 from splits.kernels.rough_surface.intersection import NO_HIT, STEP_LIMIT_REACHED
 from splits.kernels.rough_surface.realization import (
+    KX,
+    KY,
+    N_WAVE_LANES,
     SurfaceSlope,
     allocate_realization,
     compute_height_and_slope,
     make_realization,
     sample_realization,
 )
-from splits.kernels.rough_surface.wave_sums import KX, KY, N_WAVE_LANES
 from splits.media.rough_surface import RoughSurface
 
 

@@ -12,10 +12,9 @@ from numba import njit
 from scenes import compute_optics, make_medium_scene
 
 import splits
-from splits.kernels.compiler.passes import RefcountCheckedCompiler
-from splits.kernels.vectorized import flight, interaction, lane_state
-from splits.kernels.vectorized.eligibility import select_features
-from splits.kernels.vectorized.trace import allocate_lanes
+from splits.kernels.compiler.jit import RefcountCheckedCompiler
+from splits.kernels.vectorized import lanes, passes
+from splits.kernels.vectorized.trace import allocate_lanes, select_features
 
 ARITHMETIC = re.compile(
     r"\tv(?:add|sub|mul|fn?m(?:add|sub)\d+)([sp])s\s.*%([xyz])mm\d+(?: \{%k\d\})?(?: \{z\})?$", re.M
@@ -42,7 +41,7 @@ def count_arithmetic(function, medium):
     )
     kernel(
         allocate_idle_lanes(),
-        lane_state.N_LANES,
+        lanes.N_LANES,
         select_features(scene, optics),
         scene.rules,
     )
@@ -51,7 +50,7 @@ def count_arithmetic(function, medium):
 
 
 @pytest.mark.parametrize(
-    "function", [flight.run_flight_pass, interaction.run_surface_pass], ids=["flight", "surface"]
+    "function", [passes.run_flight_pass, passes.run_surface_pass], ids=["flight", "surface"]
 )
 @pytest.mark.parametrize(
     "medium",

@@ -21,10 +21,9 @@ from polarized_light import (
     to_vector,
 )
 
-from splits.kernels.optics import polarized_interface as interface
-from splits.kernels.optics.fresnel import fresnel
-from splits.kernels.optics.interface import ComplexIndex
-from splits.kernels.optics.stokes import rotate_reference_to
+from splits.kernels import interface as interface
+from splits.kernels.interface import ComplexIndex, fresnel
+from splits.kernels.stokes import rotate_reference_to
 
 COSINES = [*np.logspace(-12, 0, 13), *(1.0 - np.logspace(-15, -1, 8)), 0.3, 0.5, 0.7]
 INDICES = [(1.0, 1.33), (1.33, 1.0), (1.0, 1.0 + 1e-9), (1.0 + 1e-9, 1.0), (1.0, 300.0), (2.4, 1.5)]

@@ -21,8 +21,8 @@ from polarized_light import (
     to_vector,
 )
 
-from splits.kernels.math.vectors import Vector
-from splits.kernels.optics import phase_function, stokes
+from splits.kernels import phase_function, stokes
+from splits.kernels.arithmetic import Vector
 
 RAYLEIGH = phase_function.make_rayleigh()
 # Rows are m12, m22, m33, m34, m44 of matrices of single particles or of sums of them.

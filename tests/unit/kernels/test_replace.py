@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 from chi2 import NEEDS_JIT
 from numba import njit
 
-from splits.kernels.compiler.replace import replace
-from splits.kernels.math.vectors import Vector
+from splits.kernels.arithmetic import Vector
+from splits.kernels.compiler.jit import replace
 
 
 class Particle(NamedTuple):

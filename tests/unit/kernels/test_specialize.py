@@ -12,16 +12,23 @@ from numba import njit
 from numba.core.errors import TypingError
 
 import splits
-from splits.kernels.base.scene import make_bounding_optics
+from splits.kernels.arithmetic import (
+    UP,
+    Angle,
+    Vector,
+    add_scaled,
+    direction_around,
+    dot,
+    normalize,
+)
 from splits.kernels.compiler import cache
 from splits.kernels.compiler.jit import inline, inline_only, specialize
-from splits.kernels.grains import spheroid, state
+from splits.kernels.grains import grain_path, spheroid
+from splits.kernels.grains.grain_path import GrainSample
 from splits.kernels.grains.spheroid import Chord
-from splits.kernels.grains.state import GrainSample
-from splits.kernels.math.elementary import Angle
-from splits.kernels.math.rng import interpolate_quantile, sample_azimuth, uniform
-from splits.kernels.math.vectors import UP, Vector, add_scaled, direction_around, dot, normalize
-from splits.kernels.vectorized.eligibility import select_features
+from splits.kernels.rng import interpolate_quantile, sample_azimuth, uniform
+from splits.kernels.scene import make_bounding_optics
+from splits.kernels.vectorized.trace import select_features
 from splits.media import ParticleLayer, Snow, Stack
 from splits.simulation.scene import build_scene, compute_optical_constants
 
@@ -101,18 +108,18 @@ class BallEntry(NamedTuple):
 PLACEHOLDER = (GrainSample(0, BallSize(1.0), 0.0), BallEntry(Ball(UP, 1.0), UP))
 
 
-@specialize(state.sample_shape, BallTypes)
+@specialize(grain_path.sample_shape, BallTypes)
 def sample_ball(state, types, grain_type):
     radius = 1.0 / interpolate_quantile(types.inverse_semi_major, grain_type, uniform(state))
     return GrainSample(grain_type, BallSize(radius), 0.0)
 
 
-@specialize(state.make_placeholder_grain, BallTypes)
+@specialize(grain_path.make_placeholder_grain, BallTypes)
 def make_placeholder_ball(types):
     return PLACEHOLDER
 
 
-@specialize(state.sample_entry_variates, BallSize)
+@specialize(grain_path.sample_entry_variates, BallSize)
 def sample_ball_variates(state, size):
     return BallVariates(uniform(state), sample_azimuth(state))
 

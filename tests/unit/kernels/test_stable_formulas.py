@@ -14,19 +14,17 @@ import pytest
 from chi2 import start_random_stream
 
 import splits
-from splits.kernels.base.sampling_rules import UNWEIGHTED_FACETS
-from splits.kernels.grains import microfacet, spheroid
-from splits.kernels.grains.interaction import InteractionVariates
+from splits.kernels.arithmetic import UP, Angle, Vector
+from splits.kernels.grains import spheroid, surface
 from splits.kernels.grains.spheroid import Spheroid
-from splits.kernels.math import rng
-from splits.kernels.math.elementary import Angle
-from splits.kernels.math.rng import make_table_probabilities
-from splits.kernels.math.vectors import UP, Vector
-from splits.kernels.optics.fresnel import fresnel
+from splits.kernels.grains.surface import InteractionVariates
+from splits.kernels.interface import fresnel
+from splits.kernels.rng import make_table_probabilities, sample_half_normal
+from splits.kernels.scene import UNWEIGHTED_FACETS
 from splits.materials import ice_density
-from splits.materials.mixing import maxwell_garnett
+from splits.materials.refractive_index import maxwell_garnett
 from splits.media import grain_statistics as statistics
-from splits.media.soil_texture import SEPARATE_LIMITS_M, make_size_distribution
+from splits.media.sand_composition import SEPARATE_LIMITS_M, make_size_distribution
 
 M = mp.mpf
 RELATIVE = 1e-12
@@ -363,15 +361,15 @@ def test_tilt_of_a_nearly_smooth_facet(facetness):
 def check_tilt(facetness):
     # |ξ| < 1 is the tilt, n·n' = 1 − |ξ|.
     d = Vector(0.6, 0.0, -0.8)
-    smooth = microfacet.make_smooth_facet(d, Spheroid(UP, UP, 0.0, 1.0), 1.0)
+    smooth = surface.make_smooth_facet(d, Spheroid(UP, UP, 0.0, 1.0), 1.0)
     for ray in range(40):
-        normal = rng.sample_half_normal(start_random_stream(ray))
+        normal = sample_half_normal(start_random_stream(ray))
         tilt = 0.5 * facetness * normal
         if tilt >= 1.0:
             continue
         exact = mp.sqrt(M(tilt) * (2 - M(tilt)))
         variates = InteractionVariates(0.9, 0.5, 0.5, normal, Angle(0.6, 0.8))
-        facet = microfacet.sample_microfacet(
+        facet = surface.sample_microfacet(
             d, smooth, 0.5 * facetness, variates, False, UNWEIGHTED_FACETS
         )
         assert facet.tilt.cos == 1.0 - tilt

@@ -10,9 +10,9 @@ from chi2 import NEEDS_JIT
 from numba import njit
 from numba.core.errors import TypingError
 
+from splits.kernels.arithmetic import Vector, select, to_single
 from splits.kernels.compiler.structure_of_arrays import StructureOfArrays, initialize
-from splits.kernels.math.vectors import Vector, select, to_single
-from splits.kernels.vectorized.lane_state import N_LANES, STATE_SIZE, Lane
+from splits.kernels.vectorized.lanes import N_LANES, STATE_SIZE, Lane
 
 N_ELEMENTS = 8
 

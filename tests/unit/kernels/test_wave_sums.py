@@ -10,10 +10,16 @@ from chi2 import scale_sample_size
 from mpmath import mp
 from rough_surfaces import SURFACES, draw_realization, sum_waves
 
-from splits.kernels.math.vectors import Vector
+from splits.kernels.arithmetic import Vector
 from splits.kernels.rough_surface import intersection, realization
-from splits.kernels.rough_surface.bands import BAND_END
-from splits.kernels.rough_surface.wave_sums import AMPLITUDE, KX, KY, N_WAVE_LANES, PHASE
+from splits.kernels.rough_surface.realization import (
+    AMPLITUDE,
+    BAND_END,
+    KX,
+    KY,
+    N_WAVE_LANES,
+    PHASE,
+)
 from splits.media.rough_surface import RoughSurface
 
 

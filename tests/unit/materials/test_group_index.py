@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 
 import splits
-from splits.instruments.slowness import SPEED_OF_LIGHT, compute_slowness
-from splits.materials.group_index import (
+from splits.instruments.delay_record import SPEED_OF_LIGHT, compute_slowness
+from splits.materials.refractive_index import (
     WATER_RANGE_NM,
+    ConstantIndex,
+    SellmeierIndex,
+    TabulatedIndex,
     compute_group_index,
     compute_water_group_index,
 )
-from splits.materials.refractive_index import ConstantIndex, SellmeierIndex, TabulatedIndex
 
 QUARTZ = SellmeierIndex("test", "test", (250.0, 3500.0), 0.0, ((0.6961663, 0.0684043**2),
                         (0.4079426, 0.1162414**2), (0.8974794, 9.896161**2)))  # fmt: skip

@@ -14,7 +14,7 @@ from splits.materials import (
     make_refractive_index,
 )
 from splits.materials.library import _drop_invalid_rows
-from splits.materials.lorentz import HC_EV_NM
+from splits.materials.refractive_index import HC_EV_NM
 
 MINERALS = ("quartz", "hematite", "goethite", "magnetite", "kaolinite")
 NAMED = [(mineral, name) for mineral in MINERALS for name in list_datasets(mineral)]

@@ -14,7 +14,7 @@ from splits.core.validation import InvalidValue
 from splits.core.yaml import ConfigError, dump_yaml
 from splits.experiments import load_experiment
 from splits.io.netcdf import to_netcdf_attributes
-from splits.media.named_media import NAMED_MEDIA, NAMED_MEDIA_FOLDER, read_named_medium
+from splits.media.kinds import NAMED_MEDIA, NAMED_MEDIA_FOLDER, read_named_medium
 
 SETTINGS_DIGESTS = {
     "splits_base": "b179755d90d5fcce",

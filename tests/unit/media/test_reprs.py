@@ -14,7 +14,7 @@ import splits
 from splits.illumination.bands import SpectralBand
 from splits.media.ground import Ground
 from splits.media.parameters import replace_parameter
-from splits.media.random_height_field import RandomHeightField
+from splits.media.rough_surface import RandomHeightField
 
 WAVES = {"rms_height_m": 0.01, "wave_number_per_m": 50, "correlation": "gaussian"}
 LIMITED_NORMAL = {"rms_height_m": 0.02, "wave_number_per_m": 50, "band_limit_per_m": 1000}

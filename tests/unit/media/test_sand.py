@@ -12,8 +12,8 @@ from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.materials import make_refractive_index
 from splits.media.grain_statistics import surface_to_volume_ratio
 from splits.media.interpretations import INTERPRETATION_CHOICES
-from splits.media.named_media import read_named_medium
-from splits.simulation.interpolation_bounds import select_grain_interfaces
+from splits.media.kinds import read_named_medium
+from splits.simulation.spectral_nodes import select_grain_interfaces
 
 ORDER = "min <= mean <= max <= 1"
 INTERPRETATIONS = list(SandInterpretation.__dataclass_fields__)

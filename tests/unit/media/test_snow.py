@@ -9,9 +9,8 @@ import pytest
 
 from splits import Interpretation, Snow
 from splits.materials import ice_density
-from splits.media.checks import check_thickness
 from splits.media.interpretations import INTERPRETATION_CHOICES, merge_interpretations
-from splits.media.named_media import read_named_medium
+from splits.media.kinds import check_thickness, read_named_medium
 
 ORDER = "min <= mean <= max <= 1"
 INVALID_SNOWS = [

@@ -11,7 +11,7 @@ from compliance import collect_remarks
 import splits
 from splits.core.validation import InvalidValue
 from splits.materials import ice_density
-from splits.media.snow_pack_quality import FLAGS
+from splits.media.snow_packs import FLAGS
 
 SOOT = "impurities_ng_g.black_carbon"
 TIMES = pd.date_range("2024-02-01", periods=3, freq="D")

@@ -9,7 +9,7 @@ import pytest
 from scipy import integrate, stats
 
 from splits.media.grain_statistics import N_TABLE_POINTS
-from splits.media.soil_texture import TruncatedLogNormal, make_size_distribution
+from splits.media.sand_composition import TruncatedLogNormal, make_size_distribution
 
 LIMITS = {"clay": (5e-8, 2e-6), "silt": (2e-6, 5e-5), "sand": (5e-5, 2e-3)}
 TAIL = 1e-4

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import splits
-from splits.media.checks import check_medium
 from splits.media.interpretations import INTERPRETATION_SETS
+from splits.media.kinds import check_medium
 from splits.simulation.scene import build_scene
 from splits.simulation.spectral_nodes import choose_nodes
 

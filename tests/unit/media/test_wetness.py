@@ -7,7 +7,7 @@ import pytest
 
 from splits import Sand
 from splits.media.grain_statistics import surface_to_volume_ratio
-from splits.media.wetness import (
+from splits.media.sand_composition import (
     MAX_RELATIVE_FILM_THICKNESS,
     MAX_SERIES_SATURATION,
     distribute_water,

@@ -7,8 +7,7 @@ import time
 import numpy as np
 
 from splits.simulation.spectral_nodes import make_separate_nodes
-from splits.simulation.stopping_rule import Evaluation
-from splits.simulation.stratum import Stratum
+from splits.simulation.strata import Evaluation, Stratum
 from splits.simulation.tally import RAYS_PER_CHUNK, Tally
 
 SEGMENTS = (100, 10, 1)

@@ -11,20 +11,16 @@ from stub_tracing import SEGMENTS, StubTally
 
 import splits
 from splits.core.validation import InvalidValue
-from splits.kernels.compiler.features import ALL_FEATURES
-from splits.kernels.tallies.crossings import CROSSING_LENGTH, CROSSING_RAY
-from splits.kernels.tallies.exits import EXIT_LENGTH, TraceResult
+from splits.kernels.scene import ALL_FEATURES
+from splits.kernels.tallies.exits import CROSSING_LENGTH, CROSSING_RAY, EXIT_LENGTH, TraceResult
 from splits.kernels.transport import history
 from splits.simulation import engine
 from splits.simulation.engine import MAX_ROUND_GROWTH, ProgressReport, limit_round, simulate
-from splits.simulation.exit_tally import ExitTally
-from splits.simulation.ray_allocation import VarianceTerms, allocate_rays
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import build_scene
 from splits.simulation.spectral_nodes import make_separate_nodes
-from splits.simulation.stopping_rule import Evaluation, StoppingRule
-from splits.simulation.stratum import Stratum
-from splits.simulation.tally import RAYS_PER_CHUNK
+from splits.simulation.strata import Evaluation, StoppingRule, Stratum, VarianceTerms, allocate_rays
+from splits.simulation.tally import RAYS_PER_CHUNK, ExitTally
 
 MANY_RAYS = 10**8
 WAVELENGTHS = [500.0, 1000.0, 1500.0]

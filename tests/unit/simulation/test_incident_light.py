@@ -10,11 +10,7 @@ import xarray as xr
 import splits
 from splits.core.validation import InvalidValue
 from splits.experiments.config.instruments import Goniophotometer
-from splits.simulation.incident_light import (
-    IncidentPolarization,
-    check_stokes,
-    requests_polarization,
-)
+from splits.simulation.scene import IncidentPolarization, check_stokes, requests_polarization
 
 SNOW = splits.Snow()
 LAYER = splits.ParticleLayer(bottom_albedo=None)

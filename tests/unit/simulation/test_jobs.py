@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import splits
-from splits.kernels.compiler.features import ALL_FEATURES
+from splits.kernels.scene import ALL_FEATURES
 from splits.simulation.engine import (
     MAX_JOB_BYTES,
     MAX_SEGMENTS_PER_JOB,
@@ -14,8 +14,8 @@ from splits.simulation.engine import (
     make_jobs,
 )
 from splits.simulation.scene import build_scene
+from splits.simulation.shared_paths import SpectralRows
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.spectral_rows import SpectralRows
 from splits.simulation.spectral_tally import SpectralTally
 from splits.simulation.tally import RAYS_PER_CHUNK
 

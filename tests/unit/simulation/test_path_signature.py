@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import splits
-from splits.kernels.base.scene import Scene
-from splits.simulation import path_reuse
-from splits.simulation.path_reuse import compute_path_signature
+from splits.kernels.scene import Scene
+from splits.simulation import shared_paths
 from splits.simulation.scene import build_scene
+from splits.simulation.shared_paths import compute_path_signature
 
 GRAINS_AND_PARTICLES = splits.Stack(
     [
@@ -38,7 +38,7 @@ def test_every_field_of_a_scene_enters_the_signature(monkeypatch, field):
     signature = compute_path_signature(GRAINS_AND_PARTICLES)
     for other in alter(getattr(scene, field)):
         altered = scene._replace(**{field: other})
-        monkeypatch.setattr(path_reuse, "build_scene", lambda *_, altered=altered: altered)
+        monkeypatch.setattr(shared_paths, "build_scene", lambda *_, altered=altered: altered)
         assert compute_path_signature(GRAINS_AND_PARTICLES)[0] != signature[0]
 
 

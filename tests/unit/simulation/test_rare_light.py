@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from splits.simulation.rare_light import (
+from splits.simulation.tally import (
     SUFFICIENT_RAYS,
     UNSEEN_RAYS,
     allow_for_unseen_rays,

@@ -8,13 +8,14 @@ import pytest
 import splits
 from splits import Snow
 from splits.media.medium import Interface
-from splits.simulation.diffusion import diffuse_reflectance
-from splits.simulation.interpolation_bounds import (
+from splits.simulation.deep_medium import diffuse_reflectance
+from splits.simulation.spectral_nodes import (
     MAX_LOG_CURVATURE,
+    MAX_NODES,
+    choose_nodes,
     compute_contrasts,
     compute_entering_light,
 )
-from splits.simulation.spectral_nodes import MAX_NODES, choose_nodes
 
 SPECTRA = {
     "solar": np.arange(400.0, 2501.0, 10.0),

@@ -10,17 +10,16 @@ from types import SimpleNamespace
 import numpy as np
 
 import splits
-from splits.instruments.angular_bins import AngularBinTally
-from splits.instruments.beam_spread_tally import BeamSpreadTally
-from splits.instruments.expansion_tally import ORDER_CLASSES, ExpansionTally
+from splits.instruments.angular_tallies import ORDER_CLASSES, AngularBinTally, ExpansionTally
+from splits.instruments.beam_spread import BeamSpreadTally
 from splits.instruments.flux_tally import FluxTally
-from splits.kernels.tallies.angular import make_basis
+from splits.kernels.tallies.distributions import make_basis
+from splits.simulation.grain_optics import SingleScatteringTally
 from splits.simulation.scene import OpticalConstants, build_scene
-from splits.simulation.single_scattering_tally import SingleScatteringTally
+from splits.simulation.shared_paths import SpectralRows
 from splits.simulation.spectral_nodes import MAX_SEPARATE_NODES, make_separate_nodes
-from splits.simulation.spectral_rows import SpectralRows
 from splits.simulation.spectral_tally import ANALOG_STREAM, SpectralTally
-from splits.simulation.stratum import STRATUM_BOUNDS
+from splits.simulation.strata import STRATUM_BOUNDS
 from splits.simulation.tally import Tally
 
 

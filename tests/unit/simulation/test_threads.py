@@ -15,8 +15,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 import splits
 from splits.io.netcdf import NETCDF_LOCK
 from splits.simulation import engine
-from splits.simulation.arguments import check_threads
-from splits.simulation.run_options import RunOptions
+from splits.simulation.run_options import RunOptions, check_threads
 from splits.simulation.threads import DaemonThreadPool, count_cpus, limit_blas_threads
 
 SNOW = splits.Snow(depth_m=0.02)

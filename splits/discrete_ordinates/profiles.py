@@ -1,0 +1,418 @@
+"""Profiles of light in dry and wet layers: fluxes, absorption by material and path lengths."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from splits.core.uncertainty import compute_jackknife_stderr
+from splits.discrete_ordinates.adding import apply_rows, iterate_levels
+from splits.discrete_ordinates.grains import GrainTable
+from splits.discrete_ordinates.granular_layers import GranularLayer, iterate_replicates, list_traced
+from splits.discrete_ordinates.granular_stack import (
+    STREAM_NUMBERS,
+    WET_ERROR,
+    GranularStack,
+    StackElements,
+    choose_trial_wavelengths,
+    compute_optics_error,
+    find_similarity_error,
+    spread_truncation,
+)
+from splits.discrete_ordinates.homogeneous_layer import LayerOptics
+from splits.discrete_ordinates.refraction import DRY, WET
+
+# --------------------------------------------------------------------------------------------------
+# Fluxes, absorption and path lengths within dry and wet layers.
+#
+# Path lengths follow from conservation of light in each state.  With the net fluxes F_s, the path
+# lengths Φ_s between grains, the extinction σ_s and the scattering b_st from the state t into s,
+# all integrated over the thickness of a layer,
+#
+#     F_s(top) − F_s(bottom) = σ_s Φ_s − ∑ b_st Φ_t,
+#
+# of which the sum over the states is the absorption.
+
+
+class StackProfile(NamedTuple):
+    """Fluxes at depths and absorption in the parts of a snowpack between them.
+
+    All are for an irradiance of 1 on the horizontal, under one beam or under diffuse light.
+
+    Attributes
+    ----------
+    downward, upward : float, shape (depths, wavelengths)
+        At the top, at each depth, and at the bottom if there is one.
+    absorption : float, shape (parts, wavelengths)
+    pore_path : float, shape (parts, wavelengths, states)
+        Path length between grains (m), in dry and in wet pores.
+    pore_absorption : float, shape (parts, wavelengths, states)
+    grain_absorption : float, shape (parts, wavelengths)
+    """
+
+    downward: np.ndarray
+    upward: np.ndarray
+    absorption: np.ndarray
+    pore_path: np.ndarray
+    pore_absorption: np.ndarray
+    grain_absorption: np.ndarray
+
+
+def compute_pack_profile(
+    snowpack: GranularStack, incidence: float | None, n_streams: int
+) -> StackProfile:
+    """Return the profile of a snowpack whose layers are divided at the depths of interest.
+
+    Parameters
+    ----------
+    snowpack : GranularStack
+        See `GranularStack.divide`.
+    incidence : float, optional
+        Cosine of the beam; by default diffuse light.
+    n_streams : int
+    """
+    cosines = np.array([] if incidence is None else [incidence])
+    column = -1 if incidence is None else 0
+    stack = snowpack.build(cosines, n_streams)
+    budget, (net, downward, upward) = stack.compute_budget(), _compute_levels(stack, column)
+    # Levels above the layers: interfaces have none of their own.
+    layers = [i for i, element in enumerate(stack.elements) if element.emission is not None]
+    absorption = budget.absorption[..., column]
+    paths, in_pores, in_grains = [], [], []
+    for part, (level, layer) in enumerate(zip(layers, snowpack.layers, strict=True)):
+        optics, loss = stack.optics[part], net[level] - net[level + 1]
+        path = compute_pore_path(optics, loss, absorption[part])
+        by_pore = path * layer.pore_absorption[..., : path.shape[-1]]
+        paths.append(path)
+        in_pores.append(by_pore)
+        in_grains.append(absorption[part] - by_pore.sum(axis=-1))
+    bottom, downward, upward = downward[-1:], downward[layers], upward[layers]
+    # Above the top are the incident light and the reflectance.
+    downward[0], upward[0] = 1.0, budget.reflectance[..., column]
+    if np.isfinite(snowpack.layers[-1].depth_m):
+        downward = np.concatenate([downward, bottom])
+        upward = np.concatenate([upward, snowpack.ground * bottom])
+    return StackProfile(
+        downward, upward, absorption, np.stack(paths), np.stack(in_pores), np.stack(in_grains)
+    )
+
+
+def compute_pore_path(optics: LayerOptics, loss: np.ndarray, absorption: np.ndarray) -> np.ndarray:
+    """Return the path lengths between grains in a layer, shape (wavelengths, states).
+
+    Parameters
+    ----------
+    optics : LayerOptics
+        With absorption.
+    loss : float, shape (states, wavelengths)
+        Net flux of each state that enters minus that which leaves.
+    absorption : float, shape (wavelengths,)
+    """
+    # Scattering from a state into a state, in physical units.
+    root = np.sqrt(optics.equilibrium)
+    scattering = optics.scattering[..., 0] * root[..., :, np.newaxis] / root[..., np.newaxis, :]
+    absorbing = optics.extinction - scattering.sum(axis=-2)
+    if optics.extinction.shape[-1] == 1:
+        return absorption[:, np.newaxis] / absorbing
+    leaving = optics.extinction[..., DRY] - scattering[..., DRY, DRY]
+    entering = scattering[..., DRY, WET]
+    determinant = absorbing[..., DRY] * entering + absorbing[..., WET] * leaving
+    dry = (absorption * entering + absorbing[..., WET] * loss[DRY]) / determinant
+    wet = (absorption * leaving - absorbing[..., DRY] * loss[DRY]) / determinant
+    return np.stack([dry, wet], axis=-1)
+
+
+def _compute_levels(stack: StackElements, column: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return fluxes at the levels of a stack: above each element, and below the last one.
+
+    Parameters
+    ----------
+    stack : StackElements
+    column : int
+        Of the beams and of diffuse light (last).
+
+    Returns
+    -------
+    net : float, shape (levels, states, wavelengths)
+        Net downward flux of each state.
+    downward, upward : float, shape (levels, wavelengths)
+        Of light that is transmitted, not reflected, by the element that ends at the level.
+    """
+    outside = stack.boundaries, stack.ground, stack.n_streams
+    # States of the radiances, of streams and then of directions.
+    n_states = stack.optics[0].extinction.shape[-1]
+    sizes = stack.n_streams, stack.isotropic[0].shape[-1] - stack.n_streams
+    state = np.concatenate([np.repeat(np.arange(n_states), size // n_states) for size in sizes])
+    net, downward, upward = [], [], []
+    above = None
+    for number, (outlet, reflection) in enumerate(
+        iterate_levels(stack.elements, stack.isotropic, *outside)
+    ):
+        row = outlet[..., column : outlet.shape[-2] if column < 0 else column + 1, :]
+        radiance, reflected = stack.isotropic[number], row @ reflection
+        net.append([
+            apply_rows(row - reflected, radiance * (state == one))[..., 0]
+            for one in range(n_states)
+        ])  # fmt: skip
+        element = stack.elements[number - 1] if number else None
+        if element is not None and element.emission is None and above is not None:
+            # An interface: light that it transmits, by reciprocity.
+            source = apply_rows(element.transmission_up, radiance)
+            downward.append(apply_rows(above, source)[..., 0])
+        elif number == len(stack.elements):
+            # The ground, below the lower boundary, which reflects light back to it.
+            boundary = stack.boundaries[1]
+            gain = 1.0 / (1.0 - stack.ground * boundary.outer_reflectance[..., -1])
+            passing = gain[..., np.newaxis] * boundary.transmission * radiance
+            downward.append(apply_rows(row, passing)[..., 0])
+        else:
+            downward.append(apply_rows(row, radiance)[..., 0])
+        upward.append(downward[-1] - sum(net[-1]))
+        above = row
+    return np.array(net), np.array(downward), np.array(upward)
+
+
+# --------------------------------------------------------------------------------------------------
+# Profiles of snowpacks between depths: absorption by material, path lengths, and errors.
+#
+# The errors combine
+#
+# - truncation, the difference from twice as many streams at some wavelengths;
+# - the statistical error of the tables of natural snow.  The relative errors of (1 − ω) and of (1 −
+#   g) of the grains are those with which the reflectance of weakly absorbing snow has its error in
+#   the table.  Their effects are those of more absorbing and of more grains.  Traced grains have
+#   replicates instead (jackknife);
+# - for wet snow, the error of the balance between dry and wet pores.
+
+N_MATERIALS = 3
+"""Materials of a layer: air, water and grains."""
+PORE_BALANCE_ERROR = 0.035
+"""Relative error of the path length in water relative to that in air, half of the difference of
+both estimates of the changes between them."""
+
+
+class LayerDivision(NamedTuple):
+    """Geometry of the layers of a snowpack, and of the parts into which depths divide them.
+
+    Attributes
+    ----------
+    pore_fraction, attenuation_per_m : float, shape (layers,)
+        Fraction of a path between grains in the pore space; 1 over the mean chord of the grains.
+    owners : int, shape (parts,)
+        Layer of each part.
+    first_parts : int, shape (intervals,)
+        First part of each interval.
+    """
+
+    pore_fraction: np.ndarray
+    attenuation_per_m: np.ndarray
+    owners: np.ndarray
+    first_parts: np.ndarray
+
+
+class IntervalProfile(NamedTuple):
+    """Profile at depths, and in intervals between them; or the errors of all this.
+
+    Attributes
+    ----------
+    downward, upward : float, shape (depths, wavelengths)
+        Irradiances, see `StackProfile`.
+    absorptance : float, shape (intervals, wavelengths)
+    by_material : float, shape (intervals, materials, wavelengths)
+        Absorptance by air, water and ice of the layers, top first.
+    path_length : float, shape (intervals, wavelengths)
+        In grains and pores (m).
+    """
+
+    downward: np.ndarray
+    upward: np.ndarray
+    absorptance: np.ndarray
+    by_material: np.ndarray
+    path_length: np.ndarray
+
+
+class ProfileSolution(NamedTuple):
+    """Profile with its errors.
+
+    Attributes
+    ----------
+    profile, truncation, optics_error : IntervalProfile
+        Values, and errors due to the number of streams and to the tables.
+    n_streams : int
+    """
+
+    profile: IntervalProfile
+    truncation: IntervalProfile
+    optics_error: IntervalProfile
+    n_streams: int
+
+    def compute_error(self) -> IntervalProfile:
+        """Return the combined errors."""
+        return IntervalProfile(*map(np.hypot, self.truncation, self.optics_error))
+
+
+def solve_profile(
+    parts: GranularStack, geometry: LayerDivision, incidence: float | None, max_error: float,
+    limit_irradiance: bool = True,
+) -> ProfileSolution:  # fmt: skip
+    """Return a profile by as many streams as an error requires.
+
+    Parameters
+    ----------
+    parts : GranularStack
+        With its layers divided at the depths (`GranularStack.divide`).
+    geometry : LayerDivision
+    incidence : float, optional
+        Cosine of the beam; by default diffuse light.
+    max_error : float
+        The number of streams is the first whose truncation error is at most half of this.
+    limit_irradiance : bool
+        Whether this holds for all irradiances, or only for the reflectance and absorptances.
+    """
+    n_wavelengths = parts.ground.size
+    trial = choose_trial_wavelengths(n_wavelengths)
+    few = parts.select(trial)
+    for n_streams in STREAM_NUMBERS:
+        coarse, fine = (
+            _compute_intervals(few, geometry, incidence, number)
+            for number in (n_streams, 2 * n_streams)
+        )
+        difference = _subtract(coarse, fine)
+        limited = [difference.upward[:1], difference.absorptance]
+        limited += [difference.downward, difference.upward] if limit_irradiance else []
+        if max(one.max() for one in limited) <= 0.5 * max_error:
+            break
+    profile = _compute_intervals(parts, geometry, incidence, n_streams)
+    optics_error = _compute_grain_error(few, coarse, geometry, incidence, n_streams)
+    truncation, perturbed = (
+        IntervalProfile(*(spread_truncation(values, trial, n_wavelengths) for values in errors))
+        for errors in (difference, optics_error)
+    )
+    by_reflectance = _scale_reflectance_error(profile, compute_optics_error(parts))
+    table_error = IntervalProfile(*map(np.hypot, perturbed, by_reflectance))
+    if parts.is_wet:
+        table_error = _add_pore_balance(table_error, profile)
+    return ProfileSolution(profile, truncation, table_error, n_streams)
+
+
+def _compute_intervals(
+    parts: GranularStack, geometry: LayerDivision, incidence: float | None, n_streams: int
+) -> IntervalProfile:
+    """Return the profile of a divided snowpack for a number of streams."""
+    solution = compute_pack_profile(parts, incidence, n_streams)
+    in_grains = np.maximum(solution.grain_absorption, 0.0)
+    n_layers = geometry.pore_fraction.size
+    by_layer = np.zeros((len(in_grains), n_layers, N_MATERIALS, parts.ground.size))
+    rows, n_states = np.arange(len(in_grains)), solution.pore_absorption.shape[-1]
+    for state in range(n_states):
+        by_layer[rows, geometry.owners, state] = solution.pore_absorption[..., state]
+    by_layer[rows, geometry.owners, -1] = in_grains
+    by_material = by_layer.reshape(len(in_grains), -1, parts.ground.size)
+    firsts = geometry.first_parts
+    above = np.append(firsts, len(in_grains) - 1)
+    if len(solution.downward) > len(in_grains):
+        above[-1] += 1
+    else:
+        above = above[:-1]
+    return IntervalProfile(
+        solution.downward[above],
+        solution.upward[above],
+        np.add.reduceat(solution.absorption, firsts, axis=0),
+        np.add.reduceat(by_material, firsts, axis=0),
+        np.add.reduceat(_compute_path_length(parts, solution, geometry), firsts, axis=0),
+    )
+
+
+def _compute_path_length(
+    parts: GranularStack, solution: StackProfile, geometry: LayerDivision
+) -> np.ndarray:
+    """Return path lengths in pores and grains (m), shape (parts, wavelengths)."""
+    pore_fraction, attenuation = (
+        values[geometry.owners, np.newaxis]
+        for values in (geometry.pore_fraction, geometry.attenuation_per_m)
+    )
+    # The absorption coefficient of a grain is x times 1 over its mean chord.
+    coefficient = np.stack([part.grain_absorption for part in parts.layers]) * attenuation
+    in_grains = solution.grain_absorption / coefficient
+    path: np.ndarray = pore_fraction * solution.pore_path.sum(axis=-1) + in_grains
+    return path
+
+
+def _compute_grain_error(
+    parts: GranularStack, values: IntervalProfile, geometry: LayerDivision, incidence: float | None,
+    n_streams: int,
+) -> IntervalProfile:  # fmt: skip
+    """Return the effects of the errors of single scattering, added in quadrature."""
+
+    def compute(snowpack: GranularStack) -> IntervalProfile:
+        return _compute_intervals(snowpack, geometry, incidence, n_streams)
+
+    total = IntervalProfile(*(np.zeros_like(one) for one in values))
+    for layers in _perturb_tables(parts):
+        change = _subtract(compute(parts._replace(layers=layers)), values)
+        total = IntervalProfile(*map(np.hypot, total, change))
+    for digest in list_traced(parts.layers):
+        replicates = [
+            compute(parts._replace(layers=layers))
+            for layers in iterate_replicates(parts.layers, digest)
+        ]
+        stderr = (
+            compute_jackknife_stderr(np.array(field)) for field in zip(*replicates, strict=True)
+        )
+        total = IntervalProfile(*map(np.hypot, total, stderr))
+    return total
+
+
+def _perturb_tables(parts: GranularStack) -> list[list[GranularLayer]]:
+    """Return the layers with more absorbing, and with more grains of natural snow, if any."""
+    numbers = [i for i, one in enumerate(parts.layers) if isinstance(one.grains, GrainTable)]
+    if not numbers:
+        return []
+    error = find_similarity_error(parts.layers[numbers[0]].contrast, parts.is_wet)
+    # One number for all wavelengths: the largest error of (1 − g) is nearly the same for all.
+    largest = error.max()
+    absorbing, denser = list(parts.layers), list(parts.layers)
+    for number in numbers:
+        layer = parts.layers[number]
+        absorbing[number] = layer._replace(grain_absorption=layer.grain_absorption * (1.0 + error))
+        denser[number] = layer._replace(
+            collisions_per_m=layer.collisions_per_m * (1.0 + largest),
+            grain_absorption=layer.grain_absorption / (1.0 + largest),
+        )
+    return [absorbing, denser]
+
+
+def _scale_reflectance_error(profile: IntervalProfile, error: np.ndarray) -> IntervalProfile:
+    """Return the error of a reflectance in proportion to all values, shape (wavelengths,) given.
+
+    That of the absorbed light is shared by the intervals and materials in proportion.
+    """
+    absorbed = np.maximum(1.0 - profile.upward[0], error)
+    share = error / absorbed
+    return IntervalProfile(
+        error * profile.downward, error * profile.upward, share * profile.absorptance,
+        share * profile.by_material, error * profile.path_length,
+    )  # fmt: skip
+
+
+def _add_pore_balance(error: IntervalProfile, profile: IntervalProfile) -> IntervalProfile:
+    """Return errors with that of the path length in water, which changes the shares of materials.
+
+    Light in water is less in air; the absorption of ice changes by less than that of water.
+    """
+    shape = (*profile.absorptance.shape[:1], -1, N_MATERIALS, profile.absorptance.shape[-1])
+    materials = profile.by_material.reshape(shape)
+    balance = PORE_BALANCE_ERROR * np.abs(materials[..., WET, :])
+    added = np.repeat(balance[..., np.newaxis, :], N_MATERIALS, axis=-2)
+    added = added.reshape(profile.by_material.shape)
+    flux = WET_ERROR * profile.path_length
+    return error._replace(
+        by_material=np.hypot(error.by_material, added),
+        path_length=np.hypot(error.path_length, flux),
+    )
+
+
+def _subtract(one: IntervalProfile, other: IntervalProfile) -> IntervalProfile:
+    """Return absolute differences."""
+    return IntervalProfile(*(np.abs(a - b) for a, b in zip(one, other, strict=True)))

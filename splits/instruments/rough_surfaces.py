@@ -1,0 +1,389 @@
+"""Instruments of rough surfaces alone: height maps and the statistical lens."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.core.arrays import (
+    as_1d_array,
+    as_float_array,
+    check_axis,
+    find_labels,
+    match_labels,
+)
+from splits.core.keywords import reject_unknown_arguments
+from splits.core.uncertainty import Variable, make_variable
+from splits.core.validation import check_choice, check_integer, check_range, invalid
+from splits.kernels.rough_surface.intersection import RefractedRays, refract_vertical_rays
+from splits.kernels.rough_surface.realization import (
+    AMPLITUDE,
+    KX,
+    N_WAVE_LANES,
+    PHASE,
+    WAVE_ROWS,
+    compute_heights_and_slopes,
+)
+from splits.media.kinds import check_medium
+from splits.media.particle_layer import ParticleLayer
+from splits.simulation.run_options import RunOptions, check_half_width
+
+# --------------------------------------------------------------------------------------------------
+# Height map of a realization of a rough surface, and the roughness of realizations.
+
+DEFAULT_POINTS = 201
+MAX_REALIZATIONS = 10_000_000
+
+
+@reject_unknown_arguments
+def surface_map(
+    medium: ParticleLayer,
+    half_width_m: float,
+    *,
+    points: int = DEFAULT_POINTS,
+    realizations: int = 100,
+    seed: int = 1,
+) -> xr.Dataset:
+    """Return the heights of the rough surface of a layer around the origin.
+
+    Parameters
+    ----------
+    medium : ParticleLayer
+        A `splits.ParticleLayer` with a rough surface.
+    half_width_m : float
+        Half the side of the mapped square (m).
+    points : int
+        Number of points per side, at least 2.
+    realizations : int
+        Number of realizations, at least 2, from which the roughness is estimated; the first is
+        mapped.
+    seed : int
+
+    Returns
+    -------
+    xarray.Dataset
+        ``height`` (m) over ``x`` and ``y``; ``rms_height`` (m) and ``rms_slope`` (of the gradient)
+        of each realization, over the square.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range, or a layer with a smooth surface.
+
+    References
+    ----------
+    Budak & Grimailo 2020, Eq 3 and Fig 1.
+    """
+    check_medium(medium, ParticleLayer)
+    width = check_half_width("surface_map", half_width_m)
+    points = check_integer("points", points, 2, 3000)
+    realizations = check_integer("realizations", realizations, 2, MAX_REALIZATIONS)
+    run = RunOptions.from_arguments(seed, threads=1)
+    if medium.surface is None:
+        raise invalid("surface", None, "given for a map")
+    positions = np.linspace(-width, width, points)
+    x, y = (axis.ravel() for axis in np.meshgrid(positions, positions, indexing="ij"))
+    # Roughness needs fewer points than a map.
+    coarse_line = np.linspace(-width, width, 41)
+    u, v = (axis.ravel() for axis in np.meshgrid(coarse_line, coarse_line, indexing="ij"))
+    roughness = np.empty((2, realizations))
+    for realization in range(realizations):
+        waves = medium.surface.sample_realization(run.seed, realization)
+        if realization == 0:
+            height = compute_heights_and_slopes(waves, x, y).height.reshape(points, points)
+        z, slope = compute_heights_and_slopes(waves, u, v)
+        mean_squares = np.mean(z**2), np.mean(slope.x**2 + slope.y**2)
+        roughness[:, realization] = np.sqrt(mean_squares)
+    attributes = {
+        **run.make_attributes("Rough surface", "surface_map", medium),
+        "realizations": realizations,
+        "rays": 0,
+    }
+    dim, (rms_height, rms_slope) = "realization", roughness
+    variables = {
+        **make_variable("height", ("x", "y"), height, None, "height of the surface", "m"),
+        **make_variable("rms_height", dim, rms_height, None, "rms height of the square", "m"),
+        **make_variable("rms_slope", dim, rms_slope, None, "rms slope of the square"),
+    }
+    distance = {"units": "m", "long_name": "horizontal distance"}
+    coordinates = {"x": ("x", positions, distance), "y": ("y", positions, distance)}
+    return xr.Dataset(variables, coordinates, attributes)
+
+
+# --------------------------------------------------------------------------------------------------
+# Dataset of the statistical lens.
+
+MIN_DETECTED_FRACTION = 0.5
+"""Fraction of a ring that must reach a screen for a realization to be included there."""
+
+
+def make_ray_variables(
+    hit_points: np.ndarray, screen_points: np.ndarray, detected: np.ndarray
+) -> dict[str, Variable]:
+    """Return the rays at one realization of the surface as variables, for figures.
+
+    Parameters
+    ----------
+    hit_points : float, shape (rays, 3)
+        Where rays hit the surface (m).
+    screen_points : float, shape (screens, rays, 2)
+        Where they hit the screens (m); 0 where they do not reach one.
+    detected : bool, shape (screens, rays)
+        Whether they reach them.
+    """
+    points = np.where(detected[..., np.newaxis], screen_points, 0.0)
+    by_ray, is_detected = ("screen_depth", "ray"), detected.astype(float)
+    return _make_variables(
+        {
+            "surface_position": (("ray", "point"), hit_points, None, "point of the surface", "m"),
+            "screen_position": ((*by_ray, "axis"), points, None, "position on the screen", "m"),
+            "detected": (by_ray, is_detected, None, "whether a ray reaches it"),
+        }
+    )
+
+
+def make_lens_dataset(
+    contraction: np.ndarray,
+    detected_fraction: np.ndarray,
+    ray_variables: dict[str, Variable],
+    depths: np.ndarray,
+    attributes: dict[str, Any],
+) -> xr.Dataset:
+    """Return the results as a labelled dataset."""
+    is_valid, dim = detected_fraction >= MIN_DETECTED_FRACTION, "screen_depth"
+    size = _average_realizations(contraction, is_valid)
+    concentration = _invert_with_error(*_average_realizations(contraction**2, is_valid))
+    by_realization = (("realization", dim), detected_fraction, None)
+    variables = _make_variables(
+        {
+            "contraction": (dim, *size, "size of the image over the ring's"),
+            "concentration": (dim, *concentration, "inverse mean square size of the image"),
+            "detected_fraction": (*by_realization, "fraction of rays on the screen"),
+        }
+    )
+    coordinates = {
+        dim: (dim, depths, {"long_name": "depth of the screen below the surface", "units": "m"}),
+        "axis": ("axis", ["x", "y"], {"long_name": "axis on the screen"}),
+        "point": ("point", ["x", "y", "z"], {"long_name": "axis in space"}),
+    }
+    return xr.Dataset(variables | ray_variables, coordinates, attributes)
+
+
+def _make_variables(results: dict[str, tuple[Any, ...]]) -> dict[str, Variable]:
+    """Return variables from the arguments of `make_variable` after the name."""
+    variables: dict[str, Variable] = {}
+    for name, result in results.items():
+        variables |= make_variable(name, *result)
+    return variables
+
+
+def _average_realizations(
+    values: np.ndarray, valid: np.ndarray
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the mean over valid realizations with its standard error, None for a single one."""
+    count = valid.sum(axis=0)
+    mean = np.where(valid, values, 0.0).sum(axis=0) / count
+    if len(values) == 1:
+        return mean, None
+    square = np.where(valid, (values - mean) ** 2, 0.0).sum(axis=0)
+    # Of a single valid realization the error is its value.
+    stderr = np.sqrt(square / np.maximum(count - 1, 1) / count)
+    return mean, np.where(count > 1, stderr, mean)
+
+
+def _invert_with_error(
+    mean: np.ndarray, stderr: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return 1/mean and its standard error to first order."""
+    inverse = 1.0 / np.maximum(mean, np.finfo(float).tiny)
+    return inverse, None if stderr is None else stderr * inverse**2
+
+
+# --------------------------------------------------------------------------------------------------
+# The statistical lens: a ring of parallel rays through a wavy surface onto a screen.
+#
+# Budak & Grimailo 2020, section 3.1 and Fig 2.
+
+CENTRE_CHOICES = ("crest", "trough", "origin")
+DEFAULT_RAYS = 360
+MAX_SCREEN_POINTS = 10_000_000
+"""Largest number of points on screens, and of images, in one result."""
+N_SEARCH_POINTS = 161
+"""Points per side of the grid on which the highest or lowest point is searched."""
+
+
+@reject_unknown_arguments
+def lens(
+    medium: ParticleLayer,
+    screen_depth_m: Any,
+    radius_m: float,
+    *,
+    centre_on: str = "crest",
+    half_width_m: float | None = None,
+    rays: int = DEFAULT_RAYS,
+    realizations: int = 1,
+    seed: int = 1,
+    waves: Any = None,
+) -> xr.Dataset:
+    """Simulate the image of a ring of vertical rays, through a rough surface, on screens below.
+
+    Parameters
+    ----------
+    medium : ParticleLayer
+        A `splits.ParticleLayer` with a rough surface.  Only its surface and its refractive index
+        have an effect.
+    screen_depth_m : array_like
+        Distances of screens below the surface under the ring's centre (m), increasing from above 0.
+    radius_m : float
+        Radius of the ring (m).
+    centre_on : {"crest", "trough", "origin"}
+        Centre of the ring: the highest or lowest point within `half_width_m`, or the origin.
+    half_width_m : float
+        Half the side of the square that is searched (m); not needed for the origin.
+    rays : int
+        Number of rays, at least 3, evenly distributed around the ring.
+    realizations : int
+        Number of realizations of the surface; at least 2 for standard errors.
+    seed : int
+    waves : array_like, shape (waves, 4), optional
+        Amplitudes (m), wave numbers along x and y (1/m) and phases (radians) of cosines, instead
+        of realizations of the layer's surface.
+
+    Returns
+    -------
+    xarray.Dataset
+        Over ``screen_depth``: ``contraction``, the root mean square distance of the rays from their
+        centre over the radius of the ring, and ``concentration``, the inverse of its mean square: 1
+        without waves, otherwise the reduction in area of an image that remains a ring; over
+        realizations that transmit at least half of the ring, with standard errors.  Over
+        ``realization``, too: ``detected_fraction``, the fraction of rays that reach the screen
+        without hitting the surface again; the others are excluded.  Of the first realization, over
+        ``ray``: ``surface_position``, where it hits the surface, ``screen_position`` on the screens
+        (m) and whether it is ``detected``.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range, or a layer with a smooth surface.
+    """
+    check_medium(medium, ParticleLayer)
+    depths = check_screen_depths("screen_depth_m", screen_depth_m)
+    radius = check_ring_radius(radius_m)
+    check_choice("centre_on", centre_on, CENTRE_CHOICES)
+    if half_width_m is None and centre_on != "origin":
+        hint = f"half the side of the square searched for the {centre_on}"
+        hint += '; centre_on="origin" needs none'
+        raise invalid("half_width_m", None, "given (m)", hint)
+    width = 0.0 if half_width_m is None else check_half_width("lens", half_width_m)
+    rays, realizations = check_ring_size(rays, realizations, depths.size)
+    run = RunOptions.from_arguments(seed, threads=1)
+    plane_waves = _get_plane_waves(medium, waves, realizations)
+    angles = 2.0 * np.pi * np.arange(rays) / rays
+    contraction = np.empty((realizations, depths.size))
+    detected_fraction = np.empty_like(contraction)
+    for realization in range(realizations):
+        surface_waves = plane_waves
+        if surface_waves is None:
+            surface_waves = medium.surface.sample_realization(run.seed, realization)
+        centre_x, centre_y, centre_z = find_centre(surface_waves, centre_on, width)
+        ring = (centre_x + radius * np.cos(angles), centre_y + radius * np.sin(angles))
+        hits = refract_vertical_rays(surface_waves, medium.refractive_index, *ring)
+        points, detected = _intersect_screens(hits, centre_z - depths)
+        detected_fraction[realization] = detected.mean(axis=1)
+        contraction[realization] = _compute_rms_radius(points, detected) / radius
+        if realization == 0:
+            surface_points = hits.position - (centre_x, centre_y, centre_z)
+            screen_points = points - (centre_x, centre_y)
+            ray_variables = make_ray_variables(surface_points, screen_points, detected)
+    is_valid = detected_fraction >= MIN_DETECTED_FRACTION
+    if not is_valid.any(axis=0).all():
+        raise invalid(
+            "screen_depth_m", float(depths[~is_valid.any(axis=0)][0]),
+            f"where a surface lets at least {MIN_DETECTED_FRACTION:g} of the ring through",
+            "a smaller ring, or other depths",
+        )  # fmt: skip
+    attributes = {
+        **run.make_attributes("Statistical lens", "lens", medium),
+        "radius_m": radius, "centre_on": centre_on, "half_width_m": width,
+        "realizations": realizations, "rays": rays * realizations,
+    }  # fmt: skip
+    return make_lens_dataset(contraction, detected_fraction, ray_variables, depths, attributes)
+
+
+def _get_plane_waves(medium: ParticleLayer, waves: Any, realizations: int) -> np.ndarray | None:
+    """Return given waves, None for realizations of the medium's surface, after checking them."""
+    if waves is None and medium.surface is None:
+        raise invalid("surface", None, "given: a lens needs waves")
+    plane_waves = None if waves is None else check_plane_waves(waves)
+    if plane_waves is not None and realizations > 1:
+        raise invalid("realizations", realizations, "1 for given waves")
+    return plane_waves
+
+
+def check_plane_waves(waves: Any) -> np.ndarray:
+    """Return plane waves in the form of kernels, after checking them; see `lens`."""
+    allowed = "rows of amplitude, wave numbers along x and y, and phase"
+    table = as_float_array("waves", waves, allowed)
+    if table.ndim != 2 or table.shape[1] != 4 or not len(table):
+        raise invalid("waves", waves, allowed)
+    names = [("amplitude", "wave_number_x", "wave_number_y", "phase")]
+    table = table[:, match_labels("waves", find_labels(waves, 1), names)]
+    # Kernels use cycles instead of radians, and the order of wave numbers.
+    table = table[np.argsort(np.hypot(table[:, 1], table[:, 2]))]
+    rows = np.zeros((len(WAVE_ROWS), -(-len(table) // N_WAVE_LANES) * N_WAVE_LANES))
+    rows[:, : len(table)] = table.T
+    rows[KX:] /= 2.0 * np.pi
+    # Bounds of the surface are sums of positive amplitudes.
+    rows[PHASE] += 0.5 * (rows[AMPLITUDE] < 0.0)
+    rows[AMPLITUDE] = np.abs(rows[AMPLITUDE])
+    return rows
+
+
+def find_centre(waves: np.ndarray, centre_on: str, half_width: float) -> tuple[float, float, float]:
+    """Return the centre of the ring, a point of the surface."""
+    line = np.linspace(-half_width, half_width, 1 if centre_on == "origin" else N_SEARCH_POINTS)
+    x, y = (0.0 * line[:1],) * 2 if centre_on == "origin" else np.meshgrid(line, line)
+    x, y = np.ravel(x), np.ravel(y)
+    height = compute_heights_and_slopes(waves, x, y).height
+    row = int(height.argmin() if centre_on == "trough" else height.argmax())
+    return float(x[row]), float(y[row]), float(height[row])
+
+
+def _intersect_screens(
+    hits: RefractedRays, screen_heights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return points on screens, shape (screens, rays, 2), and which rays reach them."""
+    point, direction, next_hit = hits
+    distance = (screen_heights[:, np.newaxis] - point[:, 2]) / direction[:, 2]
+    points = point[:, :2] + distance[..., np.newaxis] * direction[:, :2]
+    return points, (distance >= 0.0) & (distance < next_hit)
+
+
+def _compute_rms_radius(points: np.ndarray, detected: np.ndarray) -> np.ndarray:
+    """Return the root mean square distance of the detected rays from their centre."""
+    count = np.maximum(detected.sum(axis=1), 1)
+    weight = detected[..., np.newaxis]
+    centre = (points * weight).sum(axis=1) / count[:, np.newaxis]
+    square = (((points - centre[:, np.newaxis]) ** 2) * weight).sum(axis=(1, 2)) / count
+    return np.sqrt(square)
+
+
+def check_screen_depths(key: str, values: Any) -> np.ndarray:
+    """Return increasing depths of screens (m), after checking them."""
+    depths = as_1d_array(key, values, "numbers in metres")
+    return check_axis(key, depths, 0.0, 1e9, "m", open_low=True)
+
+
+def check_ring_radius(radius_m: Any) -> float:
+    """Return the radius of a ring (m), after checking it."""
+    return check_range("radius_m", radius_m, 0.0, 1e6, "m", open_low=True)
+
+
+def check_ring_size(rays: Any, realizations: Any, n_screens: int) -> tuple[int, int]:
+    """Return the numbers of rays and realizations, after checking that results fit into memory."""
+    max_value = MAX_SCREEN_POINTS // n_screens
+    return check_integer("rays", rays, 3, max_value), check_integer(
+        "realizations", realizations, 1, max_value
+    )

@@ -1,1 +1,0 @@
-"""Scenes, sampling rules, rays and work: the data that both kernels share."""

@@ -1,1 +1,0 @@
-"""Random numbers, vectors and elementary functions, in either precision."""

@@ -46,6 +46,15 @@ def traced() -> xr.Dataset:
     return build("monte_carlo", 0.02)
 
 
+@pytest.fixture(scope="module")
+def reflectances() -> xr.Dataset:
+    """Return the reflectances of paths of other seeds."""
+    beams = {"optical_radius_um": SIZES, "incidence_deg": ZENITHS}
+    return splits.build_table(
+        make_snow, beams, WAVELENGTHS, max_stderr=0.003, seed=3, solver="monte_carlo"
+    )
+
+
 def integrate(factor: xr.DataArray) -> xr.DataArray:
     """Return the hemispherical integral of reflectance factors, from Gaussian polar angles."""
     nodes, weights = np.polynomial.legendre.leggauss(factor.sizes["polar_deg"])
@@ -57,7 +66,7 @@ def integrate(factor: xr.DataArray) -> xr.DataArray:
 
 @NEEDS_JIT
 @pytest.mark.parametrize("solver", ["discrete_ordinates", "monte_carlo"])
-def test_hemispherical_integral_is_the_reflectance(solver):
+def test_hemispherical_integral_is_the_reflectance(solver, reflectances):
     """Of the same table, and within errors of an independent table of reflectances."""
     nodes, _ = np.polynomial.legendre.leggauss(16)
     views = {
@@ -68,12 +77,8 @@ def test_hemispherical_integral_is_the_reflectance(solver):
     integral = integrate(table.reflectance_factor)
     np.testing.assert_allclose(integral, table.reflectance, rtol=1e-3, atol=5e-5)
     np.testing.assert_allclose(integrate(table.anisotropy_factor), 1.0, atol=4e-3)
-    beams = {"optical_radius_um": SIZES, "incidence_deg": ZENITHS}
-    other = splits.build_table(
-        make_snow, beams, WAVELENGTHS, max_stderr=0.003, seed=3, solver="monte_carlo"
-    )
-    stderr = np.hypot(table.reflectance_stderr, other.reflectance_stderr)
-    z = (integral - other.reflectance) / stderr
+    stderr = np.hypot(table.reflectance_stderr, reflectances.reflectance_stderr)
+    z = (integral - reflectances.reflectance) / stderr
     judge_z(z.values, "integral", independent=4, bound_added=True)
 
 
@@ -210,7 +215,7 @@ def test_thin_layers_agree_with_discrete_ordinates_of_others():
             asymmetry=asymmetry, refractive_index=1.0, bottom_albedo=None, **point
         )
 
-    table = splits.build_table(make_layer, grid, [550.0], max_stderr=0.002)
+    table = splits.build_table(make_layer, grid, [550.0], max_stderr=0.004)
     expected = xr.full_like(table.reflectance_factor, np.nan)
     moments = asymmetry ** np.arange(streams + 1)
     for thickness, albedo, zenith in np.ndindex(2, 2, 2):

@@ -116,7 +116,7 @@ def test_actinic_flux_times_absorption_coefficient_is_the_absorptance(name):
     """The coefficient is that of the layer, the same in all intervals and for both solvers."""
     medium, wavelengths, depths = ABSORBED[name]
     paths = splits.irradiance_profile(
-        medium, wavelengths, depths, 30.0, 0.01, solver="monte_carlo", kernel="scalar"
+        medium, wavelengths, depths, 30.0, 0.03, solver="monte_carlo", kernel="scalar"
     )
     thickness = (paths.interval_bottom - paths.interval_top).values
     if name == "particles":

@@ -125,7 +125,7 @@ def test_dense_snow_agrees_with_discrete_ordinates():
         for incidence in (75.0, "diffuse"):
             expected = solve_discrete_ordinates(optics, incidence, ground=ground)
             spectrum = splits.spectrophotometer(
-                layer, wavelengths, incidence, 0.001, number, solver="monte_carlo"
+                layer, wavelengths, incidence, 0.0015, number, solver="monte_carlo"
             )
             for name in ("reflectance", "transmittance"):
                 error = np.hypot(expected[f"{name}_stderr"], spectrum[f"{name}_stderr"])

@@ -6,10 +6,12 @@ positive if light is polarized perpendicular to it.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 import pytest
+import xarray as xr
 from chi2 import NEEDS_JIT, scale_sample_size
 
 import splits
@@ -41,6 +43,15 @@ def make_snow(size: tuple[float, float] = LARGE, facetness: tuple = SMOOTH) -> s
     return splits.Snow(grain_size_um=size, facetness=facetness, saturation=0.0, depth_m=0.03)
 
 
+@cache
+def measure_bins(medium: splits.Snow | splits.Sand, wavelength_nm: float, rays: int) -> xr.Dataset:
+    """Return the polarized BRDF in bins, for light incident at Brewster's angle."""
+    return splits.goniophotometer(
+        medium, [wavelength_nm], BREWSTER_DEG, stokes=True, estimator="bins", n_bins=(9, 12),
+        rays=scale_sample_size(rays),
+    ).squeeze("wavelength")  # fmt: skip
+
+
 def compute_degree(
     medium: splits.Snow | splits.Sand,
     wavelength_nm: float,
@@ -49,10 +60,7 @@ def compute_degree(
     rays: int = 300_000,
 ) -> Degree:
     """Return the degree between two polar angles, for light incident at Brewster's angle."""
-    ds = splits.goniophotometer(
-        medium, [wavelength_nm], BREWSTER_DEG, stokes=True, estimator="bins", n_bins=(9, 12),
-        rays=scale_sample_size(rays),
-    ).sel(azimuth=azimuth, polar=slice(*polar_deg)).squeeze("wavelength")  # fmt: skip
+    ds = measure_bins(medium, wavelength_nm, rays).sel(azimuth=azimuth, polar=slice(*polar_deg))
     weight = np.cos(np.radians(ds.polar))
     intensity = float((weight * ds.brdf).sum())
     degree = -float((weight * ds.brdf_q).sum()) / intensity

@@ -24,6 +24,7 @@ STOKES = ("", "_q", "_u", "_v")
 
 
 @NEEDS_JIT
+@pytest.mark.long
 def test_matrix_of_smooth_spheres_is_that_of_geometric_optics():
     clear = replace(SPHERES, refractive_index={"ice": 1.31})
     ds = splits.single_scattering(clear, NM, 2, rays=2_000_000, stokes=True).squeeze("wavelength")
@@ -72,7 +73,7 @@ def test_moments_and_matrix_of_a_dataset_are_of_the_same_light(medium, exact):
 )
 def test_matrices_of_grains_have_their_symmetries(medium):
     """At 0° and 180°, by symmetry about the direction; bounds of elements; normalization."""
-    ds = splits.single_scattering(medium, NM, 2, rays=1_000_000, stokes=True).squeeze("wavelength")
+    ds = splits.single_scattering(medium, NM, 2, rays=400_000, stokes=True).squeeze("wavelength")
     cosines = np.cos(np.radians(ds.angle_deg.values[::-1]))
     assert 0.5 * np.trapezoid(ds.P11.values[::-1], cosines) == pytest.approx(1.0, abs=1e-9)
     z = []

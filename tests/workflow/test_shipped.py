@@ -29,9 +29,8 @@ def shipped(make_project, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def few_datasets(shipped):
-    """Run a few experiments and the studies of sand, and return the datasets."""
-    studies = ("sand_trends", "sand_weights", "sand_colours", "sand_compositions")
-    run = shipped.snakemake(*FEW_EXPERIMENTS, *studies, "--cores", 2)
+    """Run a few experiments, and return the datasets."""
+    run = shipped.snakemake(*FEW_EXPERIMENTS, "--cores", 2)
     assert run.code == 0, run.text
     for name in FEW_EXPERIMENTS:
         for suffix in (".png", ".svg", ".pdf"):
@@ -121,8 +120,11 @@ def test_aviris_scene_matches_published_reflectance(few_datasets):
     ).all()
 
 
-@pytest.mark.usefixtures("few_datasets")
+@pytest.mark.long
 def test_sand_studies_write_their_tables(shipped):
+    studies = ("sand_trends", "sand_weights", "sand_colours", "sand_compositions")
+    run = shipped.snakemake(*studies, "--cores", 2)
+    assert run.code == 0, run.text
     tables = {
         path.stem: pd.read_csv(path)
         for path in (shipped.folder / "results" / "tiny" / "tables").glob("sand_*.csv")

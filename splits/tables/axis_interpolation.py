@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from scipy.ndimage import correlate1d
 
 from splits.core.validation import invalid
 from splits.tables.interpolation import (
@@ -152,7 +151,9 @@ class AxisInterpolation:
         angles = [axis for axis, name in others.items() if self._is_dense(name)]
         nearby = factor**2
         for axis in angles:
-            nearby = correlate1d(nearby, NEIGHBOUR_WEIGHTS, axis, mode="nearest")
+            ends = [0, *range(nearby.shape[axis]), -1]
+            padded = np.take(nearby, ends, axis)
+            nearby = np.lib.stride_tricks.sliding_window_view(padded, 3, axis) @ NEIGHBOUR_WEIGHTS
         mean = (factor**2).mean(axis=tuple(others.keys() - angles), keepdims=True)
         remainder: np.ndarray = (
             VARIATION_SHARE * np.maximum(nearby - factor**2, 0.0) + MEAN_SHARE**2 * mean

@@ -30,6 +30,7 @@ from splits.instruments.solver import DISCRETE_ORDINATES
 from splits.instruments.spectral_run import SpectralRequest, simulate_spectra
 from splits.io.netcdf import to_netcdf_attributes
 from splits.media.medium import Medium
+from splits.simulation.incident_light import check_stokes
 from splits.simulation.path_reuse import MediaGroup, group_by_shared_paths
 from splits.simulation.run_options import RunOptions
 from splits.tables.return_table import build_return_table
@@ -80,7 +81,7 @@ def simulate_points(
         run = RunOptions.from_arguments(seed, threads, progress=progress)
         members = [points[index] for index in indices]
         with nest_runs():
-            if group is None:
+            if group is None or not isinstance(instrument, Spectrophotometer):
                 one = instrument.select_point(indices[0])
                 datasets = [simulate_point(one, members[0], accuracy, run)]
             else:
@@ -118,7 +119,7 @@ def _group_by_shared_paths(
 
 
 def _simulate_group(
-    instrument: Instrument,
+    instrument: Spectrophotometer,
     points: Sequence[GridPoint],
     group: MediaGroup,
     error: float,
@@ -130,8 +131,9 @@ def _simulate_group(
     The points are in the order of the group's media.
     """
     rays = accuracy.max_rays or MAX_RAYS
-    wavelengths, (_, _, beam) = instrument.get_wavelengths(), points[0]
+    wavelengths, (_, medium, beam) = instrument.get_wavelengths(), points[0]
     request = SpectralRequest.from_arguments(wavelengths, beam, error, rays, run)
+    request = request._replace(polarization=check_stokes(instrument.stokes, medium, beam))
     spectra = simulate_spectra(group.path_sharing, request)
     pairs = zip(group.media_indices, points, strict=True)
     return [_relabel_spectrum(spectra[index], medium) for index, (_, medium, _) in pairs]

@@ -116,3 +116,18 @@ def test_optically_equal_points_keep_their_attributes():
     dataset = run(make_config(medium=snow, grid={"medium": equal}), ACCURACY, seed=5, threads=2)
     assert dataset.attrs["snow_specific_surface_area_m2_kg"] == pytest.approx(20.0)
     np.testing.assert_array_equal(dataset.reflectance[0], dataset.reflectance[1])
+
+
+def test_polarization_is_traced_along_shared_paths():
+    """It changes the path of light, and the incident light of each point has a Stokes vector."""
+    snow = {"kind": "natural_snow", "density_kg_m3": 300}
+    spectra = []
+    for stokes in (False, True):
+        instrument = {"wavelength_nm": [1310], "solver": "monte_carlo", "stokes": stokes}
+        grid = {"specific_surface_area_m2_kg": [10, 20]}
+        config = make_config(medium=snow, grid=grid, instrument=instrument)
+        points, rays = simulate_points(config, ACCURACY, 5, 2, lambda line: None)
+        assert rays == points[0].attrs["rays"] == points[1].attrs["rays"]
+        assert all(("incident_stokes" in point.attrs) == stokes for point in points)
+        spectra.append([float(point.reflectance[0]) for point in points])
+    assert (np.diff(spectra, axis=0) != 0.0).all()

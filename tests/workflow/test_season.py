@@ -108,7 +108,7 @@ def test_a_result_that_would_replace_its_input_is_rejected(project):
         (SEASON.replace("0.3", "camborthid"),
          r"line 3: instrument\.wavelength_nm = 1200.*\[400, 1000\] nm, the range of ground camb"),
         (SEASON.replace("season.csv", "season.txt"), r"medium\.file = '.*season\.txt': .*\.csv"),
-        (SEASON.replace("file:", "path:"), r"medium\.path"),
+        (SEASON.replace("file:", "path:"), r"medium\.file"),
         (SEASON.replace("0.3", "1.5"), r"medium\.ground = 1\.5"),
         (SEASON.replace("kind: albedo", "kind: albedo, sky: bright"), r"instrument\.sky"),
         (SEASON.replace("1800]", "3000]"), r"instrument\.wavelength_nm.*3000 nm"),

@@ -104,7 +104,7 @@ def test_an_empty_folder_is_rejected(tmp_path):
         ({"seed": -1}, "seed = -1"),
         ({"accuracies": {"standard": {"max_stderr": 0}}}, r"accuracies\.standard\.max_stderr = 0"),
         ({"accuracies": {"standard": {"max_error": 0.1}}}, "max_stderr"),
-        ({"studies": {"a": {"inputs": {}}}}, r"studies\.a\.function: missing"),
+        ({"studies": {"a": {"inputs": {}}}}, r"studies\.a\.function = None: must be given"),
         ({"results": None}, "results = None"),
     ],
 )

@@ -108,7 +108,7 @@ TABLE3 = {**SETTINGS_CONTENT["studies"]["table3"], "outputs": {}}
 @pytest.mark.parametrize(
     ("study", "message"),
     [
-        ({"inputs": {}}, r"studies\.mine\.function: missing, must be text"),
+        ({"inputs": {}}, r"studies\.mine\.function = None: must be given"),
         ({**TABLE1, "outpts": {}}, r"mine\.outpts: unknown key.*did you mean outputs"),
         ({"function": "layer"}, r"mine\.function = 'layer': must be MODULE\.NAME, a function"),
         ({"function": LAYERS.replace("layer.", "layers.")}, "there is no module workflow.papers"),

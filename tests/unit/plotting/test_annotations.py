@@ -32,7 +32,7 @@ ATTRIBUTES = {
     "max_stderr_reached": 0.0019,
 }  # fmt: skip
 SECTION = {
-    "quantity": ["reflectance"], "select": {}, "legend": None, "ylim": None, "wavelength_nm": None,
+    "select": {}, "legend": None, "ylim": None, "wavelength_nm": None,
 }  # fmt: skip
 INFRARED = np.arange(1000.0, 2001.0, 10.0)
 

@@ -31,9 +31,11 @@ POSITIONS = {"few nodes": (0.15, 0.5, 0.85), "more nodes": (0.25, 0.75)}
 """Compared positions in an interval, as fractions of it in the default coordinate.  With few nodes,
 one difference more makes up for the choice of the coordinate."""
 MAX_FEW_NODES = 4
-N_OTHER_NODES = 3
-"""Largest number of nodes of every other axis."""
-MAX_OTHER_MEDIA = {"by ordinates": 27, "by paths": 6}
+N_OTHER_NODES = {"by ordinates": (3, 5), "by paths": (3, 3)}
+"""Smallest and largest number of compared nodes of every other axis, about every second one of the
+table: an error may change its sign along it more than once, and be large between nodes where it is
+small."""
+MAX_OTHER_MEDIA = {"by ordinates": 48, "by paths": 6}
 """Largest number of combinations of nodes of the other axes, without angles, unless both ends of
 all axes need more.  Paths have much larger errors, and may keep the middle of an axis only."""
 N_OTHER_ANGLES = 13
@@ -87,17 +89,18 @@ def list_comparison_grids(
 
 def _thin_axes(grid: ParameterGrid, has_direction: bool, by_ordinates: bool) -> ParameterGrid:
     """Return a grid of a few nodes of every axis, with both ends where possible; texts are kept."""
-    counts = {}
+    counts, kind = {}, "by ordinates" if by_ordinates else "by paths"
+    fewest, most = N_OTHER_NODES[kind]
     for name, values in zip(*grid, strict=True):
         is_direction = has_direction and name in ANGLES
-        limit = N_OTHER_ANGLES if is_direction else N_OTHER_NODES
+        limit = N_OTHER_ANGLES if is_direction else min(max(fewest, len(values) // 2 + 1), most)
         is_text = isinstance(values[0], str)
         counts[name] = len(values) if is_text else min(len(values), limit)
     media = [
         name for name, values in zip(*grid, strict=True)
         if name not in ANGLES and not isinstance(values[0], str)
     ]  # fmt: skip
-    max_media = MAX_OTHER_MEDIA["by ordinates" if by_ordinates else "by paths"]
+    max_media = MAX_OTHER_MEDIA[kind]
     while media and math.prod(counts[name] for name in media) > max_media:
         largest = max(reversed(media), key=lambda name: counts[name])
         # An error may vanish in the middle of an axis: both ends stay.

@@ -9,6 +9,7 @@ import xarray as xr
 from splits.core.validation import InvalidValue
 from splits.tables.axes import ParameterGrid
 from splits.tables.axis_interpolation import AxisInterpolation
+from splits.tables.comparison import list_comparison_grids
 from splits.tables.interpolation import (
     N_VALIDATION_NODES,
     apply_axis_transform,
@@ -212,3 +213,16 @@ def test_the_error_in_a_direction_includes_that_at_the_angles_beside_it():
     assert errors[30.0].magnitude >= abs(errors[30.0].signed) >= 0.0099
     assert errors[40.0].signed == 0.0 and errors[40.0].magnitude > 0.003
     assert errors[80.0].magnitude < 0.0012
+
+
+@pytest.mark.parametrize(
+    ("n_nodes", "by_ordinates", "compared"),
+    [(2, True, [0, 1]), (3, True, [0, 1, 2]), (7, True, [0, 2, 4, 6]), (7, False, [0, 3, 6]),
+     (21, True, [0, 5, 10, 15, 20])],
+)  # fmt: skip
+def test_every_second_node_of_the_other_axes_is_compared(n_nodes, by_ordinates, compared):
+    """The error along soot may change its sign more than once with the depth."""
+    depths = np.arange(1.0, n_nodes + 1.0)
+    grid = ParameterGrid(("soot", "depth_m"), ((0.0, 30.0, 200.0), tuple(depths.tolist())))
+    found = list_comparison_grids(grid, ["soot"], by_ordinates=by_ordinates)["soot"]
+    np.testing.assert_array_equal(found.get_values("depth_m", None), depths[compared])

@@ -13,7 +13,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from splits.core.optional import import_optional
 from splits.retrieval.linearization import BOUND_MARGIN, LinearizedModel
 from splits.retrieval.solution import Solution
 
@@ -42,11 +41,12 @@ class InterpolatedModel(LinearizedModel):
     def __init__(
         self, linear_model: LinearizedModel, states: np.ndarray, values: np.ndarray
     ) -> None:
-        scipy_interpolate = import_optional("scipy.interpolate", "retrieval", "retrievals need")
+        from scipy.interpolate import RBFInterpolator
+
         super().__init__(linear_model.state_vector, linear_model.linearization)
         self.states, self.values, self._whiten = states, values, _compute_whitening(states)
         deviation = values - linear_model.evaluate(states)
-        self._deviation = scipy_interpolate.RBFInterpolator(
+        self._deviation = RBFInterpolator(
             states @ self._whiten, deviation, kernel="quintic", degree=2
         )
 

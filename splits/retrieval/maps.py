@@ -12,7 +12,6 @@ import xarray as xr
 
 from splits.core.arrays import as_float_array, find_labels, match_labels
 from splits.core.keywords import reject_unknown_arguments
-from splits.core.optional import import_optional
 from splits.core.parameter_names import describe_parameter
 from splits.core.uncertainty import make_variable
 from splits.core.units import check_nanometres, convert_units
@@ -351,7 +350,7 @@ class _MapRetrieval(NamedTuple):
 
     def compute_max_chi2(self) -> float:
         """Return the χ² that is exceeded with `POOR_FIT_PROBABILITY`."""
-        chi2 = import_optional("scipy.stats", "retrieval", "retrievals need").chi2
+        from scipy.stats import chi2
 
         return float(chi2.isf(POOR_FIT_PROBABILITY, self.compute_expected_chi2()))
 

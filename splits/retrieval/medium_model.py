@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.core.optional import import_optional
 from splits.media.medium import Medium
 from splits.media.parameters import INCIDENCE_KEY, replace_parameters
 from splits.retrieval.forward_model import MeasurementOperator
@@ -145,7 +144,7 @@ class MediumForwardModel(ABC):
 
     def find_minima(self) -> ConvergedMinima:
         """Return the minima of the descents, and Jacobians at the best one."""
-        qmc = import_optional("scipy.stats", "retrieval", "retrievals need").qmc
+        from scipy.stats import qmc
 
         state_vector = self.state_vector
         survey_states = qmc.Sobol(len(state_vector.names), seed=self.seed).random(N_SURVEY)

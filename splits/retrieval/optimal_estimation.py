@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.core.optional import import_optional
 from splits.retrieval.forward_model import ForwardModel
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.state_vector import StateVector
@@ -100,7 +99,7 @@ def find_map_estimate(
     variance_inflation : float
         Factor of all variances.
     """
-    least_squares = import_optional("scipy.optimize", "retrieval", "retrievals need").least_squares
+    from scipy.optimize import least_squares
 
     state_vector = model.state_vector
     has_prior = np.isfinite(state_vector.prior_sd)

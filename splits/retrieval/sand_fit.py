@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from splits.core.arrays import align_to_labels, check_array_range, find_labels
-from splits.core.optional import import_optional
 from splits.core.validation import check_integer, invalid
 from splits.instruments import spectrophotometer
 from splits.retrieval.gauss_newton import DescentStage, LocalMinimum, Objective, search_minima
@@ -119,7 +118,7 @@ def _run_descents(
 ) -> list[list[LocalMinimum]]:
     """Return the minima found by the descents of every stage, best first."""
     # Imported here, as it would slow the start of the workflow by a second.
-    qmc = import_optional("scipy.stats", "retrieval", "fits need").qmc
+    from scipy.stats import qmc
 
     survey_states = qmc.Sobol(len(model.cube.names), seed=model.seeds[0]).random(effort.points)
     stages = [DescentStage(*pair) for pair in zip(effort.starts, effort.evaluations, strict=True)]

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.core.optional import import_optional
 from splits.retrieval.optimal_estimation import (
     ALTERNATIVE_CHI2,
     MIN_SEPARATION,
@@ -71,7 +70,7 @@ def compute_prior_tension(
 
 def compute_variance_inflation(estimate: MAPEstimate, state_vector: StateVector) -> float:
     """Return the factor of all variances that makes the misfit plausible."""
-    chi2 = import_optional("scipy.stats", "retrieval", "retrievals need").chi2
+    from scipy.stats import chi2
 
     n_dof = max(
         len(estimate.modelled) - compute_fit_degrees_of_freedom(estimate, state_vector), 1.0

@@ -22,7 +22,7 @@ SIMULATION_SOURCES = (
     "kernels", "materials", "illumination", "media", "simulation", "discrete_ordinates",
     "instruments",
     "core/uncertainty.py", "core/parameter_names.py",
-    "tables/axes.py", "tables/block.py", "tables/ordinates.py", "tables/plan.py",
+    "tables/axes.py", "tables/block.py", "tables/plan.py",
     "tables/return_table.py",
     "experiments/config/grid.py", "experiments/config/medium.py",
     "experiments/config/simulation.py", "experiments/run.py", "experiments/run_packs.py",

@@ -14,8 +14,7 @@ Modules, each importing only those above it:
 - `layer_radiance`: reflection and transmission of a layer between directions
 - `radiance`: reflected and transmitted radiance of layers
 - `grain_table`: single scattering by the grains of natural snow
-- `traced_grains`: single scattering by other grains
-- `grain_cache`: kept results of paths through them
+- `traced_grains`: single scattering by other grains, kept on disk
 - `phase_series`: phase functions from a limited number of moments
 - `granular_layers`: layers of grains and their optics
 - `replicates`: the same without some of these paths, for errors

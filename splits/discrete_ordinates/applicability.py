@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from splits.discrete_ordinates.grain_cache import load_grains
 from splits.discrete_ordinates.grain_table import MAX_ABSORPTION, GrainTable
 from splits.discrete_ordinates.granular_layers import GranularLayer
 from splits.discrete_ordinates.granular_stack import (
@@ -17,6 +16,7 @@ from splits.discrete_ordinates.granular_stack import (
 from splits.discrete_ordinates.traced_grains import (
     TracedGrains,
     choose_rays,
+    load_grains,
 )
 from splits.media.medium import GranularMedium, Medium
 from splits.media.natural_snow import is_natural

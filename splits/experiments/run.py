@@ -14,13 +14,13 @@ from splits.core.convergence import REACHED_ATTRIBUTES, log_missed_error
 from splits.core.progress import LogCallback
 from splits.core.provenance import hash_physics_sources
 from splits.core.validation import invalid
-from splits.experiments.checkpoints import PointCache
 from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.beam_instruments import ReturnTable
 from splits.experiments.config.grid import make_grid_coordinates
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.run_points import SimulatedPoints, simulate_points
 from splits.experiments.run_table import run_table, write_table
+from splits.io.cache import NO_CACHE, Cache
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
 from splits.simulation.run_options import make_wavelength_coordinate
 from splits.simulation.stopping_rule import STOP_REASONS
@@ -48,7 +48,7 @@ def run(
     seed: int = 1,
     threads: int | None = None,
     log: LogCallback = lambda line: None,
-    cache: PointCache | None = None,
+    cache: Cache = NO_CACHE,
 ) -> xr.Dataset:
     """Run all points of an experiment's grid.
 
@@ -63,7 +63,7 @@ def run(
     threads : int, optional
     log : callable
         Receives lines of progress.
-    cache : PointCache, optional
+    cache : Cache
         Points of earlier runs, which are not simulated again; not for tables.
 
     Returns
@@ -109,7 +109,7 @@ def write_run(
     if experiment.is_in_parts:
         write_table(experiment, accuracy, seed, folder, path, threads, log)
         return
-    cache = PointCache(folder, experiment, accuracy, seed)
+    cache = Cache(folder, "point")
     save(run(experiment, accuracy, seed, threads, log, cache), path)
     cache.delete()
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import time
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import xarray as xr
 
@@ -19,11 +19,12 @@ from splits.experiments.config.instrument_kinds import Spectrophotometer
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.config.snow_packs import PACKS_PER_BLOCK, count_pack_parts
 from splits.instruments import albedo, spectrophotometer
-from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
+from splits.io.cache import Cache, compute_digest
+from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.media.snow_pack_quality import count_missing_results
 from splits.media.snow_packs import SnowPacks
 from splits.simulation.stopping_rule import STOP_REASONS
-from splits.tables.block import DIGEST_ATTRIBUTE, load_block, make_block_path
+from splits.tables.build import BLOCK_PREFIX
 
 LARGEST_ATTRIBUTES = ("max_stderr_reached", "streams", "truncation_error", "optics_error")
 """Attributes that are the largest of all blocks."""
@@ -43,9 +44,12 @@ def run_pack_part(
     """
     packs = experiment.load_packs()
     blocks = _divide(packs)[part :: count_pack_parts(packs)]
+    for _ in _iterate_blocks(experiment, accuracy, blocks, folder, threads, log):
+        pass
+    cache = Cache(folder, BLOCK_PREFIX)
     return [
-        make_block_path(folder, number, str(block.attrs[DIGEST_ATTRIBUTE]))
-        for number, block in _iterate_blocks(experiment, accuracy, blocks, folder, threads, log)
+        cache.find_path(compute_digest(*_list_inputs(experiment, accuracy, block)))
+        for block in blocks
     ]
 
 
@@ -62,13 +66,11 @@ def run_packs(
     """
     start_time = time.perf_counter()
     packs = experiment.load_packs()
-    found = _iterate_blocks(experiment, accuracy, _divide(packs), folder, threads, log)
-    blocks = [block for _, block in found]
+    blocks = list(_iterate_blocks(experiment, accuracy, _divide(packs), folder, threads, log))
     dataset = xr.concat(
         blocks, packs.label, data_vars="minimal", coords="minimal", compat="override",
         combine_attrs="override",
     )  # fmt: skip
-    del dataset.attrs[DIGEST_ATTRIBUTE]
     attributes = {
         **{key: max(block.attrs[key] for block in blocks) for key in LARGEST_ATTRIBUTES},
         "stop_reason": max(
@@ -88,36 +90,28 @@ def run_packs(
     return dataset
 
 
-def _divide(packs: SnowPacks) -> list[tuple[int, SnowPacks]]:
-    """Return the blocks of snowpacks with their numbers."""
+def _divide(packs: SnowPacks) -> list[SnowPacks]:
+    """Return the blocks of snowpacks."""
     starts = range(0, len(packs), PACKS_PER_BLOCK)
     slices = [{packs.label: slice(start, start + PACKS_PER_BLOCK)} for start in starts]
-    return [
-        (number, SnowPacks(packs.dataset.isel(rows), packs.label))
-        for number, rows in enumerate(slices)
-    ]
+    return [SnowPacks(packs.dataset.isel(rows), packs.label) for rows in slices]
 
 
 def _iterate_blocks(
     experiment: SimulationConfig,
     accuracy: Accuracy,
-    blocks: Sequence[tuple[int, SnowPacks]],
+    blocks: Sequence[SnowPacks],
     folder: Path | None,
     threads: int | None,
     log: LogCallback,
-) -> Iterator[tuple[int, xr.Dataset]]:
-    """Yield the results of blocks with their numbers, loaded from a folder or stored there."""
-    for done, (number, packs) in enumerate(blocks, start=1):
-        digest = _compute_digest(experiment, accuracy, packs)
-        result = None if folder is None else load_block(folder, number, digest)
-        if result is None:
-            with nest_runs():
-                result = _measure(experiment, accuracy, packs, threads)
-            result = result.assign_attrs({DIGEST_ATTRIBUTE: digest})
-            if folder is not None:
-                save(result, make_block_path(folder, number, digest))
-        log(f"{experiment.name}: {done} of {len(blocks)} blocks done, from {number}")
-        yield number, result
+) -> Iterator[xr.Dataset]:
+    """Yield the results of blocks, loaded from a folder or stored there."""
+    cache = Cache(folder, BLOCK_PREFIX)
+    for done, packs in enumerate(blocks, start=1):
+        measure = partial(_measure, experiment, accuracy, packs, threads)
+        result = cache.get(_list_inputs(experiment, accuracy, packs), measure)
+        log(f"{experiment.name}: {done} of {len(blocks)} blocks done")
+        yield result
 
 
 def _measure(
@@ -126,20 +120,19 @@ def _measure(
     """Return the spectra or albedos of snowpacks."""
     instrument = experiment.instrument
     error, wavelengths = instrument.scale_stderr(accuracy.max_stderr), instrument.get_wavelengths()
-    if isinstance(instrument, Albedo):
-        return albedo(
-            packs, instrument.sky, wavelengths, error, bands=instrument.bands, threads=threads
-        )
-    assert isinstance(instrument, Spectrophotometer)
-    return spectrophotometer(packs, wavelengths, instrument.get_incidence(), error, threads=threads)
+    with nest_runs():
+        if isinstance(instrument, Albedo):
+            return albedo(
+                packs, instrument.sky, wavelengths, error, bands=instrument.bands, threads=threads
+            )
+        assert isinstance(instrument, Spectrophotometer)
+        incidence = instrument.get_incidence()
+        return spectrophotometer(packs, wavelengths, incidence, error, threads=threads)
 
 
-def _compute_digest(experiment: SimulationConfig, accuracy: Accuracy, packs: SnowPacks) -> str:
-    """Return the SHA-256 of all inputs that determine the values of a block."""
+def _list_inputs(experiment: SimulationConfig, accuracy: Accuracy, packs: SnowPacks) -> list[Any]:
+    """Return all that determines the values of a block, as the key of a cache."""
     instrument = experiment.instrument
     error = instrument.scale_stderr(accuracy.max_stderr)
-    inputs = [hash_physics_sources(), instrument.model_dump(mode="json"), error]
-    digest = hashlib.sha256(json.dumps(inputs, sort_keys=True).encode())
-    table = packs.dataset.to_dict()
-    digest.update(json.dumps(table, sort_keys=True, default=str).encode())
-    return digest.hexdigest()
+    table = packs.dataset.to_dict(data="array")
+    return [hash_physics_sources(), instrument.model_dump(mode="json"), error, table]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -11,11 +12,12 @@ import xarray as xr
 
 from splits.core.convergence import REACHED_ATTRIBUTES, nest_runs
 from splits.core.progress import LogCallback, Progress
-from splits.experiments.checkpoints import PointCache
+from splits.core.provenance import hash_physics_sources
 from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.beam_instruments import BeamSpread, DelayInstrument, ReturnTable
 from splits.experiments.config.instrument import Instrument, OpticalInstrument
 from splits.experiments.config.instrument_kinds import Goniophotometer, Spectrophotometer
+from splits.experiments.config.medium import identify_by_content, replace_table_paths
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.config.surface_instruments import Lens
 from splits.instruments import (
@@ -28,6 +30,7 @@ from splits.instruments import (
 )
 from splits.instruments.solver import DISCRETE_ORDINATES
 from splits.instruments.spectral_run import SpectralRequest, simulate_spectra
+from splits.io.cache import NO_CACHE, Cache
 from splits.io.netcdf import to_netcdf_attributes
 from splits.media.medium import Medium
 from splits.simulation.path_reuse import MediaGroup, group_by_shared_paths
@@ -54,7 +57,7 @@ def simulate_points(
     seed: int,
     threads: int | None,
     log: LogCallback,
-    cache: PointCache | None = None,
+    cache: Cache = NO_CACHE,
 ) -> SimulatedPoints:
     """Simulate all points of an experiment that the cache lacks, see `splits.experiments.run.run`.
 
@@ -68,30 +71,52 @@ def simulate_points(
     groups = _group_by_shared_paths(instrument, points, accuracy)
     if len(groups) < len(points):
         log(f"{experiment.name}: {len(groups)} sets of paths for {len(points)} points")
-    for indices, group in groups:
-        prefix = _format_prefix(experiment.name, points, indices)
-        cached = cache.load(indices) if cache else None
-        if cached:
-            log(f"{prefix}: kept from an earlier run")
-            results |= dict(zip(indices, cached, strict=True))
-            rays += int(cached[0].attrs["rays"])
-            continue
-        progress = _make_progress_callback(prefix, log)
+    common_key, point_keys = list_point_keys(experiment, accuracy, seed)
+
+    @functools.lru_cache(maxsize=1)
+    def simulate(number: int) -> list[xr.Dataset]:
+        indices, group = groups[number]
+        progress = _make_progress_callback(_format_prefix(experiment.name, points, indices), log)
         run = RunOptions.from_arguments(seed, threads, progress=progress)
         members = [points[index] for index in indices]
         with nest_runs():
             if group is None:
                 one = instrument.select_point(indices[0])
-                datasets = [simulate_point(one, members[0], accuracy, run)]
-            else:
-                instruments = [instrument.select_point(index) for index in indices]
-                error = min(one.scale_stderr(accuracy.max_stderr) for one in instruments)
-                datasets = _simulate_group(instrument, members, group, error, accuracy, run)
-        datasets = cache.save(indices, datasets) if cache else datasets
+                return [simulate_point(one, members[0], accuracy, run)]
+            instruments = [instrument.select_point(index) for index in indices]
+            error = min(one.scale_stderr(accuracy.max_stderr) for one in instruments)
+            return _simulate_group(instrument, members, group, error, accuracy, run)
+
+    def get_point(number: int, position: int) -> xr.Dataset:
+        # Points that share paths depend on each other.
+        shared_keys = [point_keys[index] for index in groups[number][0]]
+        key = [*common_key, shared_keys, position]
+        return cache.get(key, lambda: simulate(number)[position])
+
+    for number, (indices, _) in enumerate(groups):
+        prefix = _format_prefix(experiment.name, points, indices)
+        n_simulated = simulate.cache_info().misses
+        datasets = [get_point(number, position) for position in range(len(indices))]
         results |= dict(zip(indices, datasets, strict=True))
         rays += int(datasets[0].attrs["rays"])
-        _log_result(prefix, datasets, log)
+        if simulate.cache_info().misses == n_simulated:
+            log(f"{prefix}: kept from an earlier run")
+        else:
+            _log_result(prefix, datasets, log)
     return SimulatedPoints([results[index] for index in range(len(points))], rays)
+
+
+def list_point_keys(
+    experiment: SimulationConfig, accuracy: Accuracy, seed: int
+) -> tuple[list[Any], list[Any]]:
+    """Return all that determines the results of all points, and that of each point."""
+    instrument = experiment.instrument.model_dump(mode="json")
+    kind = experiment.medium.get("kind", "snow")
+    common = [hash_physics_sources(), instrument, accuracy.model_dump(), seed, kind]
+    return common, [
+        [replace_table_paths(settings, identify_by_content), incidence]
+        for _, settings, incidence in experiment.iter_settings()
+    ]
 
 
 def _group_by_shared_paths(

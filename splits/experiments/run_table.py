@@ -21,14 +21,16 @@ from splits.experiments.config.snow_packs import count_pack_parts
 from splits.experiments.run_packs import run_pack_part, run_packs
 from splits.experiments.run_points import MAX_RAYS
 from splits.instruments.spectral_run import SpectralRequest
+from splits.io.cache import Cache, compute_digest
 from splits.io.netcdf import save
 from splits.simulation.run_options import RunOptions
 from splits.tables.assembly import allocate_arrays, assemble_dataset, insert_block
-from splits.tables.block import TableRequest, make_block_path
+from splits.tables.block import TableRequest
 from splits.tables.build import (
-    compute_block_digest,
+    BLOCK_PREFIX,
     compute_table,
     iterate_blocks,
+    list_block_inputs,
     warn_of_wide_intervals,
 )
 from splits.tables.comparison import add_comparisons
@@ -94,8 +96,8 @@ def run_part(
     log(f"{experiment.name}: {plan}")
     for _ in _simulate_blocks(experiment, request, groups, folder, log):
         pass
-    digests = [compute_block_digest(group, request) for group in groups]
-    return [make_block_path(folder, g.number, d) for g, d in zip(groups, digests, strict=True)]
+    cache, keys = Cache(folder, BLOCK_PREFIX), [list_block_inputs(one, request) for one in groups]
+    return [cache.find_path(compute_digest(*key)) for key in keys]
 
 
 def run_table(
@@ -212,6 +214,6 @@ def delete_unused_blocks(manifests: Sequence[Path]) -> None:
     """Delete the blocks that no manifest of a table's parts names."""
     texts = [manifest.read_text(encoding="utf-8") for manifest in manifests]
     names = {name for text in texts for name in json.loads(text)}
-    for file in manifests[0].parent.glob("block_*.nc"):
+    for file in manifests[0].parent.glob(f"{BLOCK_PREFIX}_*.nc"):
         if file.name not in names:
             file.unlink(missing_ok=True)

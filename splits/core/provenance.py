@@ -46,7 +46,7 @@ RETRIEVAL_SOURCES = (
     "tables/interpolation.py", "tables/axis_interpolation.py", "tables/comparison.py",
     "tables/axis_order.py", "tables/table.py", "tables/table_interpolation.py",
     "materials/impurities.csv", "materials/impurities.py", "media/measured_inputs.py",
-    "retrieval/state_vector.py", "retrieval/cubic_interpolation.py", "retrieval/band_selection.py",
+    "retrieval/state_vector.py", "retrieval/band_selection.py",
     "retrieval/optimal_estimation.py", "retrieval/forward_model.py", "retrieval/sobol.py",
     "retrieval/least_squares.py", "retrieval/linearization.py", "retrieval/measurement.py",
     "retrieval/residual_covariance.py", "retrieval/posterior.py", "retrieval/result.py",

@@ -10,7 +10,7 @@ import numpy as np
 
 from splits.core.validation import invalid, key_prefix
 from splits.illumination.bands import BandMatrix
-from splits.retrieval.cubic_interpolation import interpolate, interpolate_states
+from splits.kernels.math.interpolation import interpolate, interpolate_states
 from splits.retrieval.map_minimization import TableGrid
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.state_vector import SCALE, ParameterRange, StateVector

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.kernels.compiler.jit import entry_point
-from splits.retrieval.cubic_interpolation import interpolate
+from splits.kernels.math.interpolation import interpolate
 
 MAX_ITERATIONS = 60
 """Largest number of steps of a descent."""

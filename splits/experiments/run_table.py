@@ -24,7 +24,15 @@ from splits.instruments.spectral_run import SpectralRequest
 from splits.io.cache import Cache, compute_digest
 from splits.io.netcdf import save
 from splits.simulation.run_options import RunOptions
-from splits.tables.assembly import allocate_arrays, assemble_dataset, insert_block
+from splits.tables.assembly import (
+    MAX_BYTES_IN_MEMORY,
+    allocate_arrays,
+    assemble_dataset,
+    compute_table_bytes,
+    insert_block,
+    write_table_blockwise,
+)
+from splits.tables.axes import ViewGrid, check_quantities, drop_view_axes, has_diffuse
 from splits.tables.block import TableRequest
 from splits.tables.build import (
     BLOCK_PREFIX,
@@ -35,8 +43,6 @@ from splits.tables.build import (
 )
 from splits.tables.comparison import add_comparisons
 from splits.tables.plan import PathGroup, TablePlan
-from splits.tables.storage import MAX_BYTES_IN_MEMORY, compute_table_bytes, write_table_blockwise
-from splits.tables.views import ViewGrid, check_quantities, drop_view_axes, has_diffuse
 
 
 def count_parts(experiment: SimulationConfig) -> int:

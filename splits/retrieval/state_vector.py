@@ -116,7 +116,7 @@ class StateVector(NamedTuple):
             raise invalid(key, pair, allowed, "leave it out: it is wider than the range")
         return middle, float(np.mean(distances))
 
-    def drop_priors(self) -> StateVector:
+    def without_priors(self) -> StateVector:
         """Return the state vector without priors."""
         return self._replace(prior_sd=np.full(len(self.names), np.inf))
 

@@ -12,9 +12,8 @@ import xarray as xr
 
 from splits.core.validation import as_scalar, invalid
 from splits.io.bird_brdf import save_brdf
-from splits.tables.axes import INCIDENCE, check_axis_values
-from splits.tables.node_selection import REFLECTANCE_FACTOR, select_reflectance_factor
-from splits.tables.views import AZIMUTH, POLAR
+from splits.tables.axes import AZIMUTH, INCIDENCE, POLAR, check_axis_values
+from splits.tables.conversions import REFLECTANCE_FACTOR, select_reflectance_factor
 
 OTHER_NODES = (INCIDENCE, "wavelength")
 """Axes whose single nodes are not parameters of the medium."""

@@ -23,8 +23,8 @@ from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest
 from splits.io.netcdf import make_provenance
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.simulation.threads import DaemonThreadPool, limit_blas_threads
+from splits.tables.axes import DIFFUSE_PREFIX, VIEW_AXES, ViewGrid, has_diffuse, list_view_axes
 from splits.tables.plan import DIFFUSE, PathGroup
-from splits.tables.views import DIFFUSE_PREFIX, VIEW_AXES, ViewGrid, has_diffuse, list_view_axes
 
 
 class TableRequest(NamedTuple):
@@ -35,7 +35,7 @@ class TableRequest(NamedTuple):
     spectral_request : SpectralRequest
         Request for spectra; each ensemble sets its own incidence.
     quantities : tuple of str
-        See `splits.tables.views.check_quantities`.
+        See `splits.tables.axes.check_quantities`.
     covariance : bool
         Whether deviations by batch of rays are stored.
     solver : {"monte_carlo", "discrete_ordinates"}

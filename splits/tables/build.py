@@ -33,12 +33,17 @@ from splits.tables.assembly import (
     average_nodes,
     insert_block,
 )
-from splits.tables.axes import ParameterGrid
+from splits.tables.axes import (
+    ParameterGrid,
+    ViewGrid,
+    check_quantities,
+    drop_view_axes,
+    has_diffuse,
+)
 from splits.tables.block import TableRequest, compute_block, prepare_media
 from splits.tables.comparison import PATH_ERROR_RATIO, add_comparisons
 from splits.tables.plan import PathGroup, TablePlan, choose_table_solver
 from splits.tables.table_interpolation import TableInterpolation
-from splits.tables.views import ViewGrid, check_quantities, drop_view_axes, has_diffuse
 
 BLOCK_PREFIX = "block"
 """Beginning of the names of files of blocks."""

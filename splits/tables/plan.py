@@ -15,8 +15,7 @@ from splits.media.medium import Medium
 from splits.simulation.arguments import check_incidence
 from splits.simulation.path_reuse import MAX_SHARED_ROWS, MediaGroup, group_by_shared_paths
 from splits.simulation.spectral_rows import PathSharingMedia
-from splits.tables.axes import INCIDENCE, ParameterGrid
-from splits.tables.views import ANGLES
+from splits.tables.axes import ANGLES, INCIDENCE, ParameterGrid
 
 DIFFUSE = "diffuse"
 MAX_VIEW_ROWS = 1000

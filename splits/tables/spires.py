@@ -10,7 +10,7 @@ import xarray as xr
 
 from splits.illumination.bands import BandMatrix, check_bands
 from splits.tables.axes import INCIDENCE
-from splits.tables.node_selection import RADIUS, select_at_fixed_axes
+from splits.tables.conversions import RADIUS, select_at_fixed_axes
 
 
 def convert_to_spires(

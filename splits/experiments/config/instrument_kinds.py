@@ -39,9 +39,8 @@ from splits.plotting.panels import (
 )
 from splits.simulation.arguments import check_direction_angles, check_n_bins
 from splits.simulation.incident_light import ALLOWED_STOKES, check_stokes
-from splits.tables.axes import ParameterGrid
+from splits.tables.axes import VIEW_AXES, ParameterGrid, ViewGrid, check_quantities
 from splits.tables.plan import choose_table_solver
-from splits.tables.views import VIEW_AXES, ViewGrid, check_quantities
 
 Angles = tuple[float, ...]
 PolarAngles = Annotated[

@@ -14,7 +14,7 @@ from splits.core.validation import check_choice, invalid
 from splits.experiments.config.beam_instruments import Delays, PulseSection, dump_pulse
 from splits.experiments.config.sections import FiniteSection, Label, MeasuredFile
 from splits.instruments.delay_record import Pulse
-from splits.retrieval.return_model import MAX_PHOTONS
+from splits.retrieval.retrieve_return import MAX_PHOTONS
 from splits.retrieval.state_vector import SCALE
 
 BIN_COLUMNS = (WAVELENGTH_COLUMN, "delay_start_s", "delay_end_s")

@@ -13,7 +13,7 @@ from splits.experiments.config.retrieve_checks import check_on_grid, check_param
 from splits.experiments.config.simulation import SimulationConfig
 from splits.instruments.delay_record import Pulse, check_granular_layers, check_record
 from splits.media.medium import Medium
-from splits.retrieval.return_model import check_return_noise, make_return_operator, read_return
+from splits.retrieval.retrieve_return import check_return_noise, make_return_operator, read_return
 from splits.retrieval.state_vector import SCALE
 from splits.tables.axes import INCIDENCE
 

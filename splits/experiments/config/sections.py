@@ -22,7 +22,7 @@ from pydantic_core import PydanticCustomError
 
 from splits.analysis.measured import WAVELENGTH_COLUMN
 from splits.core.validation import check_choice, invalid
-from splits.retrieval.sand_parameters import resolve_ranges
+from splits.retrieval.sand_fit import resolve_ranges
 
 MAX_LABEL_CHARS = 80
 MAX_TITLE_CHARS = 200

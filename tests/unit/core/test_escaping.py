@@ -27,7 +27,7 @@ from splits.plotting.interpretation_shifts import draw_shifts
 from splits.plotting.sensitivity import draw_band_selection, draw_sobol_indices
 from splits.plotting.style import format_parameter, format_value, use_style
 from splits.plotting.surface_area import draw_fitted_spectra
-from splits.tables.export import write_csv
+from splits.tables.table import write_csv
 
 WORDS = [
     "</script><script>alert(1)</script>", "<!-- <script>", "<img src=x onerror=alert(1)>",

@@ -133,7 +133,8 @@ class TracedGrains(NamedTuple):
     @classmethod
     def from_dataset(cls, dataset: xr.Dataset, digest: str) -> TracedGrains:
         """Return the grains of the dataset of `to_dataset`."""
-        return cls(*(dataset[name].values for name in GRAIN_DIMS), digest)
+        moments, displacements, bound = (dataset[name].values for name in GRAIN_DIMS)
+        return cls(moments, displacements, bound, digest)
 
     def to_dataset(self) -> xr.Dataset:
         """Return the moments of all replicates."""

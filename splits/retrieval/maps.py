@@ -303,26 +303,18 @@ CHUNK_PIXELS = 4096
 POOR_FIT_PROBABILITY = 1e-3
 
 
-class _ReducedTable(NamedTuple):
-    """Table reduced to principal components, with noise of variance 1 each.
+def _reduce_table(model: TableForwardModel, covariance: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return a table projected on the components that vary significantly, in units of noise.
 
-    Attributes
-    ----------
+    Returns
+    -------
     projection : float, shape (components, wavelengths)
+        The noise of every component has variance 1.
     mean_spectrum : float, shape (wavelengths,)
     node_components : float, shape (nodes, components)
     whitening : float, shape (wavelengths, wavelengths)
         Lower triangular.
     """
-
-    projection: np.ndarray
-    mean_spectrum: np.ndarray
-    node_components: np.ndarray
-    whitening: np.ndarray
-
-
-def _reduce_table(model: TableForwardModel, covariance: np.ndarray) -> _ReducedTable:
-    """Return the table projected on the components that vary significantly, in units of noise."""
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
     mean_spectrum = model.table_node_values.mean(axis=0)
     whitened_nodes = (model.table_node_values - mean_spectrum) @ whitening.T
@@ -337,7 +329,7 @@ def _reduce_table(model: TableForwardModel, covariance: np.ndarray) -> _ReducedT
     components = directions[:n_components]
     projection = components @ whitening
     node_components = (model.node_values - mean_spectrum) @ projection.T
-    return _ReducedTable(projection, mean_spectrum, node_components, whitening)
+    return projection, mean_spectrum, node_components, whitening
 
 
 @reject_unknown_arguments
@@ -538,7 +530,7 @@ class _MapRetrieval(NamedTuple):
 
     state_vector: StateVector
     model: TableForwardModel
-    reduced_table: _ReducedTable
+    reduced_table: tuple[np.ndarray, ...]
     covariance: np.ndarray
     threads: int
     is_lazy: bool

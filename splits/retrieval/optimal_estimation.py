@@ -12,6 +12,7 @@ Processing Magazine 34, 60).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import lgamma, log, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -307,7 +308,13 @@ def draw_posterior(
         )
         for estimate in estimates
     ]
-    constant = _compute_log_normalization(len(estimates[0].state))
+    # Logarithm of the normalization of Student's t.
+    n_dimensions = len(estimates[0].state)
+    constant = (
+        lgamma(0.5 * (STUDENT_T_DOF + n_dimensions))
+        - lgamma(0.5 * STUDENT_T_DOF)
+        - 0.5 * n_dimensions * log(STUDENT_T_DOF * pi)
+    )
     best = (0.0, np.zeros(0), np.zeros(0), components)
     for _ in range(MAX_ITERATIONS):
         states = _draw_mixture(components, random)
@@ -341,17 +348,6 @@ def _draw_mixture(
     uniform = random.random((int(DEFENSIVE_FRACTION * N_DRAWS), len(components[0].centre)))
     n_draws = (N_DRAWS - len(uniform)) // len(components)
     return np.concatenate([uniform, *(component.draw(random, n_draws) for component in components)])
-
-
-def _compute_log_normalization(n_dimensions: int) -> float:
-    """Return the logarithm of the normalization of Student's t."""
-    from math import lgamma, log, pi
-
-    return (
-        lgamma(0.5 * (STUDENT_T_DOF + n_dimensions))
-        - lgamma(0.5 * STUDENT_T_DOF)
-        - 0.5 * n_dimensions * log(STUDENT_T_DOF * pi)
-    )
 
 
 def _compute_log_posterior(

@@ -211,20 +211,16 @@ def make_result(
         "warnings": "; ".join(list_warnings(state_vector, solution, constrained)) or "none",
         **make_provenance("retrieval"),
     }
-    coordinates = _make_coordinates(list(state_vector.names), measurement.wavelength_nm)
-    return RetrievalResult(xr.Dataset(variables, coordinates, to_netcdf_attributes(attributes)))
-
-
-def _make_coordinates(names: list[str], wavelength_nm: np.ndarray) -> dict[str, Any]:
-    """Return the coordinates of the dataset of a result."""
+    names = list(state_vector.names)
     labels = [f"{name}: {describe_parameter(name)[0]}" for name in names]
     units = [describe_parameter(name)[1] if name != SCALE else "1" for name in names]
-    return {
+    coordinates = {
         "parameter": ("parameter", names, {"long_name": "parameter"}),
         "other_parameter": ("other_parameter", names, {"long_name": "parameter"}),
         "parameter_unit": ("parameter", units, {"long_name": "unit of the parameter"}),
         "parameter_label": ("parameter", labels, {"long_name": "parameter in words"}),
         "quantile": ("quantile", np.array(QUANTILES), {"long_name": "probability", "units": "1"}),
         "draw": ("draw", np.arange(N_DRAWS), {"long_name": "draw"}),
-        "wavelength": make_wavelength_coordinate(wavelength_nm),
+        "wavelength": make_wavelength_coordinate(measurement.wavelength_nm),
     }
+    return RetrievalResult(xr.Dataset(variables, coordinates, to_netcdf_attributes(attributes)))

@@ -39,7 +39,6 @@ from splits.retrieval.medium_model import (
 from splits.retrieval.optimal_estimation import (
     ALTERNATIVE_CHI2,
     MAX_PRIOR_TENSION,
-    MAPEstimate,
     Solution,
     compute_prior_tension,
     compute_variance_inflation,
@@ -243,7 +242,9 @@ def solve_for_known_noise(
     state_vector, first_guesses = model.state_vector, model.evaluate_first_guesses()
     estimates = find_distinct_map_estimates(model, measurement, *first_guesses)
     # A prior that contradicts the measurement must not inflate the variances.
-    without_priors = _solve_without_priors(model, measurement, estimates[0])
+    without_priors = estimates[0]
+    if np.isfinite(state_vector.prior_sd).any():
+        without_priors = find_map_estimate(drop_priors(model), measurement, estimates[0].state)
     reference = estimates[0] if estimates[0].chi2 <= without_priors.chi2 else without_priors
     variance_inflation = compute_variance_inflation(reference, state_vector)
     if variance_inflation > 1.0:
@@ -270,12 +271,3 @@ def solve_for_known_noise(
         tension,
         model_error,
     )
-
-
-def _solve_without_priors(
-    model: TableForwardModel | LinearizedModel, measurement: Measurement, estimate: MAPEstimate
-) -> MAPEstimate:
-    """Return the estimate without priors near that with priors."""
-    if not np.isfinite(model.state_vector.prior_sd).any():
-        return estimate
-    return find_map_estimate(drop_priors(model), measurement, estimate.state)

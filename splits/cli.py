@@ -246,12 +246,11 @@ def _print_versions(arguments: argparse.Namespace) -> None:
 
 def _manage_cache(arguments: argparse.Namespace) -> None:
     """Print the content of the cache of kernels and of grains, or clear it."""
-    from splits.discrete_ordinates.grain_cache import GRAINS_SUFFIX
-    from splits.kernels.compiler.cache_folder import find_cache_folder
+    from splits.kernels.compiler.cache import find_cache_folder
 
     folder = find_cache_folder()
     kernels, grains = (
-        sorted(folder.glob(f"*{suffix}")) if folder else [] for suffix in (".nbc", GRAINS_SUFFIX)
+        sorted(folder.glob(pattern)) if folder else [] for pattern in ("*.nbc", "grains_*.nc")
     )
     kept = [*kernels, *grains]
     size = sum(path.stat().st_size for path in kept) / 1e6

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from splits.core.validation import invalid, key_prefix
 from splits.illumination.bands import SpectralOperator
-from splits.retrieval.cubic_interpolation import interpolate, interpolate_states
-from splits.retrieval.map_minimization import TableGrid
+from splits.kernels.interpolation import interpolate, interpolate_states
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.state_vector import SCALE, ParameterRange, StateVector
-from splits.tables.axes import INCIDENCE, ParameterGrid, check_axis_values
+from splits.tables.axes import (
+    DIFFUSE_PREFIX,
+    INCIDENCE,
+    VIEW_AXES,
+    ParameterGrid,
+    check_axis_values,
+)
 from splits.tables.interpolation import (
     COORDINATES,
     compute_interpolation_weights,
@@ -23,7 +29,6 @@ from splits.tables.interpolation import (
 )
 from splits.tables.table import Table
 from splits.tables.table_interpolation import scale_axis_errors
-from splits.tables.views import DIFFUSE_PREFIX, VIEW_AXES
 
 FIXED_ATTRIBUTES = (INCIDENCE, *VIEW_AXES, "field_of_view_deg", "diffuse_fraction")
 """Attributes of a table that are conditions of a measurement."""
@@ -52,6 +57,16 @@ class ForwardModel(Protocol):
     def compute_error_covariance(self, state: np.ndarray) -> np.ndarray:
         """Return the covariance of the forward-model error, shape (n, n)."""
         ...
+
+
+Model = TypeVar("Model")
+
+
+def drop_priors(model: Model) -> Model:
+    """Return a forward model whose state vector has no priors; it shares all else."""
+    changed: Any = copy.copy(model)
+    changed.state_vector = changed.state_vector.without_priors()
+    return changed  # type: ignore[no-any-return]
 
 
 def make_measurement_operator(
@@ -101,7 +116,7 @@ class TableForwardModel:
             raise invalid("free", list(state_vector.names), "at least one axis of the table")
         self._scale_index = state_vector.names.index(SCALE) if SCALE in state_vector.names else None
         self._axis_indices = [state_vector.names.index(name) for name in self.axes]
-        values, nodes, self._steps, self._resampling_errors = _resample_table(
+        values, nodes, self.steps, self._resampling_errors = _resample_table(
             table, quantity, state_vector, self.axes, self.fixed
         )
         self.node_values = np.ascontiguousarray(
@@ -112,25 +127,19 @@ class TableForwardModel:
             for i, row in zip(self._axis_indices, nodes, strict=True)
         ]
         max_nodes = max(len(row) for row in nodes)
-        self._axis_nodes = np.array([np.pad(row, (0, max_nodes - len(row))) for row in coordinates])
-        self._n_nodes = np.array([len(row) for row in nodes], dtype=np.int64)
+        self.axis_nodes = np.array([np.pad(row, (0, max_nodes - len(row))) for row in coordinates])
+        self.n_nodes = np.array([len(row) for row in nodes], dtype=np.int64)
 
     @property
     def table_node_values(self) -> np.ndarray:
         """Values at the nodes of the table alone, shape (nodes, n)."""
-        by_axis = self.node_values.reshape(*self._n_nodes, -1)
-        at_nodes = by_axis[tuple(slice(None, None, step) for step in self._steps)]
+        by_axis = self.node_values.reshape(*self.n_nodes, -1)
+        at_nodes = by_axis[tuple(slice(None, None, step) for step in self.steps)]
         return at_nodes.reshape(-1, by_axis.shape[-1])
 
     def make_operator(self, measurement: Measurement, table: Table) -> SpectralOperator:
         """Return the operator from the spectra of a table to a measurement."""
         return make_measurement_operator(measurement, table.dataset.wavelength.values)
-
-    def make_grid(self, node_values: np.ndarray) -> TableGrid:
-        """Return the table over coordinates with other columns."""
-        return TableGrid(
-            np.ascontiguousarray(node_values), self._axis_nodes, self._n_nodes, self._steps
-        )
 
     def list_fixed_values(self) -> dict[str, Any]:
         """Return the incidence and the values of all axes that are not free."""
@@ -152,7 +161,7 @@ class TableForwardModel:
         """Return modelled measurements, shape (states, n)."""
         modelled = np.empty((len(states), self.node_values.shape[1]))
         axis_states = np.ascontiguousarray(states[:, self._axis_indices])
-        interpolate_states(self.node_values, self._axis_nodes, self._n_nodes, axis_states, modelled)
+        interpolate_states(self.node_values, self.axis_nodes, self.n_nodes, axis_states, modelled)
         return modelled * self._compute_scale(states)[:, np.newaxis]
 
     def evaluate_state(self, state: np.ndarray) -> np.ndarray:
@@ -166,7 +175,7 @@ class TableForwardModel:
         values, axis_jacobian = np.empty(n_values), np.empty((n_values, len(self.axes)))
         axis_state = np.ascontiguousarray(state[self._axis_indices])
         interpolate(
-            self.node_values, self._axis_nodes, self._n_nodes, axis_state, values, axis_jacobian
+            self.node_values, self.axis_nodes, self.n_nodes, axis_state, values, axis_jacobian
         )
         scale = float(self._compute_scale(state))
         jacobian = np.zeros((n_values, len(self.state_vector.names)))

@@ -14,7 +14,7 @@ from splits.core.units import check_nanometres, convert_units
 from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid, short_repr
 from splits.illumination.bands import SpectralBand, as_bands
 from splits.simulation.run_options import check_wavelengths
-from splits.tables.views import AZIMUTH, fold_azimuths
+from splits.tables.axes import AZIMUTH, fold_azimuths
 
 MAX_REFLECTANCE = 2.0
 """Reflectance factor above which values are assumed to be in per cent."""

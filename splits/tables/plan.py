@@ -19,8 +19,7 @@ from splits.simulation.shared_paths import (
     PathSharingMedia,
     group_by_shared_paths,
 )
-from splits.tables.axes import INCIDENCE, ParameterGrid
-from splits.tables.views import ANGLES
+from splits.tables.axes import ANGLES, INCIDENCE, ParameterGrid
 
 DIFFUSE = "diffuse"
 MAX_VIEW_ROWS = 1000

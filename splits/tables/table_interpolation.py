@@ -12,9 +12,16 @@ from splits.core.arrays import as_1d_array
 from splits.core.validation import check_choice, invalid
 from splits.illumination.bands import SpectralOperator, check_bands
 from splits.io.netcdf import to_netcdf_attributes
-from splits.tables.axes import check_axis_values
+from splits.tables.axes import (
+    MIXED_QUANTITIES,
+    POLAR,
+    VIEW_QUANTITIES,
+    check_axis_values,
+    list_axes,
+    list_quantities,
+    load_selection,
+)
 from splits.tables.axis_interpolation import AxisError, AxisInterpolation, AxisWeights
-from splits.tables.axis_order import list_axes, list_quantities, load_selection
 from splits.tables.comparison import extract_comparisons
 from splits.tables.derivatives import (
     DerivativeEstimate,
@@ -29,7 +36,6 @@ from splits.tables.interpolation import (
     estimate_error_weights,
     transform_axis,
 )
-from splits.tables.views import MIXED_QUANTITIES, POLAR, VIEW_QUANTITIES
 
 ERROR_STEP = 1e-3
 """Step of the derivative of an error, relative to the length of the axis."""
@@ -41,7 +47,7 @@ class TableInterpolation:
     Parameters
     ----------
     dataset : xarray.Dataset
-        Table with sorted axes, see `splits.tables.axis_order.sort_axes`.
+        Table with sorted axes, see `splits.tables.axes.sort_axes`.
     """
 
     def __init__(self, dataset: xr.Dataset) -> None:

@@ -16,20 +16,22 @@ from splits.core.arrays import align_to_labels, check_array_range
 from splits.core.uncertainty import make_variable
 from splits.core.validation import check_number, check_range, invalid, snap_to_limits
 from splits.simulation.run_options import FULL_TURN_DEG, check_direction_angles
-from splits.tables.axes import INCIDENCE
-from splits.tables.axis_order import list_axes, list_quantities, load_selection
-from splits.tables.comparison import rename_comparison
-from splits.tables.interpolation import check_within_axis
-from splits.tables.table_interpolation import TableInterpolation, combine_axis_errors
-from splits.tables.views import (
+from splits.tables.axes import (
     AZIMUTH,
     DIFFUSE_PREFIX,
+    INCIDENCE,
     MIXED_QUANTITIES,
     POLAR,
     VIEW_AXES,
     fold_azimuths,
+    list_axes,
+    list_quantities,
     list_view_axes,
+    load_selection,
 )
+from splits.tables.comparison import rename_comparison
+from splits.tables.interpolation import check_within_axis
+from splits.tables.table_interpolation import TableInterpolation, combine_axis_errors
 
 N_RINGS, N_RING_DIRECTIONS = 3, 8
 """Numbers of rings of a field of view, and of directions in each."""

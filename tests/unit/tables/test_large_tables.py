@@ -115,7 +115,7 @@ def test_damage_is_detected(tables, tmp_path):
 def test_incomplete_files_are_not_kept(tables, tmp_path, monkeypatch):
     experiment, folder, _, _ = tables
     monkeypatch.setattr(module, "MAX_BYTES_IN_MEMORY", 0)
-    monkeypatch.setattr("splits.tables.storage._write_block", lambda *_arguments: None)
+    monkeypatch.setattr("splits.tables.assembly._write_block", lambda *_arguments: None)
     path = tmp_path / "never.nc"
     with pytest.raises(OSError, match="does not hold the table"):
         module.write_table(experiment, ACCURACY, 1, folder, path)

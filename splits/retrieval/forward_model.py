@@ -23,8 +23,8 @@ from splits.tables.axes import (
 )
 from splits.tables.interpolation import (
     COORDINATES,
-    compute_interpolation_weights,
     estimate_error_weights,
+    make_weight_matrix,
     transform_axis,
 )
 from splits.tables.table import Table
@@ -75,10 +75,9 @@ def make_measurement_operator(
     """Return the operator of a measurement; reject values outside the wavelengths (nm)."""
     if measurement.bands:
         return SpectralOperator.from_bands(measurement.bands, wavelengths)
-    rows, error_rows = np.zeros((2, measurement.values.size, wavelengths.size))
-    for row, error_row, x in zip(rows, error_rows, measurement.wavelength_nm.tolist(), strict=True):
-        stencil = compute_interpolation_weights("wavelength", wavelengths, x)
-        row[stencil.nodes] = stencil.weights
+    rows = make_weight_matrix("wavelength", wavelengths, measurement.wavelength_nm)
+    error_rows = np.zeros(rows.shape)
+    for error_row, x in zip(error_rows, measurement.wavelength_nm.tolist(), strict=True):
         estimates = estimate_error_weights("wavelength", wavelengths, x)
         if len(estimates):
             error_row[:] = max(estimates, key=lambda weights: float((weights**2).sum()))

@@ -22,7 +22,7 @@ from splits.core.validation import (
     snap_to_limits,
 )
 from splits.tables.axes import ANGLES, AZIMUTH, INCIDENCE, POLAR, check_axis_values, fold_azimuths
-from splits.tables.interpolation import compute_interpolation_weights
+from splits.tables.interpolation import make_weight_matrix
 
 RADIUS, SURFACE_AREA = "optical_radius_um", "specific_surface_area_m2_kg"
 REFLECTANCE_FACTOR = "reflectance_factor"
@@ -184,12 +184,18 @@ def convert_to_eradiate(
     cosines = np.linspace(0.0, 1.0, n_cosines)
     phi = np.linspace(0.0, 2.0 * np.pi, n_azimuths, endpoint=False)
     zeniths = np.degrees(np.arccos(cosines))
-    incidence, polar = (
-        _make_weight_matrix(name, _check_zenith_nodes(name, factor[name].values), zeniths)
-        for name in (INCIDENCE, POLAR)
-    )
-    azimuth = _make_weight_matrix(
-        AZIMUTH, factor[AZIMUTH].values.astype(float), fold_azimuths(180.0 - np.degrees(phi))
+    targets = {INCIDENCE: zeniths, POLAR: zeniths}
+    for name in targets:
+        nodes = factor[name].values
+        if snap_to_limits(nodes[:1], 0.0, 90.0)[0] != 0.0 or nodes[-1] < MIN_LAST_ZENITH_DEG:
+            allowed = f"from 0 to at least {MIN_LAST_ZENITH_DEG:g}"
+            raise invalid(name, nodes.tolist(), allowed, "the format covers the hemisphere")
+    targets[AZIMUTH] = fold_azimuths(180.0 - np.degrees(phi))
+    incidence, polar, azimuth = (
+        # Beyond the nodes, the value is that of the last one.
+        make_weight_matrix(name, nodes, np.clip(values, nodes[0], nodes[-1]), has_direction=True)
+        for name, values in targets.items()
+        for nodes in [factor[name].values.astype(float)]
     )
     values = np.einsum(
         "op,da,in,npa->odi", polar, azimuth, incidence, factor.values.astype(float), optimize=True
@@ -232,26 +238,6 @@ def _find_wavelength(subset: xr.Dataset, wavelength: float | None) -> int:
     if not matches.size:
         raise invalid("wavelength", wavelength, allowed)
     return int(matches[0])
-
-
-def _check_zenith_nodes(name: str, nodes: np.ndarray) -> np.ndarray:
-    """Return the nodes of a zenith angle that covers the format well enough."""
-    if snap_to_limits(nodes[:1], 0.0, 90.0)[0] != 0.0 or nodes[-1] < MIN_LAST_ZENITH_DEG:
-        allowed = f"from 0 to at least {MIN_LAST_ZENITH_DEG:g}"
-        raise invalid(name, nodes.tolist(), allowed, "the format covers the hemisphere")
-    return nodes.astype(float)
-
-
-def _make_weight_matrix(name: str, nodes: np.ndarray, targets: np.ndarray) -> np.ndarray:
-    """Return the weights of cubic interpolation, shape (targets, nodes).
-
-    Targets beyond the nodes get the value of the last node.
-    """
-    matrix = np.zeros((targets.size, nodes.size))
-    for row, x in zip(matrix, np.clip(targets, nodes[0], nodes[-1]), strict=True):
-        weights = compute_interpolation_weights(name, nodes, x, has_direction=True)
-        row[weights.nodes] = weights.weights
-    return matrix
 
 
 ISOFIT_DIMS = ("solar_zenith", "observer_zenith", "relative_azimuth", "grain_radius", "wl")
@@ -305,31 +291,37 @@ def convert_to_isofit(dataset: xr.Dataset, **at: Any) -> xr.Dataset:
         For a missing axis, an angle with fewer than two nodes, azimuths that do not extend from 0°
         to 180°, gaps, or, by reciprocity, polar angles beyond the angles of incidence.
     """
+    values = {}
     if REFLECTANCE_FACTOR in dataset:
-        return _convert_directions(dataset, at)
-    subset = select_at_fixed_axes(dataset, ("reflectance",), [INCIDENCE, RADIUS], at).reflectance
-    subset = subset.transpose(INCIDENCE, RADIUS, "wavelength")
-    zenith, sizes = subset[INCIDENCE].values, subset[RADIUS].values
-    axes = _make_axes(zenith, zenith, np.array([0.0, 180.0]), sizes, subset.wavelength.values)
-    values = {"rho_dif_dir": _broadcast_over_axes(subset.values, axes)}
-    return _make_isofit_dataset(values, axes, dataset)
-
-
-def _convert_directions(dataset: xr.Dataset, at: Mapping[str, Any]) -> xr.Dataset:
-    """Return a table of directions in the format of isofit."""
-    factor = select_reflectance_factor(dataset, at, [RADIUS])[REFLECTANCE_FACTOR]
-    # Azimuths in descending order, so that relative azimuths increase.
-    factor = factor.isel({AZIMUTH: slice(None, None, -1)}).sortby(RADIUS)
-    axes = _make_axes(
-        factor[INCIDENCE].values,
-        factor[POLAR].values,
-        180.0 - factor[AZIMUTH].values,
-        factor[RADIUS].values,
-        factor.wavelength.values,
-    )
-    diffuse = _select_diffuse_factor(dataset, at, axes["observer_zenith"])
-    values = {"rho_dif_dir": _broadcast_over_axes(diffuse, axes), "rho_dir_dir": factor.values}
-    return _make_isofit_dataset(values, axes, dataset)
+        part = select_reflectance_factor(dataset, at, [RADIUS])[REFLECTANCE_FACTOR]
+        # Azimuths in descending order, so that relative azimuths increase.
+        part = part.isel({AZIMUTH: slice(None, None, -1)}).sortby(RADIUS)
+        values["rho_dir_dir"] = part.values
+        polar, relative_azimuth = part[POLAR].values, 180.0 - part[AZIMUTH].values
+        diffuse = _select_diffuse_factor(dataset, at, polar)
+    else:
+        names = [INCIDENCE, RADIUS]
+        part = select_at_fixed_axes(dataset, ("reflectance",), names, at).reflectance
+        part = part.transpose(*names, "wavelength")
+        polar, relative_azimuth = part[INCIDENCE].values, np.array([0.0, 180.0])
+        diffuse = part.values
+    rows = (
+        part[INCIDENCE].values, polar, relative_azimuth, part[RADIUS].values,
+        part.wavelength.values,
+    )  # fmt: skip
+    shape = tuple(row.size for row in rows)
+    values["rho_dif_dir"] = np.broadcast_to(diffuse[np.newaxis, :, np.newaxis], shape)
+    variables = {
+        name: (ISOFIT_DIMS, values[name].astype(np.float32), {"long_name": label, "units": "1"})
+        for name, label in LONG_NAMES.items()
+        if name in values
+    }
+    return xr.Dataset(
+        {"statevec_names": ("n_state", ["grain_radius"]), **variables},
+        {name: (name, row, AXIS_ATTRIBUTES[name])
+         for name, row in zip(ISOFIT_DIMS, rows, strict=True)},
+        {"title": "Surface table for isofit", "source": dataset.attrs.get("source", "splits")},
+    )  # fmt: skip
 
 
 def _select_diffuse_factor(
@@ -353,34 +345,5 @@ def _select_diffuse_factor(
         allowed = f"from {limits[0]:g} to {limits[1]:g}, as far as {INCIDENCE} goes"
         hint = f"or a table with {DIFFUSE_REFLECTANCE_FACTOR}"
         raise invalid(POLAR, polar_deg.tolist(), allowed, hint)
-    weights = [
-        compute_interpolation_weights(INCIDENCE, subset[INCIDENCE].values, x) for x in polar_deg
-    ]
-    return np.stack([np.tensordot(w.weights, subset.values[w.nodes], 1) for w in weights])
-
-
-def _make_axes(*values: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the axes of the format by name."""
-    return dict(zip(ISOFIT_DIMS, values, strict=True))
-
-
-def _broadcast_over_axes(values: np.ndarray, axes: dict[str, np.ndarray]) -> np.ndarray:
-    """Return values over observer angle, size and wavelength broadcast over all axes."""
-    shape = tuple(axis.size for axis in axes.values())
-    return np.broadcast_to(values[np.newaxis, :, np.newaxis], shape)
-
-
-def _make_isofit_dataset(
-    values: dict[str, np.ndarray], axes: dict[str, np.ndarray], dataset: xr.Dataset
-) -> xr.Dataset:
-    """Return the dataset with the names, units and attributes of the format."""
-    state = {"statevec_names": ("n_state", ["grain_radius"])}
-    return xr.Dataset(
-        state
-        | {
-            name: (ISOFIT_DIMS, v.astype(np.float32), {"long_name": LONG_NAMES[name], "units": "1"})
-            for name, v in values.items()
-        },
-        {name: (name, axis, AXIS_ATTRIBUTES[name]) for name, axis in axes.items()},
-        {"title": "Surface table for isofit", "source": dataset.attrs.get("source", "splits")},
-    )
+    weights = make_weight_matrix(INCIDENCE, subset[INCIDENCE].values, polar_deg)
+    return np.asarray(np.tensordot(weights, subset.values, 1))

@@ -229,6 +229,17 @@ def compute_interpolation_weights(
     return compute_stencil(coordinates, float(apply_axis_transform(kind, np.array(x))))
 
 
+def make_weight_matrix(
+    name: str, nodes: np.ndarray, values: np.ndarray, *, has_direction: bool = False
+) -> np.ndarray:
+    """Return the weights of all nodes at several values, shape (values, nodes)."""
+    matrix = np.zeros((len(values), len(nodes)))
+    for row, value in zip(matrix, values, strict=True):
+        stencil = compute_interpolation_weights(name, nodes, value, has_direction=has_direction)
+        row[stencil.nodes] = stencil.weights
+    return matrix
+
+
 def estimate_error_weights(
     name: str, nodes: np.ndarray, value: float, *, has_direction: bool = False
 ) -> np.ndarray:

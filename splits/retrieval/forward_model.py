@@ -96,6 +96,8 @@ class TableForwardModel:
     fixed : mapping, optional
         Values of the other axes; axes with a single node may be left out.
     quantity : str
+    operator : SpectralOperator, optional
+        From the spectra of the table to the measurement, see `make_measurement_operator`.
     """
 
     def __init__(
@@ -105,11 +107,14 @@ class TableForwardModel:
         state_vector: StateVector,
         fixed: Mapping[str, Any] | None,
         quantity: str = "reflectance",
+        operator: SpectralOperator | None = None,
     ) -> None:
         self.state_vector, self.table, self.quantity = state_vector, table, quantity
         self.fixed = _check_fixed_axes(table, state_vector, fixed)
         self.measurement = measurement
-        self.operator = self.make_operator(measurement, table)
+        self.operator = operator or make_measurement_operator(
+            measurement, table.dataset.wavelength.values
+        )
         self.axes = [name for name in state_vector.names if name != SCALE]
         if not self.axes:
             raise invalid("free", list(state_vector.names), "at least one axis of the table")
@@ -135,10 +140,6 @@ class TableForwardModel:
         by_axis = self.node_values.reshape(*self.n_nodes, -1)
         at_nodes = by_axis[tuple(slice(None, None, step) for step in self.steps)]
         return at_nodes.reshape(-1, by_axis.shape[-1])
-
-    def make_operator(self, measurement: Measurement, table: Table) -> SpectralOperator:
-        """Return the operator from the spectra of a table to a measurement."""
-        return make_measurement_operator(measurement, table.dataset.wavelength.values)
 
     def list_fixed_values(self) -> dict[str, Any]:
         """Return the incidence and the values of all axes that are not free."""

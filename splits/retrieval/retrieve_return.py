@@ -7,7 +7,7 @@ of a spectrum.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -59,21 +59,8 @@ RECORD_ATTRIBUTES = (
 class ReturnForwardModel(TableForwardModel):
     """Forward model that interpolates a table of returns over channels, see `make_channel_table`.
 
-    Parameters
-    ----------
-    table, measurement, state_vector, fixed, quantity
-        See `TableForwardModel`.
-    operator : SpectralOperator
-        From the channels of the table to those of the measurement.
+    Its operator is from the channels of the table to those of the measurement.
     """
-
-    def __init__(self, operator: SpectralOperator, *arguments: Any, **keywords: Any) -> None:
-        self._return_operator = operator
-        super().__init__(*arguments, **keywords)
-
-    def make_operator(self, measurement: Measurement, table: Table) -> SpectralOperator:
-        """Return the operator from the channels of a table to a measurement."""
-        return self._return_operator
 
     def compute_node_covariance(
         self, node_stderr: np.ndarray, axis_values: dict[str, Any]
@@ -235,28 +222,12 @@ def _read_return_dataset(measured: xr.Dataset) -> tuple[np.ndarray, xr.DataArray
     return edges, rates.drop_vars("delay", errors="ignore").transpose(..., "delay")
 
 
-class PhotonNoise(NamedTuple):
-    """Noise of counted photons.
-
-    Attributes
-    ----------
-    count_rate : float, shape (n,)
-        Rate (s⁻¹) of one counted photon in each channel.
-    """
-
-    count_rate: np.ndarray
-
-    def compute_stderr(self, rates: np.ndarray, min_count: float) -> np.ndarray:
-        """Return the standard errors of expected rates (s⁻¹), of at least some photons."""
-        count = np.maximum(rates / self.count_rate, min_count)
-        stderr: np.ndarray = np.sqrt(count) * self.count_rate
-        return stderr
-
-
 def check_return_noise(
     noise: Any, edges: np.ndarray, wavelengths: np.ndarray
-) -> PhotonNoise | np.ndarray:
-    """Return the noise of a measured return: a `PhotonNoise`, or standard errors (s⁻¹).
+) -> tuple[np.ndarray, bool]:
+    """Return the noise of a measured return, and whether photons are counted.
+
+    It is the rate (s⁻¹) of one counted photon in each bin, or the standard error (s⁻¹).
 
     Parameters
     ----------
@@ -276,36 +247,14 @@ def check_return_noise(
         if set(noise) != {"photons"}:
             raise invalid("noise", sorted(map(str, noise)), allowed)
         photons = check_range("noise.photons", noise["photons"], 0.0, MAX_PHOTONS, open_low=True)
-        return PhotonNoise(np.tile(1.0 / (photons * np.diff(edges)), shape[0]))
+        return np.tile(1.0 / (photons * np.diff(edges)), shape[0]), True
     stderr = _align_to_channels("noise", noise, edges, wavelengths, allowed)
     if stderr.shape not in ((), shape, (n_values,)):
         raise invalid("noise", f"of shape {stderr.shape}", allowed)
     if not (stderr > 0.0).all():
         hint = "noise={'photons': …} also applies to bins without photons"
         raise invalid("noise", float(stderr.min()), allowed, hint)
-    return np.broadcast_to(stderr.ravel(), n_values)
-
-
-def make_return_measurement(
-    expected: np.ndarray, rates: np.ndarray, noise: PhotonNoise | np.ndarray, min_count: float
-) -> Measurement:
-    """Return the measurement of all channels.
-
-    Parameters
-    ----------
-    expected : float, shape (n,)
-        Rates (s⁻¹) from which errors of counted photons follow.
-    rates : float, shape (wavelengths, bins)
-        Measured rates (s⁻¹).
-    noise : PhotonNoise or float, shape (n,)
-        See `check_return_noise`.
-    min_count : float
-        Smallest number of photons from which errors follow.
-    """
-    channels = np.arange(rates.size) + 1.0
-    if isinstance(noise, PhotonNoise):
-        noise = noise.compute_stderr(expected, min_count)
-    return Measurement(rates.ravel(), channels, np.diag(noise**2), {})
+    return np.broadcast_to(stderr.ravel(), n_values), False
 
 
 def make_return_operator(table: xr.Dataset, edges: np.ndarray, pulse: Pulse) -> SpectralOperator:
@@ -474,17 +423,21 @@ def retrieve_return(
     table = sort_returns(table)
     channels = make_channel_table(table)
     edges, rates = read_return(measured, table.wavelength.values)
-    return_noise = check_return_noise(noise, edges, table.wavelength.values)
+    noise_rate, is_counted = check_return_noise(noise, edges, table.wavelength.values)
     record_pulse = Pulse.from_argument(pulse)
     pulse_attributes = describe_record(pulse, None, None)
     state_vector = StateVector.from_ranges(free, prior, get_table_ranges(channels))
     operator = make_return_operator(table, edges, record_pulse)
-    _check_rates(rates, edges, return_noise, operator.weights, table, state_vector)
+    _check_rates(rates, edges, noise_rate, is_counted, operator.weights, table, state_vector)
+    positions = np.arange(rates.size) + 1.0
     expected, min_count = rates.ravel(), MIN_COUNT
-    for _ in range(N_NOISE_UPDATES if isinstance(return_noise, PhotonNoise) else 1):
-        measurement = make_return_measurement(expected, rates, return_noise, min_count)
+    for _ in range(N_NOISE_UPDATES if is_counted else 1):
+        stderr = noise_rate
+        if is_counted:
+            stderr = np.sqrt(np.maximum(expected / noise_rate, min_count)) * noise_rate
+        measurement = Measurement(rates.ravel(), positions, np.diag(stderr**2), {})
         forward_model = ReturnForwardModel(
-            operator, channels, measurement, state_vector, fixed, QUANTITY
+            channels, measurement, state_vector, fixed, QUANTITY, operator
         )
         solution = solve_for_known_noise(forward_model, measurement, seed)
         expected, min_count = solution.estimates[0].modelled, MIN_EXPECTED_COUNT
@@ -501,8 +454,8 @@ def retrieve_return(
 
 
 def _check_rates(
-    rates: np.ndarray, edges: np.ndarray, noise: PhotonNoise | np.ndarray, matrix: np.ndarray,
-    table: xr.Dataset, state_vector: StateVector,
+    rates: np.ndarray, edges: np.ndarray, noise_rate: np.ndarray, is_counted: bool,
+    matrix: np.ndarray, table: xr.Dataset, state_vector: StateVector,
 ) -> None:  # fmt: skip
     """Reject values that cannot be rates, such as numbers of photons.
 
@@ -514,7 +467,7 @@ def _check_rates(
     ----------
     rates : float, shape (wavelengths, bins)
     edges : float, shape (bins + 1,)
-    noise : PhotonNoise or float, shape (wavelengths · bins,)
+    noise_rate, is_counted
         See `check_return_noise`.
     matrix : float, shape (wavelengths · bins, channels)
         Weights of the channels of the table in the bins.
@@ -532,12 +485,8 @@ def _check_rates(
     )
     tabulated = np.maximum(node_rates - NODE_ERRORS * error, 0.0) @ matrix.T @ width
     least, most = limits[0] * float(tabulated.min()), limits[1] * len(rates)
-    total = largest = float(np.abs(rates).ravel() @ width)
-    if isinstance(noise, PhotonNoise):
-        uncertainty = float(noise.count_rate @ width)
-    else:
-        uncertainty = float(noise @ width)
-        largest += uncertainty
+    total, uncertainty = float(np.abs(rates).ravel() @ width), float(noise_rate @ width)
+    largest = total if is_counted else total + uncertainty
     too_small = total > 0.0 and largest < least / MAX_DEFICIT
     if too_small or float(rates.ravel() @ width) > MAX_EXCESS * (most + uncertainty):
         limit = f"at least {least:.3g}" if too_small else f"at most {most:g}"

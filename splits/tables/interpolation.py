@@ -234,7 +234,7 @@ def make_weight_matrix(
 ) -> np.ndarray:
     """Return the weights of all nodes at several values, shape (values, nodes)."""
     matrix = np.zeros((len(values), len(nodes)))
-    for row, value in zip(matrix, values, strict=True):
+    for row, value in zip(matrix, values.tolist(), strict=True):
         stencil = compute_interpolation_weights(name, nodes, value, has_direction=has_direction)
         row[stencil.nodes] = stencil.weights
     return matrix

@@ -8,8 +8,7 @@ independent information.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -27,8 +26,6 @@ from splits.retrieval.medium_model import ConvergedMinima, MediumForwardModel
 from splits.retrieval.optimal_estimation import (
     ALTERNATIVE_CHI2,
     MAPEstimate,
-    PosteriorDraws,
-    PosteriorSummary,
     Solution,
     compute_prior_tension,
     draw_posterior,
@@ -44,21 +41,6 @@ MIN_RESIDUAL_DOF = 2
 """Smallest excess of the number of values over the number of parameters."""
 _UNCONSTRAINED_VARIANCE = 100.0
 """Variance of unconstrained directions, far larger than the range of coordinates."""
-
-
-class FitCovariance(NamedTuple):
-    """Covariance of a fit.
-
-    Attributes
-    ----------
-    state : float, shape (coordinates, coordinates)
-        Covariance of the coordinates.
-    residual : float, shape (wavelengths, wavelengths)
-        Covariance of the residuals.
-    """
-
-    state: np.ndarray
-    residual: np.ndarray
 
 
 def estimate_misfit_variances(misfit: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
@@ -121,8 +103,10 @@ def estimate_fit_covariance(
     misfit: np.ndarray,
     noise_covariance: np.ndarray,
     active_bounds: np.ndarray,
-) -> FitCovariance:
-    """Return the covariance of a least-squares fit, estimated from its misfit.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the covariances of the coordinates of a least-squares fit and of its residuals.
+
+    They are estimated from the misfit.
 
     Noise in a Jacobian would appear as information on coordinates without effect.  Products of
     different, independent Jacobians have no such bias.  Directions whose effect is below the misfit
@@ -155,10 +139,9 @@ def estimate_fit_covariance(
     # The variance is at least that of the same number of independent wavelengths.
     eigenvalues, axes = np.linalg.eigh(spread)
     spread = (axes * np.maximum(eigenvalues, variances.sum())) @ axes.T
-    return FitCovariance(
-        scale @ spread @ scale.T + _UNCONSTRAINED_VARIANCE * unconstrained @ unconstrained.T,
-        residual_covariance,
-    )
+    covariance = scale @ spread @ scale.T
+    covariance = covariance + _UNCONSTRAINED_VARIANCE * unconstrained @ unconstrained.T
+    return covariance, residual_covariance
 
 
 def _split_directions(
@@ -173,29 +156,10 @@ def _split_directions(
     return vectors[:, is_constrained] / np.sqrt(values[is_constrained]), vectors[:, ~is_constrained]
 
 
-class PosteriorEstimate(NamedTuple):
-    """Posterior of a least-squares estimate within its ranges and priors.
-
-    Attributes
-    ----------
-    state : float, shape (parameters,)
-        Most probable state.
-    posterior : PosteriorSummary
-    draws : PosteriorDraws
-    prior_tension : float, shape (parameters,)
-        See `splits.retrieval.optimal_estimation.Solution`.
-    """
-
-    state: np.ndarray
-    posterior: PosteriorSummary
-    draws: PosteriorDraws
-    prior_tension: np.ndarray
-
-
 def apply_priors(
     state_vector: StateVector, state: np.ndarray, covariance: np.ndarray, seed: int
-) -> PosteriorEstimate:
-    """Return the posterior of an estimate of the coordinates.
+) -> Solution:
+    """Return the solution for an estimate of the coordinates, within their ranges and priors.
 
     Parameters
     ----------
@@ -215,10 +179,13 @@ def apply_priors(
     estimates = find_distinct_map_estimates(
         linear_model, measurement, *linear_model.evaluate_first_guesses()
     )
-    draws = draw_posterior(linear_model, measurement, estimates, seed)
-    prior_tension = compute_prior_tension(state_vector, state, np.diag(covariance))
-    return PosteriorEstimate(
-        estimates[0].state, summarize_posterior(estimates[0], state_vector), draws, prior_tension
+    return Solution(
+        estimates,
+        summarize_posterior(estimates[0], state_vector),
+        draw_posterior(linear_model, measurement, estimates, seed),
+        variance_inflation=1.0,
+        prior_tension=compute_prior_tension(state_vector, state, np.diag(covariance)),
+        forward_model_error=np.zeros(n_parameters),
     )
 
 
@@ -236,16 +203,28 @@ def retrieve_without_noise(
     best = converged.linearize(measurement.covariance)
     residual = best.modelled - measurement.values
     active_bounds = find_active_bounds(best.state, best.jacobian.T @ residual)
-    fit_covariance = estimate_fit_covariance(
+    state_covariance, noise = estimate_fit_covariance(
         converged.jacobians, residual, best.error_covariance, active_bounds
     )
-    alternatives = converged.find_alternatives(
-        ALTERNATIVE_CHI2 * float(fit_covariance.residual[0, 0])
-    )
+    solution = apply_priors(model.state_vector, best.state, state_covariance, seed)
+    state = solution.estimates[0].state
+    modelled = model.evaluate_state(state)
+    residual = modelled - measurement.values
+    covariance = noise + best.error_covariance
+    weighted = np.linalg.solve(covariance, residual)
+    chi2 = float(residual @ weighted)
+    active_bounds = find_active_bounds(state, best.jacobian.T @ weighted)
+    estimate = MAPEstimate(state, modelled, best.jacobian, covariance, chi2, chi2, active_bounds)
     linear_model = LinearizedModel(model.state_vector, best)
-    return _make_solution(
-        model.evaluate_state, linear_model, measurement, fit_covariance, alternatives, seed
+    solution = solution._replace(
+        estimates=[estimate],
+        forward_model_error=np.sqrt(np.diag(best.error_covariance)),
+        alternatives=converged.find_alternatives(ALTERNATIVE_CHI2 * float(noise[0, 0])),
+        nonlinearity=estimate_nonlinearity(
+            model.evaluate_state, linear_model, state, solution.posterior.covariance, covariance
+        ),
     )
+    return solution, measurement._replace(covariance=noise)
 
 
 def _find_table_minima(model: TableForwardModel, measurement: Measurement) -> ConvergedMinima:
@@ -265,41 +244,3 @@ def check_enough_values(n_parameters: int, measurement: Measurement) -> None:
             f"{n_values} values are too few to estimate it from the misfit, {min_values} are needed"
         )
         raise invalid("noise", None, "given", hint)
-
-
-def _make_solution(
-    evaluate: Callable[[np.ndarray], np.ndarray],
-    linear_model: LinearizedModel,
-    measurement: Measurement,
-    fit_covariance: FitCovariance,
-    alternatives: tuple[np.ndarray, ...],
-    seed: int,
-) -> tuple[Solution, Measurement]:
-    """Return the solution, and the measurement with the estimated noise."""
-    best = linear_model.linearization
-    posterior = apply_priors(linear_model.state_vector, best.state, fit_covariance.state, seed)
-    modelled = evaluate(posterior.state)
-    total_covariance = fit_covariance.residual + best.error_covariance
-    residual = modelled - measurement.values
-    chi2 = float(residual @ np.linalg.solve(total_covariance, residual))
-    active_bounds = find_active_bounds(
-        posterior.state, best.jacobian.T @ np.linalg.solve(total_covariance, residual)
-    )
-    estimate = MAPEstimate(
-        posterior.state, modelled, best.jacobian, total_covariance, chi2, chi2, active_bounds
-    )
-    model_stderr = np.sqrt(np.diag(best.error_covariance))
-    nonlinearity = estimate_nonlinearity(
-        evaluate, linear_model, posterior.state, posterior.posterior.covariance, total_covariance
-    )
-    solution = Solution(
-        [estimate],
-        posterior.posterior,
-        posterior.draws,
-        1.0,
-        posterior.prior_tension,
-        model_stderr,
-        alternatives,
-        nonlinearity,
-    )
-    return solution, measurement._replace(covariance=fit_covariance.residual)

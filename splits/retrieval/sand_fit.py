@@ -461,8 +461,8 @@ def fit(
     residual = modelled - target
     jacobians = model.compute_jacobians(best)
     active_bounds = find_active_bounds(best, np.mean(jacobians, axis=0).T @ residual)
-    fit_covariance = estimate_fit_covariance(jacobians, residual, model.noise(best), active_bounds)
-    draws = apply_priors(cube.state_vector, best, fit_covariance.state, seed).draws.states
+    covariance, _ = estimate_fit_covariance(jacobians, residual, model.noise(best), active_bounds)
+    draws = apply_priors(cube.state_vector, best, covariance, seed).draws.states
     value, value_stderr = _compute_rms(residual), _compute_rms(stderr)
     seconds = time.perf_counter() - start_time
     log(f"{model.n_simulations} sands, rmse {value:.4f} ± {value_stderr:.4f}, {seconds:.0f} s")

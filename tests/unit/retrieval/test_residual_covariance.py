@@ -30,7 +30,7 @@ def sample_states(best, covariance):
 def compute_covariance(jacobians, misfit, noise):
     """Return the covariance of the coordinates of the unit cube."""
     at_bound = np.zeros(jacobians[0].shape[1], dtype=bool)
-    return estimate_fit_covariance(jacobians, misfit, noise, at_bound).state
+    return estimate_fit_covariance(jacobians, misfit, noise, at_bound)[0]
 
 
 def make_jacobian(n_values, n_coordinates):

@@ -30,10 +30,8 @@ from splits.simulation.run_options import RunOptions
 from splits.simulation.strata import STOP_REASONS
 from splits.tables.assembly import (
     MAX_BYTES_IN_MEMORY,
-    allocate_arrays,
-    assemble_dataset,
+    assemble_blocks,
     compute_table_bytes,
-    insert_block,
     write_table_blockwise,
 )
 from splits.tables.axes import ViewGrid, check_quantities, drop_view_axes, has_diffuse
@@ -104,14 +102,21 @@ def run_part(
     Likewise for the snowpacks of a file.  Existing blocks in the folder are kept.  `part` is a
     number from 0 to `count_parts` − 1; for the other arguments, see `splits.experiments.run.run`.
     """
+    blocks: Iterator[xr.Dataset]
     if experiment.has_packs:
-        return run_pack_part(experiment, accuracy, folder, part, threads, log)
-    plan, request = prepare_table(experiment, accuracy, seed, threads)
-    groups = plan.select_part(part, count_parts(experiment), request.solver)
-    log(f"{experiment.name}: {plan}")
-    for _ in _simulate_blocks(experiment, request, groups, folder, log):
+        packs = experiment.load_packs()
+        parts = _divide(packs)[part :: count_pack_parts(packs)]
+        blocks = _iterate_blocks(experiment, accuracy, parts, folder, threads, log)
+        keys = [_list_inputs(experiment, accuracy, one) for one in parts]
+    else:
+        plan, request = prepare_table(experiment, accuracy, seed, threads)
+        groups = plan.select_part(part, count_parts(experiment), request.solver)
+        log(f"{experiment.name}: {plan}")
+        blocks = _simulate_blocks(experiment, request, groups, folder, log)
+        keys = [list_block_inputs(one, request) for one in groups]
+    for _ in blocks:
         pass
-    cache, keys = Cache(folder, BLOCK_PREFIX), [list_block_inputs(one, request) for one in groups]
+    cache = Cache(folder, BLOCK_PREFIX)
     return [cache.find_path(compute_digest(*key)) for key in keys]
 
 
@@ -130,25 +135,9 @@ def run_table(
     if experiment.has_packs:
         return run_packs(experiment, accuracy, folder, threads, log)
     plan, request = prepare_table(experiment, accuracy, seed, threads)
-    return _make_table(experiment, plan, request, folder, log)
-
-
-def _make_table(
-    experiment: SimulationConfig,
-    plan: TablePlan,
-    request: TableRequest,
-    folder: Path | None,
-    log: LogCallback,
-) -> xr.Dataset:
-    """Return a table, see `run_table`."""
-    start_time = time.perf_counter()
     log(f"{experiment.name}: {plan}")
-    arrays, block_attributes = allocate_arrays(plan, request), []
-    for block in _simulate_blocks(experiment, request, plan.path_groups, folder, log):
-        insert_block(arrays, block)
-        block_attributes.append(block.attrs)
-    seconds = time.perf_counter() - start_time
-    table = assemble_dataset(arrays, plan, request, block_attributes, seconds)
+    blocks = _simulate_blocks(experiment, request, plan.path_groups, folder, log)
+    table = assemble_blocks(plan, request, blocks)
     return _complete_table(experiment, plan, request, folder, log, table)
 
 
@@ -166,13 +155,13 @@ def write_table(
         save(run_packs(experiment, accuracy, folder, threads, log), path)
         return
     plan, request = prepare_table(experiment, accuracy, seed, threads)
-    if compute_table_bytes(plan, request) <= MAX_BYTES_IN_MEMORY:
-        save(_make_table(experiment, plan, request, folder, log), path)
-        return
     log(f"{experiment.name}: {plan}")
     simulate = partial(_simulate_blocks, experiment, request, plan.path_groups, folder, log)
     complete = partial(_complete_table, experiment, plan, request, folder, log)
-    write_table_blockwise(path, plan, request, simulate, complete)
+    if compute_table_bytes(plan, request) <= MAX_BYTES_IN_MEMORY:
+        save(complete(assemble_blocks(plan, request, simulate())), path)
+    else:
+        write_table_blockwise(path, plan, request, simulate, complete)
 
 
 def _complete_table(
@@ -236,27 +225,6 @@ def delete_unused_blocks(manifests: Sequence[Path]) -> None:
 
 LARGEST_ATTRIBUTES = ("max_stderr_reached", "streams", "truncation_error", "optics_error")
 """Attributes that are the largest of all blocks."""
-
-
-def run_pack_part(
-    experiment: SimulationConfig,
-    accuracy: Accuracy,
-    folder: Path,
-    part: int,
-    threads: int | None,
-    log: LogCallback,
-) -> list[Path]:
-    """Simulate the blocks of one part that the folder lacks, and return the files of all of them.
-
-    For the arguments, see `splits.experiments.run_table.run_part`.
-    """
-    packs = experiment.load_packs()
-    blocks = _divide(packs)[part :: count_pack_parts(packs)]
-    for _ in _iterate_blocks(experiment, accuracy, blocks, folder, threads, log):
-        pass
-    cache = Cache(folder, BLOCK_PREFIX)
-    keys = [_list_inputs(experiment, accuracy, block) for block in blocks]
-    return [cache.find_path(compute_digest(*key)) for key in keys]
 
 
 def run_packs(

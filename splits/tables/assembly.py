@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -97,21 +98,23 @@ LABELS = {
 }
 
 
-def allocate_arrays(plan: TablePlan, request: TableRequest) -> dict[str, np.ndarray]:
-    """Return NaN arrays of a table by variable, to be filled by `insert_block`."""
-    variables = list_variables(plan, request)
-    return {name: np.full(one.flat_shape, np.nan, np.float32) for name, one in variables.items()}
+def assemble_blocks(
+    plan: TablePlan, request: TableRequest, blocks: Iterable[xr.Dataset]
+) -> xr.Dataset:
+    """Return a table as a dataset from its blocks, which are computed meanwhile."""
+    start_time = time.perf_counter()
+    variables, block_attrs = list_variables(plan, request), []
+    arrays = {name: np.full(one.flat_shape, np.nan, np.float32) for name, one in variables.items()}
+    for block in blocks:
+        for name, variable in block.data_vars.items():
+            leading = (slice(None),) * variable.dims.index("point")
+            arrays[str(name)][(*leading, block.point.values)] = variable.values
+        block_attrs.append(block.attrs)
+    return _make_dataset(arrays, plan, request, block_attrs, time.perf_counter() - start_time)
 
 
-def insert_block(arrays: dict[str, np.ndarray], block: xr.Dataset) -> None:
-    """Copy a block into the arrays of a table."""
-    for name, variable in block.data_vars.items():
-        points = (slice(None),) * variable.dims.index("point")
-        arrays[str(name)][(*points, block.point.values)] = variable.values
-
-
-def assemble_dataset(
-    arrays: dict[str, np.ndarray],
+def _make_dataset(
+    arrays: Mapping[str, np.ndarray],
     plan: TablePlan,
     request: TableRequest,
     block_attrs: Sequence[Mapping[str, Any]],
@@ -236,44 +239,31 @@ def write_table_blockwise(
         If the disk is full, or the file does not hold the blocks afterwards.
     """
     with atomic_netcdf(path, compute_table_bytes(plan, request)) as temporary:
-        skeleton = encode_for_netcdf(
-            add_attributes(_make_skeleton(plan, request, [block.attrs for block in read_blocks()]))
-        )
         variables = list_variables(plan, request)
+        # Broadcast values use no memory.
+        empty = {
+            name: np.broadcast_to(np.float32(np.nan), one.flat_shape)
+            for name, one in variables.items()
+        }
+        attrs = [block.attrs for block in read_blocks()]
+        seconds = sum(float(one["wall_time_s"]) for one in attrs)
+        table = _make_dataset(empty, plan, request, attrs, seconds)
+        skeleton = encode_for_netcdf(add_attributes(table))
         skeleton.drop_vars(list(variables)).to_netcdf(temporary, engine="netcdf4")
         with netCDF4.Dataset(temporary, "a") as file:
             for name in variables:
                 _create_variable(file, name, skeleton)
-            for block in read_blocks():
-                for name in map(str, block.data_vars):
-                    _write_block(file.variables[name], block[name], variables[name])
+            for name, index, values in _iterate_points(read_blocks(), variables):
+                file.variables[name][index] = values
         with netCDF4.Dataset(temporary) as file:
             file.set_auto_maskandscale(False)
             complete = all(
-                _has_block(file.variables[name], block[name], variables[name])
-                for block in read_blocks()
-                for name in map(str, block.data_vars)
+                np.array_equal(file.variables[name][index], values)
+                for name, index, values in _iterate_points(read_blocks(), variables)
             )
         if not complete:
             raise OSError(f"{path}: the file written does not hold the table")
         append_checksum(temporary)
-
-
-def _make_skeleton(
-    plan: TablePlan, request: TableRequest, block_attrs: Sequence[Mapping[str, Any]]
-) -> xr.Dataset:
-    """Return a table with broadcast NaN values, which use no memory."""
-    empty_arrays = {
-        name: np.broadcast_to(np.float32(np.nan), one.flat_shape)
-        for name, one in list_variables(plan, request).items()
-    }
-    return assemble_dataset(
-        empty_arrays,
-        plan,
-        request,
-        block_attrs,
-        sum(float(attrs["wall_time_s"]) for attrs in block_attrs),
-    )
 
 
 def _create_variable(file: netCDF4.Dataset, name: str, skeleton: xr.Dataset) -> None:
@@ -291,28 +281,13 @@ def _create_variable(file: netCDF4.Dataset, name: str, skeleton: xr.Dataset) -> 
 
 
 def _iterate_points(
-    block: xr.DataArray, table_variable: TableVariable
-) -> Iterable[tuple[tuple[Any, ...], np.ndarray]]:
-    """Yield the index in the table, and the values, of each point in a block."""
-    indices = np.unravel_index(block.point.values, table_variable.grid.shape)
-    leading = (slice(None),) * len(table_variable.leading)
-    for row, index in enumerate(zip(*(axis.tolist() for axis in indices), strict=True)):
-        yield (*leading, *index), block.isel(point=row).values
-
-
-def _write_block(
-    variable: netCDF4.Variable, block: xr.DataArray, table_variable: TableVariable
-) -> None:
-    """Write the values of a block into a variable."""
-    for index, values in _iterate_points(block, table_variable):
-        variable[index] = values
-
-
-def _has_block(
-    variable: netCDF4.Variable, block: xr.DataArray, table_variable: TableVariable
-) -> bool:
-    """Return whether a variable holds the values of a block."""
-    return all(
-        np.array_equal(variable[index], values)
-        for index, values in _iterate_points(block, table_variable)
-    )
+    blocks: Iterable[xr.Dataset], variables: Mapping[str, TableVariable]
+) -> Iterator[tuple[str, tuple[Any, ...], np.ndarray]]:
+    """Yield the name of a variable, the index in the table, and the values, of each point."""
+    for block in blocks:
+        for name, variable in variables.items():
+            if name in block:
+                indices = np.unravel_index(block.point.values, variable.grid.shape)
+                leading = (slice(None),) * len(variable.leading)
+                for row, index in enumerate(zip(*(i.tolist() for i in indices), strict=True)):
+                    yield name, (*leading, *index), block[name].isel(point=row).values

@@ -31,10 +31,8 @@ from splits.simulation.shared_paths import (
     compute_path_signature,
 )
 from splits.tables.assembly import (
-    allocate_arrays,
-    assemble_dataset,
+    assemble_blocks,
     average_nodes,
-    insert_block,
 )
 from splits.tables.axes import (
     ParameterGrid,
@@ -186,13 +184,8 @@ def compute_table(
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
     """Return the table of a plan, without comparisons."""
-    start_time = time.perf_counter()
-    arrays, block_attrs = allocate_arrays(plan, request), []
-    for block in iterate_blocks(request, plan.path_groups, folder, progress):
-        insert_block(arrays, block)
-        block_attrs.append(block.attrs)
-    wall_time_s = time.perf_counter() - start_time
-    return assemble_dataset(arrays, plan, request, block_attrs, wall_time_s)
+    blocks = iterate_blocks(request, plan.path_groups, folder, progress)
+    return assemble_blocks(plan, request, blocks)
 
 
 def warn_of_wide_intervals(table: xr.Dataset) -> None:

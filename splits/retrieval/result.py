@@ -94,22 +94,20 @@ class RetrievalResult:
     @property
     def values(self) -> dict[str, float]:
         """Medians by parameter."""
-        medians = self.dataset.quantiles.sel(quantile=0.5)
-        return {str(name): float(medians.sel(parameter=name)) for name in medians.parameter.values}
+        return self._list_by_parameter(self.dataset.quantiles.sel(quantile=0.5))
 
     @property
     def stderr(self) -> dict[str, float]:
         """Standard deviations by parameter."""
-        deviations = self.dataset.value_stderr
-        return {
-            str(name): float(deviations.sel(parameter=name)) for name in deviations.parameter.values
-        }
+        return self._list_by_parameter(self.dataset.value_stderr)
 
     @property
     def constrained(self) -> dict[str, bool]:
         """Whether the measurement constrains each parameter."""
-        flags = self.dataset.constrained
-        return {str(name): bool(flags.sel(parameter=name)) for name in flags.parameter.values}
+        return self._list_by_parameter(self.dataset.constrained.astype(bool))
+
+    def _list_by_parameter(self, values: xr.DataArray) -> dict[str, Any]:
+        return dict(zip(map(str, values.parameter.values), values.values.tolist(), strict=True))
 
     @property
     def warnings(self) -> list[str]:

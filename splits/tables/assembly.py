@@ -79,7 +79,7 @@ def list_variables(plan: TablePlan, request: TableRequest) -> dict[str, TableVar
     for quantity in request.quantities:
         trailing = {name: views[name] for name in list_view_axes(quantity)}
         trailing["wavelength"] = plan.wavelengths.size
-        grid = plan.media_grid if quantity.startswith(DIFFUSE_PREFIX) else plan.grid
+        grid = plan.grid.drop(INCIDENCE) if quantity.startswith(DIFFUSE_PREFIX) else plan.grid
         for suffix in ("", "_stderr"):
             variables[quantity + suffix] = TableVariable(quantity, grid, {}, trailing)
         if request.covariance:

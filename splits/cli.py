@@ -188,8 +188,8 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
 
 def _write_fitted_parameters(path: Path) -> None:
     """Write the parameters of fitted sands as a table beside their dataset."""
+    from splits.core.escaping import write_data_frame
     from splits.experiments.run_fit import make_fit_table
-    from splits.io.data_frame import write_data_frame
     from splits.io.netcdf import load
 
     parameters = path.with_name(f"{path.stem}_parameters.csv")

@@ -18,10 +18,10 @@ from splits.core.escaping import (
     escape_json,
     escape_markdown,
     escape_mathtext,
+    write_data_frame,
 )
 from splits.core.yaml import ConfigError
 from splits.experiments import load_experiments, load_settings
-from splits.io.data_frame import write_data_frame
 from splits.plotting import draw_spectra
 from splits.plotting.interpretation_shifts import draw_shifts
 from splits.plotting.style import format_parameter, format_value, use_style

@@ -17,8 +17,8 @@ from chi2 import NEEDS_JIT
 import splits
 from splits import cli
 from splits.core.atomic import check_writable
+from splits.core.escaping import write_data_frame
 from splits.experiments.archive import pack_archive
-from splits.io.data_frame import write_data_frame
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.plotting.style import save_figure
 from splits.tables.assembly import write_table_blockwise

@@ -405,7 +405,10 @@ def retrieve_map(
     else:
         # Noise without labels is in the order of the image.
         example = xr.full_like(image.wavelength, 0.5, float)
-    measurement = Measurement.from_input(example, noise, bands).check_noise_known()
+    if noise is None:
+        hint = "only splits.retrieve estimates it from the misfit"
+        raise invalid("noise", None, "given", hint)
+    measurement = Measurement.from_input(example, noise, bands)
     image = image if named else image.sortby("wavelength")
     model = TableForwardModel(table, measurement, state_vector, fixed, quantity)
     check_conditions("image", image, model.list_fixed_values())

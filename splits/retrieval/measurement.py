@@ -99,13 +99,6 @@ class Measurement(NamedTuple):
             )
         return cls(values, wavelength, covariance, spectral_bands, noise is not None)
 
-    def check_noise_known(self) -> Measurement:
-        """Return the measurement; reject unknown noise."""
-        if not self.noise_known:
-            hint = "only splits.retrieve estimates it from the misfit"
-            raise invalid("noise", None, "given", hint)
-        return self
-
 
 def check_conditions(key: str, measured: Any, conditions: Mapping[str, Any]) -> None:
     """Check that coordinates of a measurement are the conditions of the model.

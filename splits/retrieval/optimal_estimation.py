@@ -317,7 +317,11 @@ def draw_posterior(
     )
     best = (0.0, np.zeros(0), np.zeros(0), components)
     for _ in range(MAX_ITERATIONS):
-        states = _draw_mixture(components, random)
+        # From the whole range, and from all components.
+        uniform = random.random((int(DEFENSIVE_FRACTION * N_DRAWS), n_dimensions))
+        n_draws = (N_DRAWS - len(uniform)) // len(components)
+        drawn = [component.draw(random, n_draws) for component in components]
+        states = np.concatenate([uniform, *drawn])
         is_inside = ((states >= 0.0) & (states <= 1.0)).all(axis=1)
         states = states[is_inside]
         log_proposal = np.logaddexp.reduce(
@@ -338,16 +342,10 @@ def draw_posterior(
         _, best_states, best_weights, best_components = best
         components = _update_components(best_states, best_weights, best_components)
     n_effective, states, weights, _ = best
-    return PosteriorDraws(states[_resample_systematically(weights, random)], n_effective)
-
-
-def _draw_mixture(
-    components: Sequence[_MixtureComponent], random: np.random.Generator
-) -> np.ndarray:
-    """Return draws from all components, and some from the whole range."""
-    uniform = random.random((int(DEFENSIVE_FRACTION * N_DRAWS), len(components[0].centre)))
-    n_draws = (N_DRAWS - len(uniform)) // len(components)
-    return np.concatenate([uniform, *(component.draw(random, n_draws) for component in components)])
+    # Systematic resampling.
+    positions = (np.arange(N_DRAWS) + random.random()) / N_DRAWS
+    rows = np.searchsorted(np.cumsum(weights), positions * weights.sum())
+    return PosteriorDraws(states[np.minimum(rows, len(weights) - 1)], n_effective)
 
 
 def _compute_log_posterior(
@@ -396,13 +394,6 @@ def _update_components(
             )
         )
     return updated or list(components)
-
-
-def _resample_systematically(weights: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """Return the rows drawn by systematic resampling."""
-    positions = (np.arange(N_DRAWS) + random.random()) / N_DRAWS
-    rows: np.ndarray = np.searchsorted(np.cumsum(weights), positions * weights.sum())
-    return np.minimum(rows, len(weights) - 1)
 
 
 MIN_MISFIT_PROBABILITY = 0.01

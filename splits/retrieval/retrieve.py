@@ -162,6 +162,7 @@ def retrieve(
     {'optical_radius_um': True}
     """
     seed = check_integer("seed", seed, 0)
+    forward_model: TableForwardModel | MediumForwardModel
     if isinstance(model, Table):
         if max_stderr is not None:
             raise invalid("max_stderr", max_stderr, "left out", "a table has its own errors")
@@ -175,35 +176,32 @@ def retrieve(
         measurement = Measurement.from_input(measured, noise, bands)
         state_vector = StateVector.from_ranges(free, prior, get_table_ranges(model))
         forward_model = TableForwardModel(model, measurement, state_vector, fixed, quantity)
-        check_conditions("measured", measured, forward_model.list_fixed_values())
-        if not measurement.noise_known:
-            solution, measurement = retrieve_without_noise(forward_model, measurement, seed)
-        else:
-            solution = solve_for_known_noise(forward_model, measurement, seed)
-        settings |= describe_parameters(
-            state_vector, forward_model.list_fixed_values(), prior, seed
-        )
-        return make_result(state_vector, measurement, solution, settings)
-    if isinstance(model, str | Mapping) or not hasattr(model, "kind"):
-        shown = model if isinstance(model, str) or callable(model) else type(model).__name__
-        hint = "splits.Table(splits.build_table(…)), open_table, or a snow, sand, layer or stack"
-        suggestion = suggest_medium(model, MEDIUM_NAMES[Medium])
-        raise invalid("model", shown, "a Table, or a medium", suggestion or hint)
-    check_choice("quantity", quantity or "reflectance", ["reflectance"])
-    measurement = Measurement.from_input(measured, noise, bands)
-    incidence = check_measurement_incidence(fixed, free)
-    state_vector = make_medium_state_vector(model, free, prior, incidence)
-    if INCIDENCE_KEY not in state_vector.names:
-        check_conditions("measured", measured, {INCIDENCE_KEY: incidence})
-    medium_model = make_medium_model(
-        model, measurement, state_vector, incidence, solver, max_stderr, seed, progress
-    )
-    if not measurement.noise_known:
-        solution, measurement = retrieve_without_noise(medium_model, measurement, seed)
+        fixed_values = forward_model.list_fixed_values()
+        check_conditions("measured", measured, fixed_values)
     else:
-        solution = _solve_from_medium(medium_model, measurement, seed)
-    fixed_values = {} if INCIDENCE_KEY in state_vector.names else {INCIDENCE_KEY: incidence}
-    settings = describe_model(model, medium_model.solver)
+        if isinstance(model, str | Mapping) or not hasattr(model, "kind"):
+            shown = model if isinstance(model, str) or callable(model) else type(model).__name__
+            hint = (
+                "splits.Table(splits.build_table(…)), open_table, or a snow, sand, layer or stack"
+            )
+            suggestion = suggest_medium(model, MEDIUM_NAMES[Medium])
+            raise invalid("model", shown, "a Table, or a medium", suggestion or hint)
+        check_choice("quantity", quantity or "reflectance", ["reflectance"])
+        measurement = Measurement.from_input(measured, noise, bands)
+        incidence = check_measurement_incidence(fixed, free)
+        state_vector = make_medium_state_vector(model, free, prior, incidence)
+        fixed_values = {} if INCIDENCE_KEY in state_vector.names else {INCIDENCE_KEY: incidence}
+        check_conditions("measured", measured, fixed_values)
+        forward_model = make_medium_model(
+            model, measurement, state_vector, incidence, solver, max_stderr, seed, progress
+        )
+        settings = describe_model(model, forward_model.solver)
+    if not measurement.noise_known:
+        solution, measurement = retrieve_without_noise(forward_model, measurement, seed)
+    elif isinstance(forward_model, MediumForwardModel):
+        solution = _solve_from_medium(forward_model, measurement, seed)
+    else:
+        solution = solve_for_known_noise(forward_model, measurement, seed)
     settings |= describe_parameters(state_vector, fixed_values, prior, seed)
     return make_result(state_vector, measurement, solution, settings)
 

@@ -154,11 +154,6 @@ def check_axis_values(
     return values
 
 
-def list_numeric_axes(dataset: Any, names: Iterable[str]) -> list[str]:
-    """Return the numeric axes of a table with more than one node."""
-    return [n for n in names if dataset[n].dtype.kind == "f" and dataset[n].size > 1]
-
-
 def _check_grid_axis(name: str, values_given: Any) -> tuple[Any, ...]:
     """Return the validated values of an axis."""
     key = f"grid.{format_key(name)}"

@@ -48,18 +48,22 @@ def select_at_fixed_axes(
         if name not in at and values.size > 1:
             raise invalid(name, None, "given", "one of " + ", ".join(map(str, values)))
         coordinate = as_scalar(at.get(name, values[0]))
-        if values.dtype.kind == "f":
-            matches = np.isclose(
-                values, check_number(name, coordinate), rtol=ROUNDING_TOLERANCE, atol=0.0
-            )
-        else:
-            matches = values == str(coordinate)
-        indices = np.flatnonzero(matches)
-        if not indices.size:
-            raise invalid(name, coordinate, "one of " + ", ".join(map(str, values)))
-        subset = subset.isel({name: int(indices[0])})
+        allowed = "one of " + ", ".join(map(str, values))
+        subset = subset.isel({name: _find_node(name, values, coordinate, allowed)})
     check_no_gaps("table", subset)
     return subset
+
+
+def _find_node(name: str, nodes: np.ndarray, value: Any, allowed: str) -> int:
+    """Return the index of the node of an axis that a value is."""
+    if nodes.dtype.kind in "iuf":
+        number = check_number(name, value, allowed)
+        matches = np.isclose(nodes, number, rtol=ROUNDING_TOLERANCE, atol=0.0)
+    else:
+        matches = nodes == str(value)
+    if not matches.any():
+        raise invalid(name, value, allowed)
+    return int(matches.argmax())
 
 
 def select_reflectance_factor(
@@ -180,7 +184,12 @@ def convert_to_eradiate(
     n_cosines = check_integer("n_cosines", n_cosines, 2, 1000)
     n_azimuths = check_integer("n_azimuths", n_azimuths, 2, 3600)
     subset = select_reflectance_factor(dataset, at)
-    factor = subset[REFLECTANCE_FACTOR].isel(wavelength=_find_wavelength(subset, wavelength))
+    factor, nodes = subset[REFLECTANCE_FACTOR], subset.wavelength.values
+    allowed = f"one of the table's {nodes.size} wavelengths, from {nodes[0]:g} to {nodes[-1]:g} nm"
+    if wavelength is None and nodes.size > 1:
+        raise invalid("wavelength", None, allowed)
+    wanted = nodes[0] if wavelength is None else wavelength
+    factor = factor.isel(wavelength=_find_node("wavelength", nodes, wanted, allowed))
     cosines = np.linspace(0.0, 1.0, n_cosines)
     phi = np.linspace(0.0, 2.0 * np.pi, n_azimuths, endpoint=False)
     zeniths = np.degrees(np.arccos(cosines))
@@ -223,21 +232,6 @@ def convert_to_eradiate(
             "last_zenith_deg": last_zeniths,
         },
     )
-
-
-def _find_wavelength(subset: xr.Dataset, wavelength: float | None) -> int:
-    """Return the index of a wavelength of the table."""
-    nodes = subset.wavelength.values
-    if wavelength is None and nodes.size == 1:
-        return 0
-    allowed = f"one of the table's {nodes.size} wavelengths, from {nodes[0]:g} to {nodes[-1]:g} nm"
-    if wavelength is None:
-        raise invalid("wavelength", None, allowed)
-    value = check_number("wavelength", wavelength, allowed)
-    matches = np.flatnonzero(np.isclose(nodes, value, rtol=ROUNDING_TOLERANCE, atol=0.0))
-    if not matches.size:
-        raise invalid("wavelength", wavelength, allowed)
-    return int(matches[0])
 
 
 ISOFIT_DIMS = ("solar_zenith", "observer_zenith", "relative_azimuth", "grain_radius", "wl")

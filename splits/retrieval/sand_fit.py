@@ -23,7 +23,7 @@ from splits.core.arrays import align_to_labels, check_array_range, check_named_n
 from splits.core.validation import check_integer, check_range, invalid, suggest_name
 from splits.instruments import spectrophotometer
 from splits.media import Sand
-from splits.retrieval.gauss_newton import DescentStage, LocalMinimum, Objective, search_minima
+from splits.retrieval.gauss_newton import DescentStage, Objective, search_minima
 from splits.retrieval.least_squares import MIN_RESIDUAL_DOF, apply_priors, estimate_fit_covariance
 from splits.retrieval.optimal_estimation import find_active_bounds
 from splits.retrieval.state_vector import ParameterRange, StateVector
@@ -372,13 +372,14 @@ class SandForwardModel:
         """Return independent Jacobians, each with its own random numbers."""
         first = len(self.n_rays)
         rays = max(self.n_rays[-1] // _JACOBIAN_RAYS_DIVISOR, 1)
-        return [
-            compute_central_differences(partial(self._simulate_reflectance, rays, stream), state)
-            for stream in self.seeds[first : first + N_JACOBIANS]
-        ]
 
-    def _simulate_reflectance(self, rays: int, seed: int, state: np.ndarray) -> np.ndarray:
-        return self._simulate(state, rays, seed)[0]
+        def simulate(seed: int, x: np.ndarray) -> np.ndarray:
+            return self._simulate(x, rays, seed)[0]
+
+        return [
+            compute_central_differences(partial(simulate, seed), state)
+            for seed in self.seeds[first : first + N_JACOBIANS]
+        ]
 
 
 def compute_central_differences(
@@ -440,6 +441,9 @@ def fit(
     ValueError
         For a value outside its range.
     """
+    # Imported here, as it would slow the start of the workflow by a second.
+    from scipy.stats import qmc
+
     start_time = time.perf_counter()
     effort = effort or Effort()
     wavelengths = check_wavelengths(wavelength_nm)
@@ -451,7 +455,21 @@ def fit(
         raise invalid("wavelength_nm", wavelengths.tolist(), allowed)
     incidence, seed = check_incidence(incidence_deg), check_integer("seed", seed, 0)
     model = SandForwardModel(cube, wavelengths, incidence, effort, seed, threads)
-    stage_minima = _run_descents(model, target, effort, log)
+
+    def log_stage(_: int, cost: float) -> None:
+        log(f"{model.n_simulations} sands, best misfit {compute_misfit(cost):.4f}")
+
+    def compute_misfit(cost: float) -> float:
+        return float(np.sqrt(cost / len(target)))
+
+    survey_states = qmc.Sobol(len(cube.names), seed=model.seeds[0]).random(effort.points)
+    stages = [DescentStage(*pair) for pair in zip(effort.starts, effort.evaluations, strict=True)]
+    objective = Objective.least_squares(target, model.state_vector)
+    stage_minima = search_minima(
+        model, lambda state, stage: objective, survey_states, stages, log_stage
+    )
+    misfit = compute_misfit(stage_minima[-1][0].cost)
+    log(f"{model.n_simulations} sands, best misfit {misfit:.4f}; errors follow")
     best = stage_minima[-1][0].state
     spectrum = spectrophotometer(
         cube.to_sand(best), wavelengths, incidence, effort.max_stderr, model.seeds[-1],
@@ -481,38 +499,12 @@ def fit(
         coordinates_stderr=np.sqrt(np.mean((draws - best) ** 2, axis=0)),
         correlation=np.corrcoef(draws, rowvar=False),
         alternatives=[
-            (_compute_rms_misfit(minimum, target), cube.to_parameters(minimum.state))
+            (compute_misfit(minimum.cost), cube.to_parameters(minimum.state))
             for minimum in stage_minima[0]
         ],
         evaluations=model.n_simulations,
         seconds=seconds,
     )
-
-
-def _run_descents(
-    model: SandForwardModel, measured: np.ndarray, effort: Effort, log: Callable[[str], None]
-) -> list[list[LocalMinimum]]:
-    """Return the minima found by the descents of every stage, best first."""
-    # Imported here, as it would slow the start of the workflow by a second.
-    from scipy.stats import qmc
-
-    survey_states = qmc.Sobol(len(model.cube.names), seed=model.seeds[0]).random(effort.points)
-    stages = [DescentStage(*pair) for pair in zip(effort.starts, effort.evaluations, strict=True)]
-    objective = Objective.least_squares(measured, model.state_vector)
-
-    def log_stage(_: int, cost: float) -> None:
-        log(f"{model.n_simulations} sands, best misfit {np.sqrt(cost / len(measured)):.4f}")
-
-    stage_minima = search_minima(
-        model, lambda state, stage: objective, survey_states, stages, log_stage
-    )
-    misfit = _compute_rms_misfit(stage_minima[-1][0], measured)
-    log(f"{model.n_simulations} sands, best misfit {misfit:.4f}; errors follow")
-    return stage_minima
-
-
-def _compute_rms_misfit(minimum: LocalMinimum, measured: np.ndarray) -> float:
-    return float(np.sqrt(minimum.cost / len(measured)))
 
 
 def check_measured_reflectance(

@@ -187,18 +187,15 @@ def average_nodes(
 def _find_common_attributes(plan: TablePlan) -> dict[str, Any]:
     """Return the attributes common to all media of a table."""
     media = plan.list_media()
-    first_medium = media[0]
-    attrs = {f"{first_medium.kind}_{key}": value for key, value in first_medium.describe().items()}
-    for medium in media[1:]:
-        medium_attrs = {f"{medium.kind}_{key}": value for key, value in medium.describe().items()}
-        attrs = {
-            k: v
-            for k, v in attrs.items()
-            if k in medium_attrs and np.array_equal(medium_attrs[k], v)
-        }
+    described = [{f"{m.kind}_{key}": v for key, v in m.describe().items()} for m in media]
+    attrs = {
+        key: value
+        for key, value in described[0].items()
+        if all(key in one and np.array_equal(one[key], value) for one in described)
+    }
     if INCIDENCE not in plan.grid.names:
         attrs["incidence_deg"] = plan.path_groups[0].incidence
-    return {"medium": first_medium.kind, **attrs}
+    return {"medium": media[0].kind, **attrs}
 
 
 MAX_BYTES_IN_MEMORY = 2**28

@@ -149,7 +149,6 @@ def add_comparisons(
     spectral = request.spectral_request
     if not by_ordinates:
         spectral = spectral._replace(max_stderr=PATH_ERROR_RATIO * spectral.max_stderr)
-    added = {}
     incidence = 0.0 if INCIDENCE in grid.names else plan.path_groups[0].incidence
     for name, one in list_comparison_grids(grid, axes, by_ordinates=by_ordinates).items():
         views = ViewGrid.from_grid(one)
@@ -164,8 +163,6 @@ def add_comparisons(
             spectral_request=spectral, quantities=tuple(kept), covariance=False, views=views
         )
         part = compute(part_plan, part_request)[kept]
-        added[name] = part
-    for name, part in added.items():
         table = table.assign(rename_comparison(part, name).data_vars)
     return table
 

@@ -11,8 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from splits.core.paths import expand_path
-from splits.core.validation import check_choice, invalid, join_names, suggest_name
-from splits.core.yaml import ConfigError
+from splits.core.validation import ConfigError, check_choice, invalid, join_names, suggest_name
 from splits.experiments.config.experiment import OWN_GROUP, ExperimentConfig
 from splits.experiments.config.sections import (
     Accuracy,

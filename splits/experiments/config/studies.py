@@ -18,8 +18,14 @@ from pydantic import Field, WithJsonSchema
 
 from splits.analysis.measured import read_measured, read_published
 from splits.core.provenance import hash_files
-from splits.core.validation import check_choice, invalid, join_names, suggest_name, unknown_key
-from splits.core.yaml import ConfigError
+from splits.core.validation import (
+    ConfigError,
+    check_choice,
+    invalid,
+    join_names,
+    suggest_name,
+    unknown_key,
+)
 from splits.experiments.config.experiment import RESERVED_NAMES, ExperimentConfig
 from splits.experiments.config.reproduces import PLACE_PATTERN, PLACE_RULE, ReproducesSection
 from splits.experiments.config.sections import (

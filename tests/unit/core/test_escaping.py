@@ -20,7 +20,7 @@ from splits.core.escaping import (
     escape_mathtext,
     write_data_frame,
 )
-from splits.core.yaml import ConfigError
+from splits.core.validation import ConfigError
 from splits.experiments import load_experiments, load_settings
 from splits.plotting import draw_spectra
 from splits.plotting.interpretation_shifts import draw_shifts

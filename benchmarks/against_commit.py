@@ -28,8 +28,8 @@ import numpy as np
 import pandas as pd
 from kernels import CASES
 
+from splits.core.escaping import write_data_frame
 from splits.core.paths import expand_path
-from splits.io.data_frame import write_data_frame
 
 ROOT = Path(__file__).resolve().parents[1]
 RAYS_PROGRAM = """

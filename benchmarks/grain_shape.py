@@ -22,7 +22,7 @@ import pandas as pd
 
 import splits
 from splits.analysis.theory.grain_shape import compute_optical_shape
-from splits.io.data_frame import write_data_frame
+from splits.core.escaping import write_data_frame
 
 PROJECTED_ENTRY: dict[str, Any] = {"entry_point": "projected"}
 MIRRORED_INTERPRETATION = {**PROJECTED_ENTRY, "wrong_side_ray": "mirror"}

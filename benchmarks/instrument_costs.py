@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 import splits
-from splits.io.data_frame import write_data_frame
+from splits.core.escaping import write_data_frame
 
 SPECTRUM_NM = range(400, 2501, 10)
 SKY = "midlatitude_winter"

@@ -34,8 +34,8 @@ import numpy as np
 import pandas as pd
 
 import splits
+from splits.core.escaping import write_data_frame
 from splits.core.paths import expand_path
-from splits.io.data_frame import write_data_frame
 from splits.kernels import vectorized
 from splits.kernels.scene import NO_MAX_ORDER, Features, Optics, make_bounding_optics
 from splits.kernels.tallies.exits import allocate_exits

@@ -38,7 +38,7 @@ import xarray as xr
 import splits
 from splits.analysis.theory.asymptotic import correct_dense_packing
 from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
-from splits.io.data_frame import write_data_frame
+from splits.core.escaping import write_data_frame
 
 GEOMETRIC = "geometric"
 OVERLAP_RULES: dict[str, Any] = {

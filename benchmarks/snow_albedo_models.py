@@ -24,7 +24,7 @@ import snowoptics
 import tartes
 
 import splits
-from splits.io.data_frame import write_data_frame
+from splits.core.escaping import write_data_frame
 from splits.materials.impurities import make_impurities
 from splits.media.natural_snow import NATURAL_GRAIN_SHAPE
 

@@ -42,7 +42,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import splits
-from splits.discrete_ordinates import grain_cache
+from splits.discrete_ordinates import grains
 from splits.discrete_ordinates.applicability import make_granular_stack
 from splits.media.natural_snow import NATURAL_GRAIN_SHAPE
 from splits.plotting.annotations import annotate_figure
@@ -239,7 +239,7 @@ def measure_traced_grains() -> pd.DataFrame:
         with tempfile.TemporaryDirectory() as folder:
             # Loads the kernels before times are taken.
             simulate("discrete_ordinates", 0.1), simulate("monte_carlo", 0.1)
-            grain_cache.find_cache_folder = lambda folder=folder: Path(folder)
+            grains.find_cache_folder = lambda folder=folder: Path(folder)
             for way, solver, repeats in (
                 ("ordinates, first call", "discrete_ordinates", 1),
                 ("ordinates, next calls", "discrete_ordinates", N_REPEATS),

@@ -63,8 +63,8 @@ from performance import (
 from theories import THEORIES
 
 import splits
+from splits.core.escaping import write_data_frame
 from splits.core.paths import expand_path
-from splits.io.data_frame import write_data_frame
 from splits.simulation.spectral_tally import ANALOG_PILOT_RAYS
 
 MEDIA = {

@@ -188,8 +188,8 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
 
 def _write_fitted_parameters(path: Path) -> None:
     """Write the parameters of fitted sands as a table beside their dataset."""
+    from splits.core.escaping import write_data_frame
     from splits.experiments.run_fit import make_fit_table
-    from splits.io.data_frame import write_data_frame
     from splits.io.netcdf import load
 
     parameters = path.with_name(f"{path.stem}_parameters.csv")
@@ -246,12 +246,11 @@ def _print_versions(arguments: argparse.Namespace) -> None:
 
 def _manage_cache(arguments: argparse.Namespace) -> None:
     """Print the content of the cache of kernels and of grains, or clear it."""
-    from splits.discrete_ordinates.grain_cache import GRAINS_SUFFIX
-    from splits.kernels.compiler.cache_folder import find_cache_folder
+    from splits.kernels.compiler.cache import find_cache_folder
 
     folder = find_cache_folder()
     kernels, grains = (
-        sorted(folder.glob(f"*{suffix}")) if folder else [] for suffix in (".nbc", GRAINS_SUFFIX)
+        sorted(folder.glob(pattern)) if folder else [] for pattern in ("*.nbc", "grains_*.nc")
     )
     kept = [*kernels, *grains]
     size = sum(path.stat().st_size for path in kept) / 1e6

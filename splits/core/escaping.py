@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from splits.core.atomic import atomic_write
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,3 +61,9 @@ def escape_cells(table: pd.DataFrame) -> pd.DataFrame:
         if kind.kind == "O":
             escaped.isetitem(column, table.iloc[:, column].map(escape_cell))
     return escaped
+
+
+def write_data_frame(table: pd.DataFrame, path: str | Path) -> None:
+    """Write a table as CSV with six significant digits, atomically and with escaped cells."""
+    with atomic_write(path) as temporary_path:
+        escape_cells(table).to_csv(temporary_path, index=False, float_format="%.6g")

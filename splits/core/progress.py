@@ -16,7 +16,7 @@ from typing import Any, TextIO
 
 from tqdm import tqdm
 
-from splits.core.compile_notice import listeners
+from splits.core.notices import listeners
 from splits.core.validation import ConfigError, InvalidValue, invalid
 
 LogCallback = Callable[[str], None]

@@ -20,49 +20,35 @@ from splits.core.optional import DISTRIBUTION_NAME
 PACKAGE_FOLDER = Path(__file__).parents[1]
 SIMULATION_SOURCES = (
     "kernels", "materials", "illumination", "media", "simulation", "discrete_ordinates",
-    "instruments",
-    "core/uncertainty.py", "core/parameter_names.py",
-    "tables/axes.py", "tables/block.py", "tables/ordinates.py", "tables/plan.py",
-    "tables/return_table.py",
+    "instruments", "core/uncertainty.py", "core/parameter_names.py", "tables/axes.py",
+    "tables/block.py", "tables/plan.py", "tables/return_table.py",
     "experiments/config/instruments.py", "experiments/config/media.py",
     "experiments/config/simulation.py", "experiments/run.py", "experiments/run_table.py",
 )  # fmt: skip
 """Folders and files, relative to the package, that determine every simulation."""
 FIT_SOURCES = (
-    "retrieval/sand_fit.py", "retrieval/sand_forward_model.py",
-    "retrieval/sand_parameters.py",
-    "experiments/run_fit.py",
-    "tables/interpolation.py",
+    "retrieval/sand_fit.py", "experiments/run_fit.py", "tables/interpolation.py",
     "retrieval/state_vector.py", "retrieval/optimal_estimation.py", "retrieval/least_squares.py",
-    "retrieval/linearization.py", "retrieval/measurement.py", "retrieval/residual_covariance.py",
-    "retrieval/posterior.py", "retrieval/result.py", "retrieval/solution.py",
-    "retrieval/settings.py", "retrieval/gauss_newton.py",
+    "retrieval/linearization.py", "retrieval/measurement.py", "retrieval/result.py",
+    "retrieval/gauss_newton.py",
 )  # fmt: skip
 """Additional files that determine a fit."""
 RETRIEVAL_SOURCES = (
-    "analysis/theory/kokhanovsky_zege.py",
-    "experiments/config/retrieval.py", "experiments/run_retrieve.py",
-    "tables/interpolation.py", "tables/axis_interpolation.py", "tables/comparison.py",
-    "tables/axis_order.py", "tables/table.py", "tables/table_interpolation.py",
+    "analysis/theory/kokhanovsky_zege.py", "experiments/config/retrieval.py",
+    "experiments/run_retrieve.py", "tables/interpolation.py", "tables/axis_interpolation.py",
+    "tables/comparison.py", "tables/axes.py", "tables/table.py", "tables/table_interpolation.py",
     "materials/impurities.csv", "materials/impurities.py", "media/natural_snow.py",
-    "retrieval/state_vector.py", "retrieval/cubic_interpolation.py",
-    "retrieval/optimal_estimation.py", "retrieval/forward_model.py",
+    "retrieval/state_vector.py", "retrieval/optimal_estimation.py", "retrieval/forward_model.py",
     "retrieval/least_squares.py", "retrieval/linearization.py", "retrieval/measurement.py",
-    "retrieval/residual_covariance.py", "retrieval/posterior.py", "retrieval/result.py",
-    "retrieval/solution.py", "retrieval/settings.py", "retrieval/retrieve.py",
-    "retrieval/medium_model.py",
+    "retrieval/result.py", "retrieval/retrieve.py", "retrieval/medium_model.py",
     "illumination/bands.py", "illumination/sensors.csv",
 )  # fmt: skip
 """Files that determine retrievals from a table."""
-RETURN_SOURCES = (
-    *RETRIEVAL_SOURCES,
-    "retrieval/retrieve_return.py",
-    "retrieval/return_model.py",
-)
+RETURN_SOURCES = (*RETRIEVAL_SOURCES, "retrieval/retrieve_return.py")
 """Files that determine retrievals from a table of returns."""
 TABLE_SOURCES = (
-    "tables/assembly.py", "tables/build.py", "tables/comparison.py", "tables/axis_interpolation.py",
-    "tables/interpolation.py", "tables/table_interpolation.py",
+    "tables/assembly.py", "tables/build.py", "tables/comparison.py",
+    "tables/axis_interpolation.py", "tables/interpolation.py", "tables/table_interpolation.py",
 )  # fmt: skip
 """Files that determine how a table is made from its simulated parts."""
 FIGURE_SOURCES = ("plotting/*.py", "plotting/*.mplstyle")

@@ -7,8 +7,7 @@ Modules, each importing only those above it:
 - `refraction`: refraction at the boundaries and interfaces of wet layers, directions within layers
 - `derivatives`: derivatives with respect to the optics of dry layers
 - `radiance`: reflected and transmitted radiance of layers
-- `grains`: single scattering by the grains of natural snow, and by other grains
-- `grain_cache`: kept results of paths through the latter
+- `grains`: single scattering by the grains of natural snow, and by other grains, kept on disk
 - `granular_layers`: layers of grains and their optics, also without some of these paths, for errors
 - `granular_stack`: spectra of layers, with errors, also of small transmittances
 - `grain_tabulation`: makes the tables of the grains of natural snow

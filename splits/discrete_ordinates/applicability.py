@@ -7,8 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from splits.discrete_ordinates.grain_cache import load_grains
-from splits.discrete_ordinates.grains import MAX_ABSORPTION, GrainTable, TracedGrains, choose_rays
+from splits.discrete_ordinates.grains import (
+    MAX_ABSORPTION,
+    GrainTable,
+    TracedGrains,
+    choose_rays,
+    load_grains,
+)
 from splits.discrete_ordinates.granular_layers import GranularLayer
 from splits.discrete_ordinates.granular_stack import (
     GranularStack,

@@ -7,9 +7,12 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
+from splits.core.provenance import hash_physics_sources
 from splits.core.uncertainty import compute_leave_one_out_means
 from splits.discrete_ordinates.homogeneous_layer import TINY
 from splits.discrete_ordinates.refraction import WET
+from splits.io.cache import Cache, compute_digest
+from splits.kernels.compiler.cache import find_cache_folder
 from splits.kernels.grains.single_grain import N_SCATTERING_BATCHES
 from splits.kernels.scene import Scene
 from splits.media.medium import GranularMedium
@@ -235,6 +238,47 @@ MIN_RAYS, MAX_RAYS = 2**15, 2**23
 """Limits of the rays of all types of grains, for each refractive index and pore."""
 
 
+GRAIN_DIMS = {
+    "moments": ("replicate", "wavelength", "source_pore", "next_pore", "order"),
+    "displacements": ("replicate", "mean", "wavelength"),
+    "interpolation_bound": ("wavelength",),
+}
+"""Dimensions of the arrays of `TracedGrains` in a dataset."""
+MAX_CACHE_BYTES = 2**29
+"""Size of all kept grains above which those that are unused for the longest time are removed."""
+
+
+def load_grains(
+    layer: GranularMedium, wavelength_nm: np.ndarray, rays: int, threads: int
+) -> TracedGrains:
+    """Return the moments of the grains of a layer, from paths that are traced once.
+
+    They are kept beside the compiled kernels.  Without space or permission, they are traced again
+    in the next call.
+
+    Parameters
+    ----------
+    layer : GranularMedium
+        Its depth, density and ground have no effect.
+    wavelength_nm : float, shape (wavelengths,)
+    rays : int
+        See `choose_rays`.
+    threads : int
+    """
+    tracing = GrainTracing.from_layer(layer, wavelength_nm, rays)
+    scene, nodes = tracing.scene, tracing.nodes
+    inputs = (
+        rays, scene.rules, scene.types, scene.layers.type_cdf, scene.layers.wet_fraction,
+        tracing.constants, nodes.index, nodes.weights, nodes.interpolation_bound,
+    )  # fmt: skip
+    digest = compute_digest(inputs)
+    cache = Cache(find_cache_folder(), "grains", max_bytes=MAX_CACHE_BYTES, is_optional=True)
+    dataset = cache.get(
+        [hash_physics_sources(), inputs], lambda: tracing.trace(digest, threads).to_dataset()
+    )
+    return TracedGrains.from_dataset(dataset, digest)
+
+
 def choose_rays(max_error: float) -> int:
     """Return the rays for an error of a reflectance of about half of `max_error`."""
     needed = (2.0 * ERROR_PER_RAY / max_error) ** 2
@@ -267,6 +311,19 @@ class TracedGrains(NamedTuple):
     interpolation_bound: np.ndarray
     digest: str
     replicate: int = 0
+
+    @classmethod
+    def from_dataset(cls, dataset: xr.Dataset, digest: str) -> TracedGrains:
+        """Return the grains of the dataset of `to_dataset`."""
+        moments, displacements, bound = (dataset[name].values for name in GRAIN_DIMS)
+        return cls(moments, displacements, bound, digest)
+
+    def to_dataset(self) -> xr.Dataset:
+        """Return the moments of all replicates."""
+        return xr.Dataset({
+            name: (dims, values)
+            for (name, dims), values in zip(GRAIN_DIMS.items(), self[:3], strict=True)
+        })  # fmt: skip
 
     @property
     def n_orders(self) -> int:

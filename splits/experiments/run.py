@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -17,9 +18,12 @@ from splits.core.convergence import REACHED_ATTRIBUTES, log_missed_error, nest_r
 from splits.core.progress import LogCallback, Progress
 from splits.core.provenance import hash_physics_sources
 from splits.core.validation import invalid
-from splits.experiments.checkpoints import PointCache
 from splits.experiments.config.instruments import Instrument, Spectrophotometer
-from splits.experiments.config.media import make_grid_coordinates
+from splits.experiments.config.media import (
+    identify_by_content,
+    make_grid_coordinates,
+    replace_table_paths,
+)
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import Point, SimulationConfig
 from splits.experiments.run_table import MAX_RAYS, run_table, write_table
@@ -33,6 +37,7 @@ from splits.instruments import (
 )
 from splits.instruments.solver import DISCRETE_ORDINATES
 from splits.instruments.spectral_run import SpectralRequest, simulate_spectra
+from splits.io.cache import NO_CACHE, Cache
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
@@ -96,7 +101,7 @@ def run(
     seed: int = 1,
     threads: int | None = None,
     log: LogCallback = lambda line: None,
-    cache: PointCache | None = None,
+    cache: Cache = NO_CACHE,
 ) -> xr.Dataset:
     """Run all points of an experiment's grid.
 
@@ -111,7 +116,7 @@ def run(
     threads : int, optional
     log : callable
         Receives lines of progress.
-    cache : PointCache, optional
+    cache : Cache
         Points of earlier runs, which are not simulated again; not for tables.
 
     Returns
@@ -157,7 +162,7 @@ def write_run(
     if experiment.is_in_parts:
         write_table(experiment, accuracy, seed, folder, path, threads, log)
         return
-    cache = PointCache(folder, experiment, accuracy, seed)
+    cache = Cache(folder, "point")
     save(run(experiment, accuracy, seed, threads, log, cache), path)
     cache.delete()
 
@@ -242,7 +247,7 @@ def simulate_points(
     seed: int,
     threads: int | None,
     log: LogCallback,
-    cache: PointCache | None = None,
+    cache: Cache = NO_CACHE,
 ) -> tuple[list[xr.Dataset], int]:
     """Return the results of all points of an experiment in their order, and the number of rays.
 
@@ -256,35 +261,57 @@ def simulate_points(
     groups = _group_by_shared_paths(experiment, points, accuracy)
     if len(groups) < len(points):
         log(f"{experiment.name}: {len(groups)} sets of paths for {len(points)} points")
-    for indices, group in groups:
-        prefix = _format_prefix(experiment.name, points, indices)
-        cached = cache.load(indices) if cache else None
-        if cached:
-            log(f"{prefix}: kept from an earlier run")
-            results |= dict(zip(indices, cached, strict=True))
-            rays += int(cached[0].attrs["rays"])
-            continue
-        progress = _make_progress_callback(prefix, log)
+    common_key, point_keys = list_point_keys(experiment, accuracy, seed)
+
+    @functools.lru_cache(maxsize=1)
+    def simulate(number: int) -> list[xr.Dataset]:
+        indices, group = groups[number]
+        progress = _make_progress_callback(_format_prefix(experiment.name, points, indices), log)
         run = RunOptions.from_arguments(seed, threads, progress=progress)
         members = [points[index] for index in indices]
         with nest_runs(), experiment.locate_errors(members[0][0]):
             if group is None or not isinstance(instrument, Spectrophotometer):
                 one = instrument.select_point(indices[0])
-                datasets = [simulate_point(one, members[0], accuracy, run)]
-            else:
-                instruments = [instrument.select_point(index) for index in indices]
-                error = min(one.scale_stderr(accuracy.max_stderr) for one in instruments)
-                datasets = _simulate_group(instrument, members, group, error, accuracy, run)
-        datasets = cache.save(indices, datasets) if cache else datasets
+                return [simulate_point(one, members[0], accuracy, run)]
+            instruments = [instrument.select_point(index) for index in indices]
+            error = min(one.scale_stderr(accuracy.max_stderr) for one in instruments)
+            return _simulate_group(instrument, members, group, error, accuracy, run)
+
+    def get_point(number: int, position: int) -> xr.Dataset:
+        # Points that share paths depend on each other.
+        shared_keys = [point_keys[index] for index in groups[number][0]]
+        key = [*common_key, shared_keys, position]
+        return cache.get(key, lambda: simulate(number)[position])
+
+    for number, (indices, _) in enumerate(groups):
+        prefix = _format_prefix(experiment.name, points, indices)
+        n_simulated = simulate.cache_info().misses
+        datasets = [get_point(number, position) for position in range(len(indices))]
         results |= dict(zip(indices, datasets, strict=True))
         rays += int(datasets[0].attrs["rays"])
-        _log_result(prefix, datasets, log)
+        if simulate.cache_info().misses == n_simulated:
+            log(f"{prefix}: kept from an earlier run")
+        else:
+            _log_result(prefix, datasets, log)
         quantities = [v for v in datasets[0].data_vars.values() if "batch" not in v.dims]
         size = len(points) * max(one.size for one in quantities)
         if size > MAX_DATASET_VALUES:
             given, allowed = f"{size} values", f"at most {MAX_DATASET_VALUES} values in all"
             raise invalid("grid", given, allowed, "split it into several experiments")
     return [results[index] for index in range(len(points))], rays
+
+
+def list_point_keys(
+    experiment: SimulationConfig, accuracy: Accuracy, seed: int
+) -> tuple[list[Any], list[Any]]:
+    """Return all that determines the results of all points, and that of each point."""
+    instrument = experiment.instrument.model_dump(mode="json")
+    kind = experiment.medium.get("kind", "snow")
+    common = [hash_physics_sources(), instrument, accuracy.model_dump(), seed, kind]
+    return common, [
+        [replace_table_paths(settings, identify_by_content), incidence]
+        for _, settings, incidence in experiment.iter_settings()
+    ]
 
 
 def _group_by_shared_paths(

@@ -19,10 +19,8 @@ from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.run_retrieve import list_samples
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
-from splits.retrieval.residual_covariance import MIN_RESIDUAL_DOF
-from splits.retrieval.sand_fit import FitResult, fit
-from splits.retrieval.sand_forward_model import Effort
-from splits.retrieval.sand_parameters import UnitCube
+from splits.retrieval.least_squares import MIN_RESIDUAL_DOF
+from splits.retrieval.sand_fit import Effort, FitResult, UnitCube, fit
 from splits.simulation.run_options import check_wavelengths, make_wavelength_coordinate
 from splits.simulation.threads import DaemonThreadPool, count_cpus
 

@@ -13,6 +13,7 @@ import pandas as pd
 import xarray as xr
 
 from splits.analysis.measured import WAVELENGTH_COLUMN, read_spectra
+from splits.core.escaping import write_data_frame
 from splits.core.keywords import list_keywords
 from splits.core.parameter_names import describe_parameter
 from splits.core.progress import LogCallback
@@ -33,7 +34,6 @@ from splits.experiments.config.retrieval import (
 )
 from splits.experiments.config.simulation import SimulationConfig
 from splits.instruments.time_of_flight import time_of_flight
-from splits.io.data_frame import write_data_frame
 from splits.io.netcdf import load, make_provenance, to_netcdf_attributes
 from splits.materials.csv_table import read_numeric_csv
 from splits.media.kinds import MEDIUM_CLASSES, get_kind
@@ -303,7 +303,8 @@ def get_fixed_values(section: RetrieveSection, sample: str, table: Table) -> dic
     fixed = dict(section.fixed)
     if ANGLE_SEPARATOR not in sample:
         return fixed
-    angle = parse_incidence_deg(sample)
+    match = re.search(rf"{ANGLE_SEPARATOR}([0-9]+(\.[0-9]+)?)\Z", sample)
+    angle = float(match[1]) if match else None
     if INCIDENCE not in table.axes:
         own = table.dataset.attrs.get(INCIDENCE, angle)
         if angle is not None and angle != own:
@@ -318,12 +319,6 @@ def get_fixed_values(section: RetrieveSection, sample: str, table: Table) -> dic
         hint = f"the name {format_key(sample)} contains the angle"
         raise invalid(key, fixed.get(INCIDENCE, INCIDENCE), "left out", hint)
     return fixed if angle is None else {**fixed, INCIDENCE: angle}
-
-
-def parse_incidence_deg(sample: str) -> float | None:
-    """Return the angle of incidence at the end of a sample's name, or None."""
-    _, separator, angle = sample.rpartition(ANGLE_SEPARATOR)
-    return float(angle) if separator and re.fullmatch(r"[0-9]+(\.[0-9]+)?", angle) else None
 
 
 def list_samples(section: str, measured: pd.DataFrame, names: Sequence[str]) -> list[str]:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import xarray as xr
 
@@ -21,23 +22,29 @@ from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.instruments import albedo, spectrophotometer
 from splits.instruments.spectral_run import SpectralRequest
+from splits.io.cache import Cache, compute_digest
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
 from splits.media.snow_pack_input import FLAG_NAME
 from splits.media.snow_packs import SnowPacks, count_missing_results
 from splits.simulation.run_options import RunOptions
 from splits.simulation.strata import STOP_REASONS
-from splits.tables.assembly import allocate_arrays, assemble_dataset, insert_block
-from splits.tables.block import DIGEST_ATTRIBUTE, TableRequest, load_block, make_block_path
+from splits.tables.assembly import (
+    MAX_BYTES_IN_MEMORY,
+    assemble_blocks,
+    compute_table_bytes,
+    write_table_blockwise,
+)
+from splits.tables.axes import ViewGrid, check_quantities, drop_view_axes, has_diffuse
+from splits.tables.block import TableRequest
 from splits.tables.build import (
-    compute_block_digest,
+    BLOCK_PREFIX,
     compute_table,
     iterate_blocks,
+    list_block_inputs,
     warn_of_wide_intervals,
 )
 from splits.tables.comparison import add_comparisons
 from splits.tables.plan import PathGroup, TablePlan
-from splits.tables.storage import MAX_BYTES_IN_MEMORY, compute_table_bytes, write_table_blockwise
-from splits.tables.views import ViewGrid, check_quantities, drop_view_axes, has_diffuse
 
 MAX_RAYS = 20_000_000
 """Largest number of rays of a spectrum, or of a set of spectra that share paths."""
@@ -95,15 +102,22 @@ def run_part(
     Likewise for the snowpacks of a file.  Existing blocks in the folder are kept.  `part` is a
     number from 0 to `count_parts` − 1; for the other arguments, see `splits.experiments.run.run`.
     """
+    blocks: Iterator[xr.Dataset]
     if experiment.has_packs:
-        return run_pack_part(experiment, accuracy, folder, part, threads, log)
-    plan, request = prepare_table(experiment, accuracy, seed, threads)
-    groups = plan.select_part(part, count_parts(experiment), request.solver)
-    log(f"{experiment.name}: {plan}")
-    for _ in _simulate_blocks(experiment, request, groups, folder, log):
+        packs = experiment.load_packs()
+        parts = _divide(packs)[part :: count_pack_parts(packs)]
+        blocks = _iterate_blocks(experiment, accuracy, parts, folder, threads, log)
+        keys = [_list_inputs(experiment, accuracy, one) for one in parts]
+    else:
+        plan, request = prepare_table(experiment, accuracy, seed, threads)
+        groups = plan.select_part(part, count_parts(experiment), request.solver)
+        log(f"{experiment.name}: {plan}")
+        blocks = _simulate_blocks(experiment, request, groups, folder, log)
+        keys = [list_block_inputs(one, request) for one in groups]
+    for _ in blocks:
         pass
-    digests = [compute_block_digest(group, request) for group in groups]
-    return [make_block_path(folder, g.number, d) for g, d in zip(groups, digests, strict=True)]
+    cache = Cache(folder, BLOCK_PREFIX)
+    return [cache.find_path(compute_digest(*key)) for key in keys]
 
 
 def run_table(
@@ -121,25 +135,9 @@ def run_table(
     if experiment.has_packs:
         return run_packs(experiment, accuracy, folder, threads, log)
     plan, request = prepare_table(experiment, accuracy, seed, threads)
-    return _make_table(experiment, plan, request, folder, log)
-
-
-def _make_table(
-    experiment: SimulationConfig,
-    plan: TablePlan,
-    request: TableRequest,
-    folder: Path | None,
-    log: LogCallback,
-) -> xr.Dataset:
-    """Return a table, see `run_table`."""
-    start_time = time.perf_counter()
     log(f"{experiment.name}: {plan}")
-    arrays, block_attributes = allocate_arrays(plan, request), []
-    for block in _simulate_blocks(experiment, request, plan.path_groups, folder, log):
-        insert_block(arrays, block)
-        block_attributes.append(block.attrs)
-    seconds = time.perf_counter() - start_time
-    table = assemble_dataset(arrays, plan, request, block_attributes, seconds)
+    blocks = _simulate_blocks(experiment, request, plan.path_groups, folder, log)
+    table = assemble_blocks(plan, request, blocks)
     return _complete_table(experiment, plan, request, folder, log, table)
 
 
@@ -157,13 +155,13 @@ def write_table(
         save(run_packs(experiment, accuracy, folder, threads, log), path)
         return
     plan, request = prepare_table(experiment, accuracy, seed, threads)
-    if compute_table_bytes(plan, request) <= MAX_BYTES_IN_MEMORY:
-        save(_make_table(experiment, plan, request, folder, log), path)
-        return
     log(f"{experiment.name}: {plan}")
     simulate = partial(_simulate_blocks, experiment, request, plan.path_groups, folder, log)
     complete = partial(_complete_table, experiment, plan, request, folder, log)
-    write_table_blockwise(path, plan, request, simulate, complete)
+    if compute_table_bytes(plan, request) <= MAX_BYTES_IN_MEMORY:
+        save(complete(assemble_blocks(plan, request, simulate())), path)
+    else:
+        write_table_blockwise(path, plan, request, simulate, complete)
 
 
 def _complete_table(
@@ -220,33 +218,13 @@ def delete_unused_blocks(manifests: Sequence[Path]) -> None:
     """Delete the blocks that no manifest of a table's parts names."""
     texts = [manifest.read_text(encoding="utf-8") for manifest in manifests]
     names = {name for text in texts for name in json.loads(text)}
-    for file in manifests[0].parent.glob("block_*.nc"):
+    for file in manifests[0].parent.glob(f"{BLOCK_PREFIX}_*.nc"):
         if file.name not in names:
             file.unlink(missing_ok=True)
 
 
 LARGEST_ATTRIBUTES = ("max_stderr_reached", "streams", "truncation_error", "optics_error")
 """Attributes that are the largest of all blocks."""
-
-
-def run_pack_part(
-    experiment: SimulationConfig,
-    accuracy: Accuracy,
-    folder: Path,
-    part: int,
-    threads: int | None,
-    log: LogCallback,
-) -> list[Path]:
-    """Simulate the blocks of one part that the folder lacks, and return the files of all of them.
-
-    For the arguments, see `splits.experiments.run_table.run_part`.
-    """
-    packs = experiment.load_packs()
-    blocks = _divide(packs)[part :: count_pack_parts(packs)]
-    return [
-        make_block_path(folder, number, str(block.attrs[DIGEST_ATTRIBUTE]))
-        for number, block in _iterate_blocks(experiment, accuracy, blocks, folder, threads, log)
-    ]
 
 
 def run_packs(
@@ -262,13 +240,11 @@ def run_packs(
     """
     start_time = time.perf_counter()
     packs = experiment.load_packs()
-    found = _iterate_blocks(experiment, accuracy, _divide(packs), folder, threads, log)
-    blocks = [block for _, block in found]
+    blocks = list(_iterate_blocks(experiment, accuracy, _divide(packs), folder, threads, log))
     dataset = xr.concat(
         blocks, packs.label, data_vars="minimal", coords="minimal", compat="override",
         combine_attrs="override",
     )  # fmt: skip
-    del dataset.attrs[DIGEST_ATTRIBUTE]
     attributes = {
         **{key: max(block.attrs[key] for block in blocks) for key in LARGEST_ATTRIBUTES},
         "stop_reason": max(
@@ -292,36 +268,28 @@ def run_packs(
     return dataset
 
 
-def _divide(packs: SnowPacks) -> list[tuple[int, SnowPacks]]:
-    """Return the blocks of snowpacks with their numbers."""
+def _divide(packs: SnowPacks) -> list[SnowPacks]:
+    """Return the blocks of snowpacks."""
     starts = range(0, len(packs), PACKS_PER_BLOCK)
     slices = [{packs.label: slice(start, start + PACKS_PER_BLOCK)} for start in starts]
-    return [
-        (number, SnowPacks(packs.dataset.isel(rows), packs.label))
-        for number, rows in enumerate(slices)
-    ]
+    return [SnowPacks(packs.dataset.isel(rows), packs.label) for rows in slices]
 
 
 def _iterate_blocks(
     experiment: SimulationConfig,
     accuracy: Accuracy,
-    blocks: Sequence[tuple[int, SnowPacks]],
+    blocks: Sequence[SnowPacks],
     folder: Path | None,
     threads: int | None,
     log: LogCallback,
-) -> Iterator[tuple[int, xr.Dataset]]:
-    """Yield the results of blocks with their numbers, loaded from a folder or stored there."""
-    for done, (number, packs) in enumerate(blocks, start=1):
-        digest = _compute_digest(experiment, accuracy, packs)
-        result = None if folder is None else load_block(folder, number, digest)
-        if result is None:
-            with nest_runs(), experiment.locate_errors({}):
-                result = _measure(experiment, accuracy, packs, threads)
-            result = result.assign_attrs({DIGEST_ATTRIBUTE: digest})
-            if folder is not None:
-                save(result, make_block_path(folder, number, digest))
-        log(f"{experiment.name}: {done} of {len(blocks)} blocks done, from {number}")
-        yield number, result
+) -> Iterator[xr.Dataset]:
+    """Yield the results of blocks, loaded from a folder or stored there."""
+    cache = Cache(folder, BLOCK_PREFIX)
+    for done, packs in enumerate(blocks, start=1):
+        measure = partial(_measure, experiment, accuracy, packs, threads)
+        result = cache.get(_list_inputs(experiment, accuracy, packs), measure)
+        log(f"{experiment.name}: {done} of {len(blocks)} blocks done")
+        yield result
 
 
 def _measure(
@@ -330,22 +298,20 @@ def _measure(
     """Return the spectra or albedos of snowpacks."""
     instrument = experiment.instrument
     error, wavelengths = instrument.scale_stderr(accuracy.max_stderr), instrument.get_wavelengths()
-    if isinstance(instrument, Albedo):
-        return albedo(
-            packs, instrument.sky, wavelengths, error, bands=instrument.bands, threads=threads
+    with nest_runs(), experiment.locate_errors({}):
+        if isinstance(instrument, Albedo):
+            return albedo(
+                packs, instrument.sky, wavelengths, error, bands=instrument.bands, threads=threads
+            )
+        settings = {key: getattr(instrument, key) for key in ("solver", "estimator", "stokes")}
+        return spectrophotometer(
+            packs, wavelengths, instrument.get_incidence(), error, threads=threads, **settings
         )
-    settings = {key: getattr(instrument, key) for key in ("solver", "estimator", "stokes")}
-    return spectrophotometer(
-        packs, wavelengths, instrument.get_incidence(), error, threads=threads, **settings
-    )
 
 
-def _compute_digest(experiment: SimulationConfig, accuracy: Accuracy, packs: SnowPacks) -> str:
-    """Return the SHA-256 of all inputs that determine the values of a block."""
+def _list_inputs(experiment: SimulationConfig, accuracy: Accuracy, packs: SnowPacks) -> list[Any]:
+    """Return all that determines the values of a block, as the key of a cache."""
     instrument = experiment.instrument
     error = instrument.scale_stderr(accuracy.max_stderr)
-    inputs = [hash_physics_sources(), instrument.model_dump(mode="json"), error]
-    digest = hashlib.sha256(json.dumps(inputs, sort_keys=True).encode())
-    table = packs.dataset.to_dict()
-    digest.update(json.dumps(table, sort_keys=True, default=str).encode())
-    return digest.hexdigest()
+    table = packs.dataset.to_dict(data="array")
+    return [hash_physics_sources(), instrument.model_dump(mode="json"), error, table]

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +13,6 @@ import numpy as np
 from splits.core.arrays import as_float_array, read_columns
 from splits.core.equality import ContentEquality
 from splits.core.keywords import reject_unknown_keywords
-from splits.core.optional import import_optional
 from splits.core.validation import (
     check_choice,
     check_integer,
@@ -59,15 +57,12 @@ class HeightSpectrum(NamedTuple):
     correlation: Callable[[np.ndarray], np.ndarray]
 
 
-def _import_scipy_special() -> ModuleType:
-    return import_optional("scipy.special", "retrieval", "correlations of heights need")
-
-
 def _correlate_exponential_printed(r: np.ndarray) -> np.ndarray:
     """Return ∫ J0(λr) (1 + λ²)^(−3/2) dλ = x (I0(x) K1(x) − I1(x) K0(x)) with x = r/2."""
-    special = _import_scipy_special()
+    from scipy.special import i0e, i1e, k0e, k1e
+
     x = np.where(r > 0.0, 0.5 * r, 1.0)
-    products = special.i0e(x) * special.k1e(x) - special.i1e(x) * special.k0e(x)
+    products = i0e(x) * k1e(x) - i1e(x) * k0e(x)
     return np.where(r > 0.0, x * products, 1.0)
 
 
@@ -154,8 +149,9 @@ def average_over_quantiles(
 
 def average_bessel_j0(table: np.ndarray, distance: float) -> float:
     """Return the mean of J0(λ r), in intervals shorter than a period."""
+    from scipy.special import j0
+
     max_spacing = float(np.diff(table).max())
-    j0 = _import_scipy_special().j0
     return average_over_quantiles(
         table, lambda k: j0(k * distance), 1 + int(max_spacing * distance / math.pi)
     )
@@ -165,6 +161,8 @@ def integrate_bessel_j0(
     density: Callable[[np.ndarray], np.ndarray], limit: float, distance: float
 ) -> float:
     """Return ∫ J0(λr) density dλ from 0 to the limit, in intervals shorter than a period."""
+    from scipy.special import j0
+
     octaves = 2.0 ** np.arange(-3.0, max(math.log2(limit), -2.0) + 1.0)
     edges = [
         np.array([0.0]),
@@ -174,9 +172,7 @@ def integrate_bessel_j0(
     edge = np.unique(np.minimum(np.concatenate([*edges, [limit]]), limit))
     half = 0.5 * np.diff(edge)[:, None]
     k = edge[:-1, None] + half * (1.0 + _GAUSS_NODES)
-    return float(
-        (half * _GAUSS_WEIGHTS * _import_scipy_special().j0(k * distance) * density(k)).sum()
-    )
+    return float((half * _GAUSS_WEIGHTS * j0(k * distance) * density(k)).sum())
 
 
 # --------------------------------------------------------------------------------------------------

@@ -36,8 +36,7 @@ from splits.plotting.style import (
     pick_colours,
     use_style,
 )
-from splits.tables.axes import INCIDENCE
-from splits.tables.views import AZIMUTH, VIEW_AXES, VIEW_QUANTITIES
+from splits.tables.axes import AZIMUTH, INCIDENCE, VIEW_AXES, VIEW_QUANTITIES
 
 _SERIES_SPREAD = 0.6
 """Fraction of a row over which the series are spread."""

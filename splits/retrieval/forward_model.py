@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from splits.core.validation import invalid, key_prefix
 from splits.illumination.bands import SpectralOperator
-from splits.retrieval.cubic_interpolation import interpolate, interpolate_states
-from splits.retrieval.map_minimization import TableGrid
+from splits.kernels.interpolation import interpolate, interpolate_states
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.state_vector import SCALE, ParameterRange, StateVector
-from splits.tables.axes import INCIDENCE, ParameterGrid, check_axis_values
+from splits.tables.axes import (
+    DIFFUSE_PREFIX,
+    INCIDENCE,
+    VIEW_AXES,
+    ParameterGrid,
+    check_axis_values,
+)
 from splits.tables.interpolation import (
     COORDINATES,
-    compute_interpolation_weights,
     estimate_error_weights,
+    make_weight_matrix,
     transform_axis,
 )
 from splits.tables.table import Table
 from splits.tables.table_interpolation import scale_axis_errors
-from splits.tables.views import DIFFUSE_PREFIX, VIEW_AXES
 
 FIXED_ATTRIBUTES = (INCIDENCE, *VIEW_AXES, "field_of_view_deg", "diffuse_fraction")
 """Attributes of a table that are conditions of a measurement."""
@@ -54,16 +59,25 @@ class ForwardModel(Protocol):
         ...
 
 
+Model = TypeVar("Model")
+
+
+def drop_priors(model: Model) -> Model:
+    """Return a forward model whose state vector has no priors; it shares all else."""
+    changed: Any = copy.copy(model)
+    changed.state_vector = changed.state_vector.without_priors()
+    return changed  # type: ignore[no-any-return]
+
+
 def make_measurement_operator(
     measurement: Measurement, wavelengths: np.ndarray
 ) -> SpectralOperator:
     """Return the operator of a measurement; reject values outside the wavelengths (nm)."""
     if measurement.bands:
         return SpectralOperator.from_bands(measurement.bands, wavelengths)
-    rows, error_rows = np.zeros((2, measurement.values.size, wavelengths.size))
-    for row, error_row, x in zip(rows, error_rows, measurement.wavelength_nm.tolist(), strict=True):
-        stencil = compute_interpolation_weights("wavelength", wavelengths, x)
-        row[stencil.nodes] = stencil.weights
+    rows = make_weight_matrix("wavelength", wavelengths, measurement.wavelength_nm)
+    error_rows = np.zeros(rows.shape)
+    for error_row, x in zip(error_rows, measurement.wavelength_nm.tolist(), strict=True):
         estimates = estimate_error_weights("wavelength", wavelengths, x)
         if len(estimates):
             error_row[:] = max(estimates, key=lambda weights: float((weights**2).sum()))
@@ -82,6 +96,8 @@ class TableForwardModel:
     fixed : mapping, optional
         Values of the other axes; axes with a single node may be left out.
     quantity : str
+    operator : SpectralOperator, optional
+        From the spectra of the table to the measurement, see `make_measurement_operator`.
     """
 
     def __init__(
@@ -91,17 +107,20 @@ class TableForwardModel:
         state_vector: StateVector,
         fixed: Mapping[str, Any] | None,
         quantity: str = "reflectance",
+        operator: SpectralOperator | None = None,
     ) -> None:
         self.state_vector, self.table, self.quantity = state_vector, table, quantity
         self.fixed = _check_fixed_axes(table, state_vector, fixed)
         self.measurement = measurement
-        self.operator = self.make_operator(measurement, table)
+        self.operator = operator or make_measurement_operator(
+            measurement, table.dataset.wavelength.values
+        )
         self.axes = [name for name in state_vector.names if name != SCALE]
         if not self.axes:
             raise invalid("free", list(state_vector.names), "at least one axis of the table")
         self._scale_index = state_vector.names.index(SCALE) if SCALE in state_vector.names else None
         self._axis_indices = [state_vector.names.index(name) for name in self.axes]
-        values, nodes, self._steps, self._resampling_errors = _resample_table(
+        values, nodes, self.steps, self._resampling_errors = _resample_table(
             table, quantity, state_vector, self.axes, self.fixed
         )
         self.node_values = np.ascontiguousarray(
@@ -112,25 +131,15 @@ class TableForwardModel:
             for i, row in zip(self._axis_indices, nodes, strict=True)
         ]
         max_nodes = max(len(row) for row in nodes)
-        self._axis_nodes = np.array([np.pad(row, (0, max_nodes - len(row))) for row in coordinates])
-        self._n_nodes = np.array([len(row) for row in nodes], dtype=np.int64)
+        self.axis_nodes = np.array([np.pad(row, (0, max_nodes - len(row))) for row in coordinates])
+        self.n_nodes = np.array([len(row) for row in nodes], dtype=np.int64)
 
     @property
     def table_node_values(self) -> np.ndarray:
         """Values at the nodes of the table alone, shape (nodes, n)."""
-        by_axis = self.node_values.reshape(*self._n_nodes, -1)
-        at_nodes = by_axis[tuple(slice(None, None, step) for step in self._steps)]
+        by_axis = self.node_values.reshape(*self.n_nodes, -1)
+        at_nodes = by_axis[tuple(slice(None, None, step) for step in self.steps)]
         return at_nodes.reshape(-1, by_axis.shape[-1])
-
-    def make_operator(self, measurement: Measurement, table: Table) -> SpectralOperator:
-        """Return the operator from the spectra of a table to a measurement."""
-        return make_measurement_operator(measurement, table.dataset.wavelength.values)
-
-    def make_grid(self, node_values: np.ndarray) -> TableGrid:
-        """Return the table over coordinates with other columns."""
-        return TableGrid(
-            np.ascontiguousarray(node_values), self._axis_nodes, self._n_nodes, self._steps
-        )
 
     def list_fixed_values(self) -> dict[str, Any]:
         """Return the incidence and the values of all axes that are not free."""
@@ -152,7 +161,7 @@ class TableForwardModel:
         """Return modelled measurements, shape (states, n)."""
         modelled = np.empty((len(states), self.node_values.shape[1]))
         axis_states = np.ascontiguousarray(states[:, self._axis_indices])
-        interpolate_states(self.node_values, self._axis_nodes, self._n_nodes, axis_states, modelled)
+        interpolate_states(self.node_values, self.axis_nodes, self.n_nodes, axis_states, modelled)
         return modelled * self._compute_scale(states)[:, np.newaxis]
 
     def evaluate_state(self, state: np.ndarray) -> np.ndarray:
@@ -166,7 +175,7 @@ class TableForwardModel:
         values, axis_jacobian = np.empty(n_values), np.empty((n_values, len(self.axes)))
         axis_state = np.ascontiguousarray(state[self._axis_indices])
         interpolate(
-            self.node_values, self._axis_nodes, self._n_nodes, axis_state, values, axis_jacobian
+            self.node_values, self.axis_nodes, self.n_nodes, axis_state, values, axis_jacobian
         )
         scale = float(self._compute_scale(state))
         jacobian = np.zeros((n_values, len(self.state_vector.names)))

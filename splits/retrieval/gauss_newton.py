@@ -12,7 +12,6 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from splits.core.optional import import_optional
 from splits.retrieval.state_vector import StateVector
 
 INITIAL_RADIUS = 0.3
@@ -197,7 +196,7 @@ def minimize_gauss_newton(
     radius : float
         Half the edge of the first trust region, 0 to 1.
     """
-    lsq_linear = import_optional("scipy.optimize", "retrieval", "retrievals need").lsq_linear
+    from scipy.optimize import lsq_linear
 
     lower_bound, upper_bound = model.bound_margin, 1.0 - model.bound_margin
     state = np.clip(start, lower_bound, upper_bound)

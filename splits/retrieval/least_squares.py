@@ -1,71 +1,172 @@
 """Retrieval with unknown measurement noise: least squares with errors estimated from the misfit.
 
-The state of smallest misfit, with the covariance from `splits.retrieval.residual_covariance`, is
-used as a measurement of the coordinates.  Ranges, priors and the posterior then follow as for known
-noise.
+The state of smallest misfit, with the covariance from the misfit, is used as a measurement of the
+coordinates.  Ranges, priors and the posterior then follow as for known noise.  The residual of an
+imperfect model is smooth along the spectrum, so neighbouring values are correlated and carry little
+independent information.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 
 from splits.core.validation import invalid
-from splits.retrieval.forward_model import TableForwardModel
+from splits.retrieval.forward_model import TableForwardModel, drop_priors
 from splits.retrieval.gauss_newton import LocalMinimum
-from splits.retrieval.linearization import Linearization, LinearizedModel, estimate_nonlinearity
+from splits.retrieval.linearization import (
+    Linearization,
+    LinearizedModel,
+    average_cross_products,
+    estimate_nonlinearity,
+)
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.medium_model import ConvergedMinima, MediumForwardModel
 from splits.retrieval.optimal_estimation import (
     ALTERNATIVE_CHI2,
     MAPEstimate,
-    PosteriorSummary,
+    Solution,
+    compute_prior_tension,
+    draw_posterior,
     find_active_bounds,
     find_distinct_map_estimates,
     summarize_posterior,
 )
-from splits.retrieval.posterior import PosteriorDraws, draw_posterior
-from splits.retrieval.residual_covariance import (
-    MIN_RESIDUAL_DOF,
-    FitCovariance,
-    estimate_fit_covariance,
-)
-from splits.retrieval.solution import Solution, compute_prior_tension
 from splits.retrieval.state_vector import StateVector
 
+NEIGHBOUR_CORRELATIONS = np.linspace(0.0, 0.98, 50)
+"""Candidate correlations between neighbouring wavelengths."""
+MIN_RESIDUAL_DOF = 2
+"""Smallest excess of the number of values over the number of parameters."""
+_UNCONSTRAINED_VARIANCE = 100.0
+"""Variance of unconstrained directions, far larger than the range of coordinates."""
 
-class PosteriorEstimate(NamedTuple):
-    """Posterior of a least-squares estimate within its ranges and priors.
 
-    Attributes
+def estimate_misfit_variances(misfit: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
+    """Return the variance of a misfit, split over `NEIGHBOUR_CORRELATIONS`.
+
+    The misfit is modelled as a first-order autoregressive series minus its projection on the fit.
+    A short spectrum does not determine the correlation, so every candidate is weighted by its
+    restricted likelihood.
+
+    Parameters
     ----------
-    state : float, shape (parameters,)
-        Most probable state.
-    posterior : PosteriorSummary
-    draws : PosteriorDraws
-    prior_tension : float, shape (parameters,)
-        See `splits.retrieval.solution.Solution`.
-    """
+    misfit : float, shape (wavelengths,)
+        Model minus measurement, not all 0.
+    jacobian : float, shape (wavelengths, columns)
+        Fitted directions of the spectrum, fewer columns than wavelengths.
 
-    state: np.ndarray
-    posterior: PosteriorSummary
-    draws: PosteriorDraws
-    prior_tension: np.ndarray
+    References
+    ----------
+    Harville (1974), Biometrika 61, 383-385.
+    """
+    columns = np.linalg.qr(jacobian)[0]
+    n_dof = len(misfit) - columns.shape[1]
+    squares, likelihood = np.empty((2, len(NEIGHBOUR_CORRELATIONS)))
+    for i, correlation in enumerate(NEIGHBOUR_CORRELATIONS):
+        weighted = _apply_inverse_correlation(columns, correlation)
+        inner, outer = columns.T @ weighted, weighted.T @ misfit
+        square = misfit @ _apply_inverse_correlation(misfit, correlation) - outer @ np.linalg.solve(
+            inner, outer
+        )
+        squares[i] = max(square, np.finfo(float).tiny)
+        likelihood[i] = -np.linalg.slogdet(inner)[1] - (len(misfit) - 1) * np.log(
+            1.0 - correlation**2
+        )
+    likelihood = 0.5 * (likelihood - n_dof * np.log(squares))
+    weights = np.exp(likelihood - likelihood.max())
+    return weights / weights.sum() * squares / n_dof
+
+
+def _apply_inverse_correlation(series: np.ndarray, correlation: float) -> np.ndarray:
+    """Return the product of the inverse autoregressive correlation matrix and a series."""
+    product = (1.0 + correlation**2) * series
+    product[[0, -1]] -= correlation**2 * series[[0, -1]]
+    product[1:] -= correlation * series[:-1]
+    product[:-1] -= correlation * series[1:]
+    return product / (1.0 - correlation**2)
+
+
+def make_autoregressive_covariance(variances: np.ndarray, n_wavelengths: int) -> np.ndarray:
+    """Return the covariance matrix of residuals from `estimate_misfit_variances`."""
+    lags = np.arange(n_wavelengths)
+    autocovariance = (variances[:, np.newaxis] * NEIGHBOUR_CORRELATIONS[:, np.newaxis] ** lags).sum(
+        axis=0
+    )
+    covariance: np.ndarray = autocovariance[np.abs(lags[:, np.newaxis] - lags)]
+    return covariance
+
+
+def estimate_fit_covariance(
+    jacobians: Sequence[np.ndarray],
+    misfit: np.ndarray,
+    noise_covariance: np.ndarray,
+    active_bounds: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the covariances of the coordinates of a least-squares fit and of its residuals.
+
+    They are estimated from the misfit.
+
+    Noise in a Jacobian would appear as information on coordinates without effect.  Products of
+    different, independent Jacobians have no such bias.  Directions whose effect is below the misfit
+    of a wavelength, or below that noise, count as unconstrained.
+
+    Parameters
+    ----------
+    jacobians : sequence of float, shape (wavelengths, coordinates)
+        At least two independent Jacobians.
+    misfit : float, shape (wavelengths,)
+        Model minus measurement, see `estimate_misfit_variances`.
+    noise_covariance : float, shape (wavelengths, wavelengths)
+        Covariance of the noise of simulations.  All simulations of a fit share their random
+        numbers, so this noise shifts the minimum.
+    active_bounds : bool, shape (coordinates,)
+        Coordinates at an active bound, which do not reduce the misfit.
+    """
+    scale, unconstrained = _split_directions(jacobians, misfit)
+    scaled = [jacobian @ scale for jacobian in jacobians]
+    free_jacobians = [jacobian[:, ~active_bounds] for jacobian in jacobians]
+    fitted_directions = np.mean(
+        [jacobian @ _split_directions(free_jacobians, misfit)[0] for jacobian in free_jacobians],
+        axis=0,
+    )
+    variances = estimate_misfit_variances(misfit, fitted_directions)
+    residual_covariance = make_autoregressive_covariance(variances, len(misfit))
+    spread = average_cross_products(
+        scaled, [(residual_covariance + noise_covariance) @ column_set for column_set in scaled]
+    )
+    # The variance is at least that of the same number of independent wavelengths.
+    eigenvalues, axes = np.linalg.eigh(spread)
+    spread = (axes * np.maximum(eigenvalues, variances.sum())) @ axes.T
+    covariance = scale @ spread @ scale.T
+    covariance = covariance + _UNCONSTRAINED_VARIANCE * unconstrained @ unconstrained.T
+    return covariance, residual_covariance
+
+
+def _split_directions(
+    jacobians: Sequence[np.ndarray], misfit: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return constrained directions, scaled to unit effect, and unconstrained ones, as columns."""
+    values, vectors = np.linalg.eigh(average_cross_products(jacobians, jacobians))
+    mean_square = np.mean(
+        [((jacobian @ vectors) ** 2).sum(axis=0) for jacobian in jacobians], axis=0
+    )
+    is_constrained = values > np.maximum(np.mean(misfit**2), mean_square - values)
+    return vectors[:, is_constrained] / np.sqrt(values[is_constrained]), vectors[:, ~is_constrained]
 
 
 def apply_priors(
     state_vector: StateVector, state: np.ndarray, covariance: np.ndarray, seed: int
-) -> PosteriorEstimate:
-    """Return the posterior of an estimate of the coordinates.
+) -> Solution:
+    """Return the solution for an estimate of the coordinates, within their ranges and priors.
 
     Parameters
     ----------
     state_vector : StateVector
     state : float, shape (parameters,)
     covariance : float, shape (parameters, parameters)
-        See `splits.retrieval.residual_covariance.estimate_fit_covariance`.
+        See `splits.retrieval.least_squares.estimate_fit_covariance`.
     seed : int
         Seed of the draws.
     """
@@ -78,10 +179,13 @@ def apply_priors(
     estimates = find_distinct_map_estimates(
         linear_model, measurement, *linear_model.evaluate_first_guesses()
     )
-    draws = draw_posterior(linear_model, measurement, estimates, seed)
-    prior_tension = compute_prior_tension(state_vector, state, np.diag(covariance))
-    return PosteriorEstimate(
-        estimates[0].state, summarize_posterior(estimates[0], state_vector), draws, prior_tension
+    return Solution(
+        estimates,
+        summarize_posterior(estimates[0], state_vector),
+        draw_posterior(linear_model, measurement, estimates, seed),
+        variance_inflation=1.0,
+        prior_tension=compute_prior_tension(state_vector, state, np.diag(covariance)),
+        forward_model_error=np.zeros(n_parameters),
     )
 
 
@@ -90,27 +194,37 @@ def retrieve_without_noise(
 ) -> tuple[Solution, Measurement]:
     """Return the solution for unknown noise, and the measurement with the noise found."""
     check_enough_values(len(model.state_vector.names), measurement)
-    state_vector = model.state_vector
-    model.state_vector = state_vector.drop_priors()
+    without_priors = drop_priors(model)
     converged = (
-        model.find_minima()
-        if isinstance(model, MediumForwardModel)
-        else _find_table_minima(model, measurement)
+        without_priors.find_minima()
+        if isinstance(without_priors, MediumForwardModel)
+        else _find_table_minima(without_priors, measurement)
     )
-    model.state_vector = state_vector
     best = converged.linearize(measurement.covariance)
     residual = best.modelled - measurement.values
     active_bounds = find_active_bounds(best.state, best.jacobian.T @ residual)
-    fit_covariance = estimate_fit_covariance(
+    state_covariance, noise = estimate_fit_covariance(
         converged.jacobians, residual, best.error_covariance, active_bounds
     )
-    alternatives = converged.find_alternatives(
-        ALTERNATIVE_CHI2 * float(fit_covariance.residual[0, 0])
+    solution = apply_priors(model.state_vector, best.state, state_covariance, seed)
+    state = solution.estimates[0].state
+    modelled = model.evaluate_state(state)
+    residual = modelled - measurement.values
+    covariance = noise + best.error_covariance
+    weighted = np.linalg.solve(covariance, residual)
+    chi2 = float(residual @ weighted)
+    active_bounds = find_active_bounds(state, best.jacobian.T @ weighted)
+    estimate = MAPEstimate(state, modelled, best.jacobian, covariance, chi2, chi2, active_bounds)
+    linear_model = LinearizedModel(model.state_vector, best)
+    solution = solution._replace(
+        estimates=[estimate],
+        forward_model_error=np.sqrt(np.diag(best.error_covariance)),
+        alternatives=converged.find_alternatives(ALTERNATIVE_CHI2 * float(noise[0, 0])),
+        nonlinearity=estimate_nonlinearity(
+            model.evaluate_state, linear_model, state, solution.posterior.covariance, covariance
+        ),
     )
-    linear_model = LinearizedModel(state_vector, best)
-    return _make_solution(
-        model.evaluate_state, linear_model, measurement, fit_covariance, alternatives, seed
-    )
+    return solution, measurement._replace(covariance=noise)
 
 
 def _find_table_minima(model: TableForwardModel, measurement: Measurement) -> ConvergedMinima:
@@ -130,41 +244,3 @@ def check_enough_values(n_parameters: int, measurement: Measurement) -> None:
             f"{n_values} values are too few to estimate it from the misfit, {min_values} are needed"
         )
         raise invalid("noise", None, "given", hint)
-
-
-def _make_solution(
-    evaluate: Callable[[np.ndarray], np.ndarray],
-    linear_model: LinearizedModel,
-    measurement: Measurement,
-    fit_covariance: FitCovariance,
-    alternatives: tuple[np.ndarray, ...],
-    seed: int,
-) -> tuple[Solution, Measurement]:
-    """Return the solution, and the measurement with the estimated noise."""
-    best = linear_model.linearization
-    posterior = apply_priors(linear_model.state_vector, best.state, fit_covariance.state, seed)
-    modelled = evaluate(posterior.state)
-    total_covariance = fit_covariance.residual + best.error_covariance
-    residual = modelled - measurement.values
-    chi2 = float(residual @ np.linalg.solve(total_covariance, residual))
-    active_bounds = find_active_bounds(
-        posterior.state, best.jacobian.T @ np.linalg.solve(total_covariance, residual)
-    )
-    estimate = MAPEstimate(
-        posterior.state, modelled, best.jacobian, total_covariance, chi2, chi2, active_bounds
-    )
-    model_stderr = np.sqrt(np.diag(best.error_covariance))
-    nonlinearity = estimate_nonlinearity(
-        evaluate, linear_model, posterior.state, posterior.posterior.covariance, total_covariance
-    )
-    solution = Solution(
-        [estimate],
-        posterior.posterior,
-        posterior.draws,
-        1.0,
-        posterior.prior_tension,
-        model_stderr,
-        alternatives,
-        nonlinearity,
-    )
-    return solution, measurement._replace(covariance=fit_covariance.residual)

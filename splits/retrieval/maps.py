@@ -1,4 +1,7 @@
-"""Retrieval of parameter maps from images with a table, with errors and flags."""
+"""Retrieval of parameter maps from images with a table, with errors and flags.
+
+Compiled descents find the most probable state of every pixel by interpolation of a table.
+"""
 
 from __future__ import annotations
 
@@ -12,19 +15,269 @@ import xarray as xr
 
 from splits.core.arrays import as_float_array, find_labels, match_labels
 from splits.core.keywords import reject_unknown_arguments
-from splits.core.optional import import_optional
 from splits.core.parameter_names import describe_parameter
 from splits.core.uncertainty import make_variable
 from splits.core.units import check_nanometres, convert_units
 from splits.core.validation import InvalidValue, check_choice, invalid, join_names
 from splits.illumination.bands import SpectralBand, check_bands
 from splits.io.netcdf import ANCILLARY_ATTRIBUTE, make_provenance, to_netcdf_attributes
+from splits.kernels.compiler.jit import entry_point
+from splits.kernels.interpolation import interpolate
 from splits.retrieval.forward_model import TableForwardModel, choose_quantity, get_table_ranges
-from splits.retrieval.map_minimization import project_spectra, retrieve_spectra
 from splits.retrieval.measurement import MAX_REFLECTANCE, Measurement, check_conditions
 from splits.retrieval.state_vector import SCALE, StateVector
 from splits.simulation.run_options import check_threads
 from splits.tables.table import Table
+
+MAX_ITERATIONS = 60
+"""Largest number of steps of a descent."""
+SECOND_START_MARGIN = 0.1
+"""Distance from the bounds at which the second descent starts."""
+STEP_TOLERANCE = 1e-4
+"""Step of the coordinates below which a descent has converged."""
+
+
+class TableGrid(NamedTuple):
+    """Table over coordinates from 0 to 1.
+
+    Attributes
+    ----------
+    node_values : float64[nodes, columns]
+        The last axis runs fastest.  The noise of every column has variance 1.
+    axis_nodes : float64[axes, max_nodes]
+        Coordinates.
+    n_nodes : int64[axes]
+    steps : int64[axes]
+        Every step along an axis is a node of the table; the others are interpolated.
+    """
+
+    node_values: np.ndarray
+    axis_nodes: np.ndarray
+    n_nodes: np.ndarray
+    steps: np.ndarray
+
+
+@entry_point
+def project_spectra(spectra, mean_spectrum, projection, whitening, components, residual_chi2):
+    """Set the components of spectra, and the residual sums of squares, in units of noise.
+
+    Parameters
+    ----------
+    spectra : float64[measurements, wavelengths]
+    mean_spectrum : float64[wavelengths]
+    projection : float64[components, wavelengths]
+    whitening : float64[wavelengths, wavelengths]
+        Lower triangular matrix that whitens the noise.
+    components : float64[measurements, components]
+    residual_chi2 : float64[measurements]
+    """
+    n_wavelengths = len(mean_spectrum)
+    deviation = np.empty(n_wavelengths)
+    for row in range(len(spectra)):
+        residual = 0.0
+        for i in range(n_wavelengths):
+            deviation[i] = spectra[row, i] - mean_spectrum[i]
+            total = 0.0
+            for j in range(i + 1):
+                total += whitening[i, j] * deviation[j]
+            residual += total * total
+        for component in range(len(projection)):
+            total = 0.0
+            for i in range(n_wavelengths):
+                total += projection[component, i] * deviation[i]
+            components[row, component] = total
+            residual -= total * total
+        residual_chi2[row] = max(residual, 0.0)
+
+
+@entry_point
+def find_nearest_node(grid, measurement, prior_mean, prior_precision, state):
+    """Set the state to the node of the table in the ranges with the smallest cost."""
+    node_values, axis_nodes, n_nodes, steps = grid
+    axes = len(n_nodes)
+    min_cost = np.inf
+    coordinates = np.empty(axes)
+    n_table_nodes = 1
+    for a in range(axes):
+        n_table_nodes *= (n_nodes[a] - 1) // steps[a] + 1
+    for table_node in range(n_table_nodes):
+        rest, inside, cost = table_node, True, 0.0
+        node, stride = 0, 1
+        for a in range(axes - 1, -1, -1):
+            n_axis_nodes = (n_nodes[a] - 1) // steps[a] + 1
+            index = rest % n_axis_nodes * steps[a]
+            rest //= n_axis_nodes
+            node += index * stride
+            stride *= n_nodes[a]
+            coordinates[a] = axis_nodes[a, index]
+            inside = inside and -1e-9 <= coordinates[a] <= 1.0 + 1e-9
+            cost += prior_precision[a] * (coordinates[a] - prior_mean[a]) ** 2
+        if not inside:
+            continue
+        for column in range(len(measurement)):
+            cost += (node_values[node, column] - measurement[column]) ** 2
+        if cost < min_cost:
+            min_cost = cost
+            for a in range(axes):
+                state[a] = min(max(coordinates[a], 0.0), 1.0)
+    if min_cost == np.inf:
+        state[:] = 0.5
+
+
+@entry_point
+def evaluate_cost(grid, measurement, prior, state, modelled, jacobian, gradient, hessian):
+    """Return the sum of squares at a state; set half its gradient and half its Hessian."""
+    mean, precision = prior
+    interpolate(grid.node_values, grid.axis_nodes, grid.n_nodes, state, modelled, jacobian)
+    axes = len(state)
+    cost = 0.0
+    gradient[:] = 0.0
+    hessian[:] = 0.0
+    for a in range(axes):
+        residual = state[a] - mean[a]
+        cost += precision[a] * residual * residual
+        gradient[a] = precision[a] * residual
+        hessian[a, a] = precision[a]
+    for column in range(len(measurement)):
+        residual = modelled[column] - measurement[column]
+        cost += residual * residual
+        for a in range(axes):
+            gradient[a] += jacobian[column, a] * residual
+            for b in range(a + 1):
+                hessian[a, b] += jacobian[column, a] * jacobian[column, b]
+    for a in range(axes):
+        for b in range(a):
+            hessian[b, a] = hessian[a, b]
+    return cost
+
+
+@entry_point
+def compute_damped_step(state, gradient, hessian, damping, new_state):
+    """Set the new state of a damped step within the bounds; coordinates at active bounds stay."""
+    axes = len(state)
+    is_fixed = np.zeros(axes, dtype=np.bool_)
+    # The damping is common to all: at 0 of a root transform the own slope would vanish.
+    mean_damping = 0.0
+    for a in range(axes):
+        mean_damping += damping * hessian[a, a] / axes
+    for _ in range(axes):
+        matrix = np.empty((axes, axes))
+        rhs = np.empty(axes)
+        for a in range(axes):
+            at_low, at_high = state[a] <= 0.0, state[a] >= 1.0
+            points_out = (at_low and gradient[a] > 0.0) or (at_high and gradient[a] < 0.0)
+            is_fixed[a] = is_fixed[a] or points_out
+            rhs[a] = 0.0 if is_fixed[a] else -gradient[a]
+        for a in range(axes):
+            for b in range(axes):
+                matrix[a, b] = 0.0 if is_fixed[a] or is_fixed[b] else hessian[a, b]
+            matrix[a, a] = 1.0 if is_fixed[a] else hessian[a, a] + mean_damping + 1e-12
+        step = np.linalg.solve(matrix, rhs)
+        blocked = False
+        for a in range(axes):
+            new_state[a] = state[a] + step[a]
+            crosses = (state[a] <= 0.0 and new_state[a] < 0.0) or (
+                state[a] >= 1.0 and new_state[a] > 1.0
+            )
+            if crosses and not is_fixed[a]:
+                is_fixed[a] = True
+                blocked = True
+        if not blocked:
+            break
+    for a in range(axes):
+        new_state[a] = min(max(new_state[a], 0.0), 1.0)
+
+
+@entry_point
+def minimize_levenberg_marquardt(grid, measurement, prior_mean, prior_precision, state, hessian):
+    """Minimize the sum of squares from a state by Levenberg and Marquardt; set half the Hessian.
+
+    Returns
+    -------
+    float, bool
+        The sum of squares, and whether the descent has converged.
+    """
+    axes, columns = len(state), len(measurement)
+    values, jacobian = np.empty(columns), np.empty((columns, axes))
+    gradient, target = np.empty(axes), np.empty(axes)
+    cost = evaluate_cost(
+        grid, measurement, (prior_mean, prior_precision), state, values, jacobian, gradient, hessian
+    )
+    damping = 1e-3
+    new_gradient, new_hessian = np.empty(axes), np.empty((axes, axes))
+    for _ in range(MAX_ITERATIONS):
+        compute_damped_step(state, gradient, hessian, damping, target)
+        step_size = np.abs(target - state).max()
+        if step_size < STEP_TOLERANCE:
+            return cost, True
+        new_cost = evaluate_cost(
+            grid,
+            measurement,
+            (prior_mean, prior_precision),
+            target,
+            values,
+            jacobian,
+            new_gradient,
+            new_hessian,
+        )
+        if new_cost <= cost:
+            cost = new_cost
+            state[:] = target
+            gradient[:] = new_gradient
+            hessian[:] = new_hessian
+            damping = max(0.1 * damping, 1e-9)
+        else:
+            damping = min(10.0 * damping, 1e6)
+    return cost, False
+
+
+@entry_point
+def retrieve_spectra(
+    grid, measurements, prior_mean, prior_precision, prior_variance, states, variances, misfits
+):
+    """Retrieve the state of every measurement; set states, variances of coordinates, and misfits.
+
+    Parameters
+    ----------
+    grid : TableGrid
+    measurements : float64[measurements, columns]
+    prior_mean, prior_precision : float64[axes]
+        Of the priors; precision 0 for parameters without a prior.
+    prior_variance : float64[axes]
+        Variance of the prior or the range.
+    states, variances : float64[measurements, axes]
+    misfits : float64[measurements, 2]
+        Sum of squares, and 1 if the descent has converged, else 0.
+    """
+    axes = len(prior_mean)
+    hessian, second_hessian = np.empty((axes, axes)), np.empty((axes, axes))
+    second_state = np.empty(axes)
+    for row in range(len(measurements)):
+        state = states[row]
+        find_nearest_node(grid, measurements[row], prior_mean, prior_precision, state)
+        # Derivatives may vanish at bounds, so a second descent starts away from them.
+        for a in range(axes):
+            second_state[a] = min(max(state[a], SECOND_START_MARGIN), 1.0 - SECOND_START_MARGIN)
+        cost, converged = minimize_levenberg_marquardt(
+            grid, measurements[row], prior_mean, prior_precision, state, hessian
+        )
+        second_cost, second_converged = minimize_levenberg_marquardt(
+            grid, measurements[row], prior_mean, prior_precision, second_state, second_hessian
+        )
+        if second_cost < cost:
+            cost, converged = second_cost, second_converged
+            state[:] = second_state
+            hessian[:] = second_hessian
+        for a in range(axes):
+            cost -= prior_precision[a] * (state[a] - prior_mean[a]) ** 2
+            # Without a prior, the range provides the prior variance.
+            hessian[a, a] += 1.0 / prior_variance[a] - prior_precision[a]
+        inverse = np.linalg.inv(hessian)
+        for a in range(axes):
+            variances[row, a] = inverse[a, a]
+        misfits[row, 0] = cost
+        misfits[row, 1] = 1.0 if converged else 0.0
+
 
 MAX_COMPONENTS = 24
 """Largest number of principal components of spectra."""
@@ -50,26 +303,18 @@ CHUNK_PIXELS = 4096
 POOR_FIT_PROBABILITY = 1e-3
 
 
-class _ReducedTable(NamedTuple):
-    """Table reduced to principal components, with noise of variance 1 each.
+def _reduce_table(model: TableForwardModel, covariance: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return a table projected on the components that vary significantly, in units of noise.
 
-    Attributes
-    ----------
+    Returns
+    -------
     projection : float, shape (components, wavelengths)
+        The noise of every component has variance 1.
     mean_spectrum : float, shape (wavelengths,)
     node_components : float, shape (nodes, components)
     whitening : float, shape (wavelengths, wavelengths)
         Lower triangular.
     """
-
-    projection: np.ndarray
-    mean_spectrum: np.ndarray
-    node_components: np.ndarray
-    whitening: np.ndarray
-
-
-def _reduce_table(model: TableForwardModel, covariance: np.ndarray) -> _ReducedTable:
-    """Return the table projected on the components that vary significantly, in units of noise."""
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
     mean_spectrum = model.table_node_values.mean(axis=0)
     whitened_nodes = (model.table_node_values - mean_spectrum) @ whitening.T
@@ -84,7 +329,7 @@ def _reduce_table(model: TableForwardModel, covariance: np.ndarray) -> _ReducedT
     components = directions[:n_components]
     projection = components @ whitening
     node_components = (model.node_values - mean_spectrum) @ projection.T
-    return _ReducedTable(projection, mean_spectrum, node_components, whitening)
+    return projection, mean_spectrum, node_components, whitening
 
 
 @reject_unknown_arguments
@@ -160,7 +405,10 @@ def retrieve_map(
     else:
         # Noise without labels is in the order of the image.
         example = xr.full_like(image.wavelength, 0.5, float)
-    measurement = Measurement.from_input(example, noise, bands).check_noise_known()
+    if noise is None:
+        hint = "only splits.retrieve estimates it from the misfit"
+        raise invalid("noise", None, "given", hint)
+    measurement = Measurement.from_input(example, noise, bands)
     image = image if named else image.sortby("wavelength")
     model = TableForwardModel(table, measurement, state_vector, fixed, quantity)
     check_conditions("image", image, model.list_fixed_values())
@@ -286,7 +534,7 @@ class _MapRetrieval(NamedTuple):
 
     state_vector: StateVector
     model: TableForwardModel
-    reduced_table: _ReducedTable
+    reduced_table: tuple[np.ndarray, ...]
     covariance: np.ndarray
     threads: int
     is_lazy: bool
@@ -325,7 +573,10 @@ class _MapRetrieval(NamedTuple):
             components,
             residual_chi2,
         )
-        table = self.model.make_grid(node_components)
+        model = self.model
+        table = TableGrid(
+            np.ascontiguousarray(node_components), model.axis_nodes, model.n_nodes, model.steps
+        )
         mean, precision = state_vector.prior_mean, state_vector.prior_precision
         states, variances = np.empty((2, len(components), n_parameters))
         misfit = np.empty((len(components), 2))
@@ -358,7 +609,7 @@ class _MapRetrieval(NamedTuple):
 
     def compute_max_chi2(self) -> float:
         """Return the χ² that is exceeded with `POOR_FIT_PROBABILITY`."""
-        chi2 = import_optional("scipy.stats", "retrieval", "retrievals need").chi2
+        from scipy.stats import chi2
 
         return float(chi2.isf(POOR_FIT_PROBABILITY, self.compute_expected_chi2()))
 

@@ -14,7 +14,7 @@ from splits.core.units import check_nanometres, convert_units
 from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid, short_repr
 from splits.illumination.bands import SpectralBand, as_bands
 from splits.simulation.run_options import check_wavelengths
-from splits.tables.views import AZIMUTH, fold_azimuths
+from splits.tables.axes import AZIMUTH, fold_azimuths
 
 MAX_REFLECTANCE = 2.0
 """Reflectance factor above which values are assumed to be in per cent."""
@@ -98,13 +98,6 @@ class Measurement(NamedTuple):
                 "measured", largest, f"at most {MAX_REFLECTANCE:g}", "a fraction, not per cent"
             )
         return cls(values, wavelength, covariance, spectral_bands, noise is not None)
-
-    def check_noise_known(self) -> Measurement:
-        """Return the measurement; reject unknown noise."""
-        if not self.noise_known:
-            hint = "only splits.retrieve estimates it from the misfit"
-            raise invalid("noise", None, "given", hint)
-        return self
 
 
 def check_conditions(key: str, measured: Any, conditions: Mapping[str, Any]) -> None:

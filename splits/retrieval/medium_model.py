@@ -1,26 +1,71 @@
 """Forward models of a medium without a table: descents to the most probable medium.
 
-The spectra are simulations (`splits.retrieval.simulation_model`) or solutions by discrete ordinates
-(`splits.retrieval.ordinates_model`).  Near the minimum, reflectance is assumed to be linear in the
-coordinates.
+The spectra are simulations, with derivatives from the same paths, or solutions by discrete
+ordinates, without noise.  Near the minimum, reflectance is assumed to be linear in the coordinates.
 """
 
 from __future__ import annotations
 
+import time
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from collections import defaultdict
+from collections.abc import Mapping
+from contextlib import suppress
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.core.optional import import_optional
+from splits.core.arrays import check_named_numbers
+from splits.core.progress import Progress, ProgressCallback
+from splits.core.validation import (
+    InvalidValue,
+    check_choice,
+    check_range,
+    invalid,
+    key_prefix,
+    unknown_key,
+)
+from splits.discrete_ordinates.applicability import (
+    find_obstacle,
+    find_parameter_obstacle,
+    make_granular_stack,
+)
+from splits.discrete_ordinates.granular_stack import (
+    choose_trial_wavelengths,
+    compute_optics_error,
+    solve_spectrum,
+)
+from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO, SOLVERS, choose_solver
+from splits.instruments.spectrophotometer import spectrophotometer
+from splits.media.kinds import check_medium
 from splits.media.medium import Medium
-from splits.media.parameters import INCIDENCE_KEY, replace_parameters
-from splits.retrieval.forward_model import make_measurement_operator
+from splits.media.natural_snow import check_no_equivalents
+from splits.media.parameters import (
+    INCIDENCE_KEY,
+    get_parameter,
+    replace_parameter,
+    replace_parameters,
+)
+from splits.retrieval.forward_model import (
+    ERROR_CORRELATION_NM,
+    SCALE_RANGE,
+    make_measurement_operator,
+)
 from splits.retrieval.gauss_newton import DescentStage, LocalMinimum, Objective, search_minima
-from splits.retrieval.linearization import BOUND_MARGIN, Linearization, remove_jacobian_noise
+from splits.retrieval.linearization import (
+    BOUND_MARGIN,
+    Linearization,
+    is_jacobian_noisy,
+    remove_jacobian_noise,
+)
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.optimal_estimation import ALTERNATIVE_CHI2, MIN_SEPARATION
-from splits.retrieval.state_vector import SCALE, StateVector
+from splits.retrieval.state_vector import SCALE, ParameterRange, StateVector
+from splits.simulation.run_options import check_incidence
+from splits.simulation.threads import limit_blas_threads
+from splits.tables.axes import check_axis_values
+from splits.tables.interpolation import transform_axis
 
 N_SURVEY = 16
 """Number of states of the survey."""
@@ -74,7 +119,7 @@ class MediumForwardModel(ABC):
     medium : Medium
     measurement : Measurement
     state_vector : StateVector
-        See `splits.retrieval.media.make_medium_state_vector`.
+        See `splits.retrieval.medium_model.make_medium_state_vector`.
     incidence : float or "diffuse"
     seed : int
         Of the survey, and of simulations.
@@ -145,7 +190,7 @@ class MediumForwardModel(ABC):
 
     def find_minima(self) -> ConvergedMinima:
         """Return the minima of the descents, and Jacobians at the best one."""
-        qmc = import_optional("scipy.stats", "retrieval", "retrievals need").qmc
+        from scipy.stats import qmc
 
         state_vector = self.state_vector
         survey_states = qmc.Sobol(len(state_vector.names), seed=self.seed).random(N_SURVEY)
@@ -174,3 +219,375 @@ def select_simulation_wavelengths(measurement: Measurement) -> np.ndarray:
     limits = np.array([band.limits_nm for band in measurement.bands.values()])
     low, high = float(limits.min()), float(limits.max())
     return np.linspace(low, high, 1 + int(np.ceil((high - low) / BAND_STEP_NM)))
+
+
+MAX_ERROR = 1e-3
+"""Error that determines the number of streams, by default."""
+DIFFERENCE_STEP = 1e-4
+"""Step of coordinates for differences, whose relative error is about half of this."""
+
+
+class OrdinatesForwardModel(MediumForwardModel):
+    """Forward model by discrete ordinates.
+
+    All stages but the last use a few of the wavelengths.  Derivatives are differences of solutions,
+    which need one solution per parameter and hold for dry and for wet snow.
+    """
+
+    solver = DISCRETE_ORDINATES
+    # Solutions take little time, so that more descents look for alternative solutions.
+    descent_stages = tuple(stage._replace(n_starts=4) for stage in DESCENT_STAGES)
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.n_streams, self._truncation = 0, np.zeros(self.wavelengths.size)
+        self._solutions: dict[tuple[bytes, int], np.ndarray] = {}
+
+    def list_extreme_media(self) -> list[Medium]:
+        """Return the media in the middle (first) and at the corners of the ranges of each layer.
+
+        Corners without a medium are left out, such as more water than fits into dense snow.
+        """
+        middle = np.full(len(self.state_vector.names), 0.5)
+        media, by_layer = [self.make_inputs(middle)[0]], defaultdict(list)
+        for row, name in zip(self.rows, self.names, strict=True):
+            if name != INCIDENCE_KEY:
+                by_layer[name.split(".")[1] if name.startswith("layers.") else ""].append(row)
+        for rows in by_layer.values():
+            for corner in product((self.bound_margin, 1.0 - self.bound_margin), repeat=len(rows)):
+                state = middle.copy()
+                state[rows] = corner
+                with suppress(InvalidValue):
+                    media.append(self.make_inputs(state)[0])
+        return media
+
+    def choose_streams(self, max_error: float) -> None:
+        """Set the number of streams that an error requires in the middle of all ranges."""
+        medium, incidence, _ = self.make_inputs(np.full(len(self.state_vector.names), 0.5))
+        with limit_blas_threads():
+            solution = solve_spectrum(
+                make_granular_stack(medium, self.wavelengths),
+                _compute_cosines(incidence),
+                max_error,
+            )
+        self.n_streams, self._truncation = solution.n_streams, solution.truncation
+
+    def select_values(self, stage: int) -> np.ndarray:
+        """Return the positions of the measured values that a stage uses."""
+        n_values = self.measurement.values.size
+        if stage == LAST_STAGE or self.measurement.bands:
+            return np.arange(n_values)
+        return choose_trial_wavelengths(n_values)
+
+    def evaluate(self, state: np.ndarray, stage: int) -> np.ndarray:
+        """Return the modelled measurement, shape (n,)."""
+        key = (state.tobytes(), stage)
+        if key not in self._solutions:
+            self._solutions[key] = self._solve(state, stage)
+        return self._solutions[key]
+
+    def _solve(self, state: np.ndarray, stage: int) -> np.ndarray:
+        medium, incidence, scale = self.make_inputs(state)
+        operator = self.operator[self.select_values(stage)]
+        used = np.flatnonzero(operator.any(axis=0))
+        snowpack = make_granular_stack(medium, self.wavelengths[used])
+        with limit_blas_threads():
+            budget = snowpack.solve(_compute_cosines(incidence), self.n_streams)
+        # The beam is first, and diffuse light alone where there is none.
+        values: np.ndarray = scale * (operator[:, used] @ budget.reflectance[:, 0])
+        return values
+
+    def evaluate_with_covariance(
+        self, state: np.ndarray, stage: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the modelled measurement, shape (n,), and the covariance of its errors.
+
+        Errors of the tables of grains and of streams are correlated over `ERROR_CORRELATION_NM`.
+        """
+        medium, _, scale = self.make_inputs(state)
+        optics = compute_optics_error(make_granular_stack(medium, self.wavelengths))
+        stderr = scale * np.hypot(optics, self._truncation)
+        distance = np.abs(self.wavelengths[:, np.newaxis] - self.wavelengths)
+        covariance = np.exp(-distance / ERROR_CORRELATION_NM) * np.outer(stderr, stderr)
+        operator = self.operator[self.select_values(stage)]
+        return self.evaluate(state, stage), operator @ covariance @ operator.T
+
+    def compute_jacobian(self, state: np.ndarray, stage: int) -> np.ndarray:
+        """Return the Jacobian with respect to the coordinates, shape (n, parameters)."""
+        values, columns = self.evaluate(state, stage), []
+        for row in range(len(state)):
+            step = -DIFFERENCE_STEP if state[row] > 0.5 else DIFFERENCE_STEP
+            shifted = state.copy()
+            shifted[row] += step
+            columns.append((self._solve(shifted, stage) - values) / step)
+        return np.stack(columns, axis=1)
+
+    def compute_final_jacobians(
+        self, state: np.ndarray, model_covariance: np.ndarray
+    ) -> list[np.ndarray]:
+        """Return the Jacobian twice, as it has no noise."""
+        return [self.compute_jacobian(state, LAST_STAGE)] * 2
+
+
+def _compute_cosines(incidence: float | str) -> np.ndarray:
+    """Return the cosines of the beams: none for isotropic light."""
+    angles = [] if isinstance(incidence, str) else [incidence]
+    return np.cos(np.radians(angles))
+
+
+SURVEY_STDERR = 0.01
+"""Standard error of simulations of the survey and of the first descents."""
+MIN_JACOBIAN_STDERR = 0.004
+"""Smallest standard error of simulations for Jacobians, of which several are averaged."""
+N_JACOBIANS_RANGE = (2, 6)
+"""Smallest and largest number of independent Jacobians for the errors."""
+
+
+class ProgressTracker:
+    """Progress of a retrieval over all of its simulations.
+
+    Parameters
+    ----------
+    report : callable, optional
+    max_stderr : float
+        Final standard error.
+    n_parameters : int
+    """
+
+    def __init__(self, report: ProgressCallback, max_stderr: float, n_parameters: int) -> None:
+        self.report, self.max_stderr = report, max_stderr
+        final_cost, jacobian_cost = (
+            _estimate_cost(max_stderr),
+            count_runs(n_parameters) * _estimate_cost(max(max_stderr, MIN_JACOBIAN_STDERR)),
+        )
+        # Each descent needs about two Jacobians and a few steps; descents of the last stage mostly
+        # start at the minimum.  Jacobians for errors and the test of linearity follow.
+        survey_cost = N_SURVEY + DESCENT_STAGES[0].n_starts * 2 * (2 + count_runs(n_parameters))
+        last_stage_cost = DESCENT_STAGES[1].n_starts * (4 * final_cost + jacobian_cost)
+        self.total_cost = (
+            survey_cost
+            + last_stage_cost
+            + float(np.mean(N_JACOBIANS_RANGE)) * jacobian_cost
+            + 2 * n_parameters * final_cost
+        )
+        self.spent_cost, self.start_time = 0.0, time.perf_counter()
+
+    def track_run(self, max_stderr: float, n_runs: int) -> ProgressCallback:
+        """Return the callback for the progress of several simulations with an error."""
+        if not callable(self.report):
+            return None
+        cost, report = n_runs * _estimate_cost(max_stderr), self.report
+        previous_cost = self.spent_cost
+        self.spent_cost += cost
+
+        def show(progress: Progress) -> None:
+            elapsed = time.perf_counter() - self.start_time
+            done = previous_cost + progress.fraction_done * cost
+            seconds_left = (
+                max(self.total_cost - done, 0.0) * elapsed / done
+                if done > 0.0
+                else progress.seconds_left
+            )
+            report(
+                Progress(
+                    progress.rays,
+                    progress.stderr,
+                    self.max_stderr,
+                    elapsed,
+                    max(seconds_left, progress.seconds_left),
+                )
+            )
+
+        return show
+
+
+def count_runs(n_parameters: int) -> int:
+    """Return the typical number of simulations for a spectrum and its derivatives."""
+    return 1 + 5 * n_parameters
+
+
+def _estimate_cost(max_stderr: float) -> float:
+    """Return the cost of a simulation with an error, in units of those of the survey."""
+    return (SURVEY_STDERR / max_stderr) ** 2
+
+
+NOISE_FRACTION = 0.5
+"""Ratio of the final standard error to the smallest noise of the measurement."""
+MIN_STDERR, MAX_STDERR = 1e-3, 0.01
+"""Limits of the final standard error."""
+UNKNOWN_NOISE_MAX_STDERR = 2e-3
+"""Final standard error for unknown noise."""
+
+
+class SimulationForwardModel(MediumForwardModel):
+    """Forward model by simulation.
+
+    Parameters
+    ----------
+    medium, measurement, state_vector, incidence, seed
+        See `splits.retrieval.medium_model.MediumForwardModel`.
+    max_stderr : float, optional
+        Final standard error; by default `NOISE_FRACTION` of the smallest noise.
+    progress : callable, optional
+    """
+
+    solver = MONTE_CARLO
+
+    def __init__(
+        self, medium: Medium, measurement: Measurement, state_vector: StateVector,
+        incidence: float | str, seed: int, max_stderr: float | None, progress: ProgressCallback,
+    ) -> None:  # fmt: skip
+        super().__init__(medium, measurement, state_vector, incidence, seed)
+        min_noise = float(np.sqrt(np.diag(measurement.covariance).min()))
+        default_stderr = (
+            min(max(NOISE_FRACTION * min_noise, MIN_STDERR), MAX_STDERR)
+            if measurement.noise_known
+            else UNKNOWN_NOISE_MAX_STDERR
+        )
+        self.max_stderr = max_stderr or default_stderr
+        self._cache: dict[tuple[bytes, int], tuple[np.ndarray, np.ndarray]] = {}
+        self._progress = ProgressTracker(progress, self.max_stderr, len(state_vector.names))
+
+    def get_stage_stderr(self, stage: int) -> float:
+        """Return the standard error of the simulations of a stage."""
+        return self.max_stderr if stage == LAST_STAGE else max(SURVEY_STDERR, self.max_stderr)
+
+    def simulate(
+        self, state: np.ndarray, max_stderr: float, names: list[str], seed: int
+    ) -> tuple[Any, float]:
+        """Return a simulation at a state with derivatives by some parameters, and the scale."""
+        medium, incidence, scale = self.make_inputs(state)
+        spectrum = spectrophotometer(
+            medium, self.wavelengths, incidence, max_stderr, seed, solver=MONTE_CARLO,
+            jacobian=names, progress=self._progress.track_run(max_stderr, count_runs(len(names))),
+        )  # fmt: skip
+        return spectrum, scale
+
+    def evaluate_with_covariance(
+        self, state: np.ndarray, stage: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the modelled measurement, shape (n,), and the covariance of simulation noise."""
+        key = (state.tobytes(), stage)
+        if key not in self._cache:
+            spectrum, scale = self.simulate(state, self.get_stage_stderr(stage), [], self.seed)
+            values = scale * (self.operator @ spectrum.reflectance.values)
+            batches = scale * spectrum.reflectance_batches.values @ self.operator.T
+            stderr = scale * np.abs(self.operator) @ spectrum.reflectance_stderr.values
+            covariance = batches.T @ batches
+            covariance += np.diag(np.maximum(stderr**2 - np.diag(covariance), 0.0))
+            self._cache[key] = values, covariance
+        return self._cache[key]
+
+    def compute_jacobian(
+        self, state: np.ndarray, stage: int, seed: int | None = None
+    ) -> np.ndarray:
+        """Return the Jacobian with respect to the coordinates, shape (n, parameters)."""
+        error = max(self.get_stage_stderr(stage), MIN_JACOBIAN_STDERR)
+        spectrum, scale = self.simulate(
+            state, error, self.names, self.seed if seed is None else seed
+        )
+        step = 1e-6
+        low, high = np.clip(state - step, 0.0, 1.0), np.clip(state + step, 0.0, 1.0)
+        to_physical = self.state_vector.to_physical
+        rates = (to_physical(high) - to_physical(low)) / (high - low)
+        jacobian = np.empty((len(self.operator), len(state)))
+        jacobian[:, self.rows] = scale * (self.operator @ spectrum.reflectance_jacobian.values.T)
+        if self.scale_row is not None:
+            jacobian[:, self.scale_row] = self.operator @ spectrum.reflectance.values
+        return jacobian * rates
+
+    def compute_final_jacobians(
+        self, state: np.ndarray, model_covariance: np.ndarray
+    ) -> list[np.ndarray]:
+        """Return Jacobians with independent random numbers, as many as their noise requires."""
+        jacobians: list[np.ndarray] = []
+        min_jacobians, max_jacobians = N_JACOBIANS_RANGE
+        covariance = self.measurement.covariance + model_covariance
+        while len(jacobians) < min_jacobians or (
+            self.measurement.noise_known
+            and len(jacobians) < max_jacobians
+            and is_jacobian_noisy(jacobians, covariance)
+        ):
+            seed = self.seed + 1 + len(jacobians)
+            jacobians.append(self.compute_jacobian(state, LAST_STAGE, seed))
+        return jacobians
+
+
+def make_medium_state_vector(
+    medium: Any, ranges: Any, prior: Any, incidence: float | str
+) -> StateVector:
+    """Return the state vector of a medium's free parameters.
+
+    Parameters
+    ----------
+    medium : Medium
+    ranges : mapping
+        (low, high) by name, for parameters of derivatives, ``incidence_deg`` and ``scale``.
+    prior : mapping or None
+    incidence : float or "diffuse"
+
+    Raises
+    ------
+    ValueError
+        For an unknown parameter, or a range outside the limits of the medium.
+    """
+    check_medium(medium, allow_semi_infinite=True)
+    if not isinstance(ranges, Mapping):
+        hint = 'such as {"optical_radius_um": (50, 1500)}; only a table has default ranges'
+        raise invalid("free", ranges, "a mapping of names to (low, high)", hint)
+    with key_prefix("free"):
+        check_no_equivalents({str(name): pair for name, pair in ranges.items()})
+    allowed_ranges: dict[str, ParameterRange] = {SCALE: ParameterRange(*SCALE_RANGE, "identity")}
+    for name, pair in ranges.items():
+        if name == SCALE:
+            continue
+        if name != INCIDENCE_KEY:
+            get_parameter(medium, name, [INCIDENCE_KEY, SCALE])
+        elif incidence == "diffuse":
+            raise unknown_key(f"free.{name}", ["scale"])
+        limits = np.array(check_named_numbers(f"free.{name}", pair, ("low", "high")))
+        if not limits[0] < limits[1]:
+            raise invalid(f"free.{name}", pair, "low < high")
+        for value in limits if name != INCIDENCE_KEY else ():
+            try:
+                replace_parameter(medium, name, float(value))
+            except InvalidValue as error:
+                is_own = error.key == name.rpartition(".")[2]
+                allowed = error.allowed if is_own else "a valid value of the medium"
+                hint = error.hint if is_own else str(error)
+                raise invalid(f"free.{name}", float(value), allowed, hint) from None
+        for value in limits if name == INCIDENCE_KEY else ():
+            check_incidence(float(value))
+        middle = np.array([limits[0], 0.5 * limits.sum(), limits[1]])
+        allowed_ranges[name] = ParameterRange(
+            float(limits[0]), float(limits[1]), transform_axis(name, middle)[0]
+        )
+    return StateVector.from_ranges(dict(ranges), prior, allowed_ranges)
+
+
+def check_measurement_incidence(fixed: Mapping[str, Any] | None, ranges: Any) -> float | str:
+    """Return the incidence of a measurement of a medium; reject an invalid one."""
+    free = ranges if isinstance(ranges, Mapping) else ()
+    return check_incidence(
+        check_axis_values(fixed, [INCIDENCE_KEY], "fixed.", free_axes=free).get(INCIDENCE_KEY, 0.0)
+    )
+
+
+def make_medium_model(
+    medium: Medium, measurement: Measurement, state_vector: StateVector,
+    incidence: float | str, solver: str, max_stderr: float | None, seed: int,
+    progress: ProgressCallback,
+) -> MediumForwardModel:  # fmt: skip
+    """Return the forward model by discrete ordinates or by simulation; see `choose_solver`."""
+    if max_stderr is not None:
+        max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
+    arguments = medium, measurement, state_vector, incidence, seed
+    if check_choice("solver", solver, SOLVERS) != MONTE_CARLO:
+        model = OrdinatesForwardModel(*arguments)
+        media, obstacle = model.list_extreme_media(), None
+        if find_obstacle(medium, model.wavelengths) is None:
+            obstacle = find_parameter_obstacle(media[0], model.names)
+        if choose_solver(solver, media, model.wavelengths, obstacle) != MONTE_CARLO:
+            model.choose_streams(max_stderr or MAX_ERROR)
+            return model
+    return SimulationForwardModel(*arguments, max_stderr, progress)

@@ -1,4 +1,4 @@
-"""Result of a retrieval: dataset, summary and warnings."""
+"""Result of a retrieval: dataset with its settings as attributes, summary and warnings."""
 
 from __future__ import annotations
 
@@ -9,18 +9,63 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.core.arrays import check_named_numbers
 from splits.core.parameter_names import describe_parameter
 from splits.core.uncertainty import make_variable
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.optimal_estimation import (
+    N_DRAWS,
+    Solution,
     compute_fit_degrees_of_freedom,
+    list_warnings,
 )
-from splits.retrieval.posterior import N_DRAWS
-from splits.retrieval.settings import FIXED_PREFIX
-from splits.retrieval.solution import Solution, list_warnings
 from splits.retrieval.state_vector import SCALE, StateVector
 from splits.simulation.run_options import make_wavelength_coordinate
+from splits.tables.table import Table
+
+FIXED_PREFIX = "fixed_"
+"""Beginning of the attributes of fixed values."""
+TABLE_SOLVER = "table"
+"""Attribute ``solver`` of a retrieval with a table."""
+
+
+def describe_model(model: Any, solver: str) -> dict[str, Any]:
+    """Return the attributes of a model: its solver and its medium.
+
+    Parameters
+    ----------
+    model : Table or Medium
+        Values of free parameters in a medium have no effect.
+    solver : str
+    """
+    if isinstance(model, Table):
+        medium = model.dataset.attrs.get("medium")
+        return {"solver": solver} | ({} if medium is None else {"medium": medium})
+    details = {f"{model.kind}_{key}": value for key, value in model.describe().items()}
+    return {"solver": solver, "medium": model.kind, **details}
+
+
+def describe_parameters(
+    state_vector: StateVector, fixed: Mapping[str, Any], prior: Mapping[str, Any] | None, seed: int
+) -> dict[str, Any]:
+    """Return the attributes of the free and fixed parameters and of the seed.
+
+    ``free_NAME`` is the range (low, high), ``prior_NAME`` the prior (mean, standard deviation) as
+    given, and ``fixed_NAME`` a fixed value.
+    """
+    limits = zip(state_vector.names, state_vector.low, state_vector.high, strict=True)
+    names = ("mean", "standard deviation")
+    return {
+        **{f"{FIXED_PREFIX}{name}": value for name, value in fixed.items()},
+        **{f"free_{name}": [float(low), float(high)] for name, low, high in limits},
+        **{
+            f"prior_{name}": list(check_named_numbers(f"prior.{name}", pair, names))
+            for name, pair in (prior or {}).items()
+        },
+        "seed": seed,
+    }
+
 
 QUANTILES = (0.025, 0.16, 0.5, 0.84, 0.975)
 UNDETERMINED_FRACTION = 0.5
@@ -49,22 +94,20 @@ class RetrievalResult:
     @property
     def values(self) -> dict[str, float]:
         """Medians by parameter."""
-        medians = self.dataset.quantiles.sel(quantile=0.5)
-        return {str(name): float(medians.sel(parameter=name)) for name in medians.parameter.values}
+        return self._list_by_parameter(self.dataset.quantiles.sel(quantile=0.5))
 
     @property
     def stderr(self) -> dict[str, float]:
         """Standard deviations by parameter."""
-        deviations = self.dataset.value_stderr
-        return {
-            str(name): float(deviations.sel(parameter=name)) for name in deviations.parameter.values
-        }
+        return self._list_by_parameter(self.dataset.value_stderr)
 
     @property
     def constrained(self) -> dict[str, bool]:
         """Whether the measurement constrains each parameter."""
-        flags = self.dataset.constrained
-        return {str(name): bool(flags.sel(parameter=name)) for name in flags.parameter.values}
+        return self._list_by_parameter(self.dataset.constrained.astype(bool))
+
+    def _list_by_parameter(self, values: xr.DataArray) -> dict[str, Any]:
+        return dict(zip(map(str, values.parameter.values), values.values.tolist(), strict=True))
 
     @property
     def warnings(self) -> list[str]:
@@ -113,7 +156,7 @@ def make_result(
 ) -> RetrievalResult:
     """Return the result of a retrieval as a dataset.
 
-    `settings` are attributes, see `splits.retrieval.settings`.
+    `settings` are attributes, see `splits.retrieval.result`.
     """
     (best, *_), summary, draws, variance_inflation, _, model_error, *_ = solution
     value, physical = state_vector.to_physical(best.state), state_vector.to_physical(draws.states)
@@ -166,20 +209,16 @@ def make_result(
         "warnings": "; ".join(list_warnings(state_vector, solution, constrained)) or "none",
         **make_provenance("retrieval"),
     }
-    coordinates = _make_coordinates(list(state_vector.names), measurement.wavelength_nm)
-    return RetrievalResult(xr.Dataset(variables, coordinates, to_netcdf_attributes(attributes)))
-
-
-def _make_coordinates(names: list[str], wavelength_nm: np.ndarray) -> dict[str, Any]:
-    """Return the coordinates of the dataset of a result."""
+    names = list(state_vector.names)
     labels = [f"{name}: {describe_parameter(name)[0]}" for name in names]
     units = [describe_parameter(name)[1] if name != SCALE else "1" for name in names]
-    return {
+    coordinates = {
         "parameter": ("parameter", names, {"long_name": "parameter"}),
         "other_parameter": ("other_parameter", names, {"long_name": "parameter"}),
         "parameter_unit": ("parameter", units, {"long_name": "unit of the parameter"}),
         "parameter_label": ("parameter", labels, {"long_name": "parameter in words"}),
         "quantile": ("quantile", np.array(QUANTILES), {"long_name": "probability", "units": "1"}),
         "draw": ("draw", np.arange(N_DRAWS), {"long_name": "draw"}),
-        "wavelength": make_wavelength_coordinate(wavelength_nm),
+        "wavelength": make_wavelength_coordinate(measurement.wavelength_nm),
     }
+    return RetrievalResult(xr.Dataset(variables, coordinates, to_netcdf_attributes(attributes)))

@@ -18,34 +18,41 @@ from splits.media.parameters import INCIDENCE_KEY
 from splits.retrieval.forward_model import (
     TableForwardModel,
     choose_quantity,
+    drop_priors,
     get_table_ranges,
 )
-from splits.retrieval.interpolated_model import MAX_DEVIATION, refine_posterior
 from splits.retrieval.least_squares import retrieve_without_noise
-from splits.retrieval.linearization import LinearizedModel, estimate_nonlinearity
+from splits.retrieval.linearization import (
+    MAX_DEVIATION,
+    LinearizedModel,
+    estimate_nonlinearity,
+    refine_posterior,
+)
 from splits.retrieval.measurement import Measurement, check_conditions
-from splits.retrieval.media import (
+from splits.retrieval.medium_model import (
+    MediumForwardModel,
+    OrdinatesForwardModel,
     check_measurement_incidence,
     make_medium_model,
     make_medium_state_vector,
 )
-from splits.retrieval.medium_model import MediumForwardModel
 from splits.retrieval.optimal_estimation import (
     ALTERNATIVE_CHI2,
-    MAPEstimate,
-    find_distinct_map_estimates,
-    find_map_estimate,
-    summarize_posterior,
-)
-from splits.retrieval.ordinates_model import OrdinatesForwardModel
-from splits.retrieval.posterior import draw_posterior
-from splits.retrieval.result import RetrievalResult, make_result
-from splits.retrieval.settings import TABLE_SOLVER, describe_model, describe_parameters
-from splits.retrieval.solution import (
     MAX_PRIOR_TENSION,
     Solution,
     compute_prior_tension,
     compute_variance_inflation,
+    draw_posterior,
+    find_distinct_map_estimates,
+    find_map_estimate,
+    summarize_posterior,
+)
+from splits.retrieval.result import (
+    TABLE_SOLVER,
+    RetrievalResult,
+    describe_model,
+    describe_parameters,
+    make_result,
 )
 from splits.retrieval.state_vector import StateVector
 from splits.tables.table import Table
@@ -155,6 +162,7 @@ def retrieve(
     {'optical_radius_um': True}
     """
     seed = check_integer("seed", seed, 0)
+    forward_model: TableForwardModel | MediumForwardModel
     if isinstance(model, Table):
         if max_stderr is not None:
             raise invalid("max_stderr", max_stderr, "left out", "a table has its own errors")
@@ -168,35 +176,32 @@ def retrieve(
         measurement = Measurement.from_input(measured, noise, bands)
         state_vector = StateVector.from_ranges(free, prior, get_table_ranges(model))
         forward_model = TableForwardModel(model, measurement, state_vector, fixed, quantity)
-        check_conditions("measured", measured, forward_model.list_fixed_values())
-        if not measurement.noise_known:
-            solution, measurement = retrieve_without_noise(forward_model, measurement, seed)
-        else:
-            solution = solve_for_known_noise(forward_model, measurement, seed)
-        settings |= describe_parameters(
-            state_vector, forward_model.list_fixed_values(), prior, seed
-        )
-        return make_result(state_vector, measurement, solution, settings)
-    if isinstance(model, str | Mapping) or not hasattr(model, "kind"):
-        shown = model if isinstance(model, str) or callable(model) else type(model).__name__
-        hint = "splits.Table(splits.build_table(…)), open_table, or a snow, sand, layer or stack"
-        suggestion = suggest_medium(model, MEDIUM_NAMES[Medium])
-        raise invalid("model", shown, "a Table, or a medium", suggestion or hint)
-    check_choice("quantity", quantity or "reflectance", ["reflectance"])
-    measurement = Measurement.from_input(measured, noise, bands)
-    incidence = check_measurement_incidence(fixed, free)
-    state_vector = make_medium_state_vector(model, free, prior, incidence)
-    if INCIDENCE_KEY not in state_vector.names:
-        check_conditions("measured", measured, {INCIDENCE_KEY: incidence})
-    medium_model = make_medium_model(
-        model, measurement, state_vector, incidence, solver, max_stderr, seed, progress
-    )
-    if not measurement.noise_known:
-        solution, measurement = retrieve_without_noise(medium_model, measurement, seed)
+        fixed_values = forward_model.list_fixed_values()
+        check_conditions("measured", measured, fixed_values)
     else:
-        solution = _solve_from_medium(medium_model, measurement, seed)
-    fixed_values = {} if INCIDENCE_KEY in state_vector.names else {INCIDENCE_KEY: incidence}
-    settings = describe_model(model, medium_model.solver)
+        if isinstance(model, str | Mapping) or not hasattr(model, "kind"):
+            shown = model if isinstance(model, str) or callable(model) else type(model).__name__
+            hint = (
+                "splits.Table(splits.build_table(…)), open_table, or a snow, sand, layer or stack"
+            )
+            suggestion = suggest_medium(model, MEDIUM_NAMES[Medium])
+            raise invalid("model", shown, "a Table, or a medium", suggestion or hint)
+        check_choice("quantity", quantity or "reflectance", ["reflectance"])
+        measurement = Measurement.from_input(measured, noise, bands)
+        incidence = check_measurement_incidence(fixed, free)
+        state_vector = make_medium_state_vector(model, free, prior, incidence)
+        fixed_values = {} if INCIDENCE_KEY in state_vector.names else {INCIDENCE_KEY: incidence}
+        check_conditions("measured", measured, fixed_values)
+        forward_model = make_medium_model(
+            model, measurement, state_vector, incidence, solver, max_stderr, seed, progress
+        )
+        settings = describe_model(model, forward_model.solver)
+    if not measurement.noise_known:
+        solution, measurement = retrieve_without_noise(forward_model, measurement, seed)
+    elif isinstance(forward_model, MediumForwardModel):
+        solution = _solve_from_medium(forward_model, measurement, seed)
+    else:
+        solution = solve_for_known_noise(forward_model, measurement, seed)
     settings |= describe_parameters(state_vector, fixed_values, prior, seed)
     return make_result(state_vector, measurement, solution, settings)
 
@@ -235,7 +240,9 @@ def solve_for_known_noise(
     state_vector, first_guesses = model.state_vector, model.evaluate_first_guesses()
     estimates = find_distinct_map_estimates(model, measurement, *first_guesses)
     # A prior that contradicts the measurement must not inflate the variances.
-    without_priors = _solve_without_priors(model, measurement, estimates[0])
+    without_priors = estimates[0]
+    if np.isfinite(state_vector.prior_sd).any():
+        without_priors = find_map_estimate(drop_priors(model), measurement, estimates[0].state)
     reference = estimates[0] if estimates[0].chi2 <= without_priors.chi2 else without_priors
     variance_inflation = compute_variance_inflation(reference, state_vector)
     if variance_inflation > 1.0:
@@ -246,7 +253,7 @@ def solve_for_known_noise(
         without_priors._replace(
             error_covariance=variance_inflation * without_priors.error_covariance
         ),
-        state_vector.drop_priors(),
+        state_vector.without_priors(),
     ).covariance
     tension = compute_prior_tension(state_vector, without_priors.state, np.diag(spread))
     if estimates[0].chi2 - reference.chi2 / variance_inflation < MAX_PRIOR_TENSION**2:
@@ -262,16 +269,3 @@ def solve_for_known_noise(
         tension,
         model_error,
     )
-
-
-def _solve_without_priors(
-    model: TableForwardModel | LinearizedModel, measurement: Measurement, estimate: MAPEstimate
-) -> MAPEstimate:
-    """Return the estimate without priors near that with priors."""
-    state_vector = model.state_vector
-    if not np.isfinite(state_vector.prior_sd).any():
-        return estimate
-    model.state_vector = state_vector.drop_priors()
-    result = find_map_estimate(model, measurement, estimate.state)
-    model.state_vector = state_vector
-    return result

@@ -1,4 +1,8 @@
-"""Retrieval of medium parameters from the measured return of a light pulse."""
+"""Retrieval of medium parameters from the measured return of a light pulse.
+
+The bins of all wavelengths follow each other as channels, which take the place of the wavelengths
+of a spectrum.
+"""
 
 from __future__ import annotations
 
@@ -8,28 +12,328 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.core.keywords import reject_unknown_arguments
-from splits.core.validation import check_integer, invalid
-from splits.instruments.delay_record import Pulse, describe_record
-from splits.retrieval.forward_model import get_table_ranges
-from splits.retrieval.measurement import check_conditions
-from splits.retrieval.result import RetrievalResult, make_result
-from splits.retrieval.retrieve import solve_for_known_noise
-from splits.retrieval.return_model import (
-    QUANTITY,
-    UNITS,
-    PhotonNoise,
-    ReturnForwardModel,
-    check_return_conditions,
-    check_return_noise,
-    make_channel_table,
-    make_return_measurement,
-    make_return_operator,
-    read_return,
-    sort_returns,
+from splits.core.arrays import (
+    as_1d_array,
+    as_float_array,
+    check_increasing,
+    check_no_gaps,
+    find_labels,
+    match_labels,
 )
-from splits.retrieval.settings import TABLE_SOLVER, describe_model, describe_parameters
+from splits.core.keywords import reject_unknown_arguments
+from splits.core.validation import (
+    ROUNDING_TOLERANCE,
+    as_scalar,
+    check_integer,
+    check_range,
+    invalid,
+    short_repr,
+)
+from splits.illumination.bands import SpectralOperator
+from splits.instruments.delay_record import Pulse, describe_record
+from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
+from splits.retrieval.measurement import Measurement, check_conditions, is_same_label
+from splits.retrieval.result import (
+    TABLE_SOLVER,
+    RetrievalResult,
+    describe_model,
+    describe_parameters,
+    make_result,
+)
+from splits.retrieval.retrieve import solve_for_known_noise
 from splits.retrieval.state_vector import SCALE, StateVector
+from splits.tables.axes import INCIDENCE
+from splits.tables.return_table import TITLE
+from splits.tables.table import Table
+
+QUANTITY = "return_rate"
+UNITS = "s-1"
+RETURN_HINT = "a dataset: light.sel(side='reflected') of light = splits.time_of_flight(…)"
+MAX_PHOTONS = 1e30
+RECORD_ATTRIBUTES = (
+    "acceptance_deg", "footprint_radius_m", "pulse_s", "pulse_delay_s", "pulse_power",
+)  # fmt: skip
+"""Attributes of returns that describe the receiver and the pulse."""
+
+
+class ReturnForwardModel(TableForwardModel):
+    """Forward model that interpolates a table of returns over channels, see `make_channel_table`.
+
+    Its operator is from the channels of the table to those of the measurement.
+    """
+
+    def compute_node_covariance(
+        self, node_stderr: np.ndarray, axis_values: dict[str, Any]
+    ) -> np.ndarray:
+        """Return the covariance of the errors of nodes: rays in different bins are independent."""
+        scaled = self.operator.weights * node_stderr
+        covariance: np.ndarray = scaled @ scaled.T
+        return covariance
+
+
+def sort_returns(dataset: Any) -> Any:
+    """Return a dataset with ascending wavelengths and delays; other objects are unchanged."""
+    for dimension in ("wavelength", "delay"):
+        if isinstance(dataset, xr.Dataset) and dimension in dataset.indexes:
+            dataset = dataset.sortby(dimension)
+    if isinstance(dataset, xr.Dataset) and "delay_bounds" in dataset:
+        bounds = dataset.delay_bounds.transpose("delay", ..., missing_dims="ignore")
+        dataset = dataset.assign_coords(delay_bounds=bounds)
+    return dataset
+
+
+def make_channel_table(table: Any) -> Table:
+    """Return a table of returns with its wavelengths and bins as one axis, after checking it.
+
+    Raises
+    ------
+    ValueError
+        If the dataset is not from `splits.build_return_table`, or incomplete.
+    """
+    allowed = "what splits.build_return_table returned"
+    if not isinstance(table, xr.Dataset) or table.attrs.get("title") != TITLE:
+        found = table.attrs.get("title") if isinstance(table, xr.Dataset) else None
+        raise invalid("table", found or type(table).__name__, allowed)
+    names = [QUANTITY, f"{QUANTITY}_stderr"]
+    for name in (*names, "delay_bounds"):
+        if name not in table:
+            raise invalid(f"table.{name}", None, "given", allowed)
+    for dimension in ("wavelength", "delay"):
+        if dimension not in table[QUANTITY].dims or dimension not in table.coords:
+            hint = f"select a list: isel({dimension}=[0]), which keeps the axis"
+            raise invalid("table", f"without an axis {dimension}", allowed, hint)
+    check_no_gaps("table", table[names])
+    bounds = table.delay_bounds.values
+    if not np.allclose(bounds[1:, 0], bounds[:-1, 1], rtol=ROUNDING_TOLERANCE, atol=0.0):
+        hint = "select a slice of the record"
+        raise invalid("table.delay", "with gaps", "bins that follow each other", hint)
+    stacked = table[names].stack(channel=("wavelength", "delay"), create_index=False)
+    channels = stacked.drop_vars(["wavelength", "delay", "range"], errors="ignore")
+    channels = channels.rename(channel="wavelength")
+    channels = channels.assign_coords(wavelength=np.arange(channels.sizes["wavelength"]) + 1.0)
+    return Table(channels.assign_attrs(path_sharing_axes="none"))
+
+
+def read_return(measured: Any, wavelengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the delays between bins (s) and the light per time, after checking them.
+
+    Parameters
+    ----------
+    measured : pair of array_like, or xarray.Dataset
+        See `splits.retrieve_return`.
+    wavelengths : float, shape (wavelengths,)
+        Wavelengths of the table (nm).
+
+    Returns
+    -------
+    edges : float, shape (bins + 1,)
+    rates : float, shape (wavelengths, bins)
+    """
+    if isinstance(measured, xr.Dataset):
+        measured = _read_return_dataset(measured)
+    if not isinstance(measured, tuple | list) or len(measured) != 2:
+        allowed = "(delays between bins in s, light per time in s⁻¹)"
+        hint = RETURN_HINT if isinstance(measured, xr.DataArray) else ""
+        raise invalid("measured", type(measured).__name__, allowed, hint)
+    edges = as_1d_array("measured (delays)", measured[0], "numbers in seconds")
+    check_increasing("measured (delays)", edges)
+    rates = _align_to_channels(
+        "measured", measured[1], edges, wavelengths, "numbers in s⁻¹, without gaps"
+    )
+    shape = wavelengths.size, max(edges.size - 1, 0)
+    if edges.size < 2 or rates.shape not in (shape, (rates.size,)) or rates.size != np.prod(shape):
+        allowed = f"{shape[1]} values for each of the {shape[0]} wavelengths of the table"
+        raise invalid("measured", f"of shape {rates.shape}", allowed, "one fewer than delays")
+    return edges, rates.reshape(shape)
+
+
+def _align_to_channels(
+    key: str, values: Any, edges: np.ndarray, wavelengths: np.ndarray, allowed: str
+) -> np.ndarray:
+    """Return numbers in the order of wavelengths and bins.
+
+    Labels are wavelengths (nm), and the middles, the beginnings or the ends of bins (s).
+    """
+    bins = 0.5 * (edges[1:] + edges[:-1]), edges[:-1], edges[1:]
+    labels: dict[str, Any] = {"wavelength": [wavelengths], "delay": bins}
+    if isinstance(values, xr.DataArray):
+        values = values.transpose(*(dim for dim in labels if dim in values.dims), ...)
+        check_conditions(key, values, {"wavelength": wavelengths.tolist()})
+    numbers = as_float_array(key, values, allowed)
+    for axis in range(min(numbers.ndim, 2)):
+        name = "delay" if axis == numbers.ndim - 1 else "wavelength"
+        if isinstance(values, xr.DataArray) and values.dims[axis] in labels:
+            name = str(values.dims[axis])
+        positions = match_labels(f"{key} ({name})", find_labels(values, axis), labels[name])
+        numbers = numbers.take(positions, axis) if isinstance(positions, np.ndarray) else numbers
+    return numbers
+
+
+def check_return_conditions(
+    measured: Any, conditions: Mapping[str, Any], attributes: Mapping[str, Any]
+) -> None:
+    """Check that a measured return states the conditions of the table.
+
+    Parameters
+    ----------
+    measured : pair of array_like, or xarray.Dataset
+        See `splits.retrieve_return`.
+    conditions : mapping
+        Incidence, and values of the axes that are not free.
+    attributes : mapping
+        Those of the table, with those of the pulse, see `describe_record`.
+    """
+    if not isinstance(measured, xr.Dataset):
+        check_conditions("measured", measured[1], conditions)
+        return
+    check_conditions("measured", measured, conditions)
+    stated = {**measured.attrs, **{name: value.values for name, value in measured.coords.items()}}
+    is_complete = measured.attrs.get("instrument") == "time_of_flight"
+    for name in RECORD_ATTRIBUTES:
+        if name in stated or (is_complete and name in attributes):
+            own, expected = stated.get(name), attributes.get(name)
+            if own is None or expected is None or not is_same_label(own, expected):
+                allowed = "left out" if expected is None else f"{short_repr(expected)}"
+                hint = "as for the table and the argument pulse"
+                raise invalid(f"measured.{name}", own, allowed, hint)
+    incidence = stated.get(INCIDENCE)
+    if incidence is not None and INCIDENCE in conditions:
+        check_conditions("measured", xr.Dataset(coords={INCIDENCE: incidence}), conditions)
+
+
+def _read_return_dataset(measured: xr.Dataset) -> tuple[np.ndarray, xr.DataArray]:
+    """Return the delays between bins and the light per time of `splits.time_of_flight`."""
+    measured = sort_returns(measured)
+    part = measured.isel({dim: 0 for dim in ("side", "wavelength") if measured.sizes.get(dim) == 1})
+    if not {QUANTITY, "delay_bounds"} <= {*part.variables}:
+        raise invalid("measured", "a dataset", f"with {QUANTITY} and delay_bounds", RETURN_HINT)
+    rates, bounds = part[QUANTITY], part.delay_bounds.transpose("delay", ...).values
+    side = str(as_scalar(part.coords.get("side", "reflected")))
+    if "delay" not in rates.dims or {*rates.dims} - {"wavelength", "delay"} or side != "reflected":
+        side = "both sides" if "side" in rates.dims else side
+        found = f"{side}, over {', '.join(map(str, rates.dims))}"
+        raise invalid("measured", found, "reflected, over wavelength and delay", RETURN_HINT)
+    if not np.allclose(bounds[1:, 0], bounds[:-1, 1], rtol=ROUNDING_TOLERANCE, atol=0.0):
+        raise invalid("measured.delay", "with gaps", "bins that follow each other")
+    if rates.attrs.get("units", UNITS) != UNITS:
+        raise invalid("measured", f"in {rates.attrs['units']}", f"in {UNITS}")
+    # Light is matched by the delays of its bins.
+    edges = np.append(bounds[:, 0], bounds[-1, 1])
+    return edges, rates.drop_vars("delay", errors="ignore").transpose(..., "delay")
+
+
+def check_return_noise(
+    noise: Any, edges: np.ndarray, wavelengths: np.ndarray
+) -> tuple[np.ndarray, bool]:
+    """Return the noise of a measured return, and whether photons are counted.
+
+    It is the rate (s⁻¹) of one counted photon in each bin, or the standard error (s⁻¹).
+
+    Parameters
+    ----------
+    noise : float, array_like or mapping
+        See `splits.retrieve_return`.
+    edges : float, shape (bins + 1,)
+        Delays between bins (s).
+    wavelengths : float, shape (wavelengths,)
+        Wavelengths of the table (nm).
+    """
+    shape = wavelengths.size, edges.size - 1
+    n_values = int(np.prod(shape))
+    allowed = f"standard errors above 0 in s⁻¹, one or {n_values} of them, or {{'photons': …}}"
+    if noise is None:
+        raise invalid("noise", None, allowed)
+    if isinstance(noise, Mapping):
+        if set(noise) != {"photons"}:
+            raise invalid("noise", sorted(map(str, noise)), allowed)
+        photons = check_range("noise.photons", noise["photons"], 0.0, MAX_PHOTONS, open_low=True)
+        return np.tile(1.0 / (photons * np.diff(edges)), shape[0]), True
+    stderr = _align_to_channels("noise", noise, edges, wavelengths, allowed)
+    if stderr.shape not in ((), shape, (n_values,)):
+        raise invalid("noise", f"of shape {stderr.shape}", allowed)
+    if not (stderr > 0.0).all():
+        hint = "noise={'photons': …} also applies to bins without photons"
+        raise invalid("noise", float(stderr.min()), allowed, hint)
+    return np.broadcast_to(stderr.ravel(), n_values), False
+
+
+def make_return_operator(table: xr.Dataset, edges: np.ndarray, pulse: Pulse) -> SpectralOperator:
+    """Return the operator from the bins of a table to those of a measurement after a pulse.
+
+    Light is uniform within the bins of the table.  The effects of both ways to join pairs of bins,
+    divided by 3, give the error, which is proportional to the square of the width.  It is
+    proportional to the width, and not divided, for bins of a measurement that are, with the pulse,
+    narrower than those of the table.
+
+    Parameters
+    ----------
+    table : xarray.Dataset
+    edges : float, shape (bins + 1,)
+        Delays between the bins of the measurement (s).
+    pulse : Pulse
+
+    Raises
+    ------
+    ValueError
+        For bins of the measurement that need light outside the record of the table.
+    """
+    bounds = table.delay_bounds.values
+    own_edges = np.append(bounds[:, 0], bounds[-1, 1])
+    n_wavelengths, tolerance = table.sizes["wavelength"], ROUNDING_TOLERANCE * own_edges[-1]
+    latest = own_edges[-1] + float(pulse.delay_s[0])
+    earliest = own_edges[0] + (float(pulse.delay_s[-1]) if own_edges[0] > 0.0 else -np.inf)
+    if edges[-1] > latest + tolerance or edges[0] < earliest - tolerance:
+        allowed = f"up to {latest:.4g} s" if edges[-1] > latest else f"from {earliest:.4g} s"
+        found = edges[-1] if edges[-1] > latest else edges[0]
+        hint = "as far as the table goes, minus the length of the pulse"
+        raise invalid("measured (delays)", float(found), allowed, hint)
+    matrix = _redistribute(own_edges, edges, pulse)
+    largest = np.interp(edges, own_edges[1:], np.diff(own_edges))
+    resolved = np.diff(edges) + np.ptp(pulse.delay_s) >= np.maximum(largest[:-1], largest[1:])
+    divisor = np.where(resolved, 3.0, 1.0)[:, np.newaxis]
+    identity = np.eye(n_wavelengths)
+    errors = [
+        np.kron(identity, (matrix - _join_pairs(own_edges, edges, pulse, first)) / divisor)
+        for first in (0, 1)
+    ]
+    return SpectralOperator(np.kron(identity, matrix), np.stack(errors))
+
+
+def _join_pairs(bins: np.ndarray, edges: np.ndarray, pulse: Pulse, first: int) -> np.ndarray:
+    """Return the weights of `_redistribute` if light is uniform in pairs of bins from the first."""
+    coarse = np.unique(np.concatenate([bins[:1], bins[first::2], bins[-1:]]))
+    pair = np.searchsorted(coarse, bins[:-1], side="right") - 1
+    fraction = np.diff(bins) / np.diff(coarse)[pair]
+    weights: np.ndarray = _redistribute(coarse, edges, pulse)[:, pair] * fraction
+    return weights
+
+
+def _redistribute(bins: np.ndarray, edges: np.ndarray, pulse: Pulse) -> np.ndarray:
+    """Return the weights of rates that are uniform in bins in mean rates between other delays.
+
+    Light from a bin [a, b] at delay u arrives before t with the probability E(t − u), where E is
+    the part of the pulse that has been emitted.  Its integral over the bin is G(t − a) − G(t − b),
+    with G the integral of E.
+
+    Returns
+    -------
+    float, shape (other bins, bins)
+    """
+    delay, emitted = pulse.delay_s, pulse.emitted
+    integral = np.zeros(delay.size)
+    if delay.size > 1:
+        integral[1:] = np.cumsum(0.5 * (emitted[1:] + emitted[:-1]) * np.diff(delay))
+
+    def integrate(time: np.ndarray) -> np.ndarray:
+        inside: np.ndarray = np.interp(time, delay, integral)
+        return inside + np.maximum(time - delay[-1], 0.0)
+
+    arrived = integrate(edges[:, np.newaxis] - bins[:-1]) - integrate(
+        edges[:, np.newaxis] - bins[1:]
+    )
+    weights: np.ndarray = np.diff(arrived, axis=0) / np.diff(edges)[:, np.newaxis]
+    return weights
+
 
 N_NOISE_UPDATES = 3
 """Number of solutions with the noise of the photons that the previous one predicts."""
@@ -119,17 +423,21 @@ def retrieve_return(
     table = sort_returns(table)
     channels = make_channel_table(table)
     edges, rates = read_return(measured, table.wavelength.values)
-    return_noise = check_return_noise(noise, edges, table.wavelength.values)
+    noise_rate, is_counted = check_return_noise(noise, edges, table.wavelength.values)
     record_pulse = Pulse.from_argument(pulse)
     pulse_attributes = describe_record(pulse, None, None)
     state_vector = StateVector.from_ranges(free, prior, get_table_ranges(channels))
     operator = make_return_operator(table, edges, record_pulse)
-    _check_rates(rates, edges, return_noise, operator.weights, table, state_vector)
+    _check_rates(rates, edges, noise_rate, is_counted, operator.weights, table, state_vector)
+    positions = np.arange(rates.size) + 1.0
     expected, min_count = rates.ravel(), MIN_COUNT
-    for _ in range(N_NOISE_UPDATES if isinstance(return_noise, PhotonNoise) else 1):
-        measurement = make_return_measurement(expected, rates, return_noise, min_count)
+    for _ in range(N_NOISE_UPDATES if is_counted else 1):
+        stderr = noise_rate
+        if is_counted:
+            stderr = np.sqrt(np.maximum(expected / noise_rate, min_count)) * noise_rate
+        measurement = Measurement(rates.ravel(), positions, np.diag(stderr**2), {})
         forward_model = ReturnForwardModel(
-            operator, channels, measurement, state_vector, fixed, QUANTITY
+            channels, measurement, state_vector, fixed, QUANTITY, operator
         )
         solution = solve_for_known_noise(forward_model, measurement, seed)
         expected, min_count = solution.estimates[0].modelled, MIN_EXPECTED_COUNT
@@ -146,8 +454,8 @@ def retrieve_return(
 
 
 def _check_rates(
-    rates: np.ndarray, edges: np.ndarray, noise: PhotonNoise | np.ndarray, matrix: np.ndarray,
-    table: xr.Dataset, state_vector: StateVector,
+    rates: np.ndarray, edges: np.ndarray, noise_rate: np.ndarray, is_counted: bool,
+    matrix: np.ndarray, table: xr.Dataset, state_vector: StateVector,
 ) -> None:  # fmt: skip
     """Reject values that cannot be rates, such as numbers of photons.
 
@@ -159,7 +467,7 @@ def _check_rates(
     ----------
     rates : float, shape (wavelengths, bins)
     edges : float, shape (bins + 1,)
-    noise : PhotonNoise or float, shape (wavelengths · bins,)
+    noise_rate, is_counted
         See `check_return_noise`.
     matrix : float, shape (wavelengths · bins, channels)
         Weights of the channels of the table in the bins.
@@ -177,12 +485,8 @@ def _check_rates(
     )
     tabulated = np.maximum(node_rates - NODE_ERRORS * error, 0.0) @ matrix.T @ width
     least, most = limits[0] * float(tabulated.min()), limits[1] * len(rates)
-    total = largest = float(np.abs(rates).ravel() @ width)
-    if isinstance(noise, PhotonNoise):
-        uncertainty = float(noise.count_rate @ width)
-    else:
-        uncertainty = float(noise @ width)
-        largest += uncertainty
+    total, uncertainty = float(np.abs(rates).ravel() @ width), float(noise_rate @ width)
+    largest = total if is_counted else total + uncertainty
     too_small = total > 0.0 and largest < least / MAX_DEFICIT
     if too_small or float(rates.ravel() @ width) > MAX_EXCESS * (most + uncertainty):
         limit = f"at least {least:.3g}" if too_small else f"at most {most:g}"

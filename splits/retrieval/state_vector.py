@@ -13,7 +13,7 @@ import numpy as np
 
 from splits.core.arrays import check_named_numbers
 from splits.core.validation import invalid, snap_to_limits, unknown_key
-from splits.tables.interpolation import apply_axis_transform
+from splits.tables.interpolation import COORDINATES, apply_axis_transform
 
 SCALE = "scale"
 """Name of the factor of the modelled reflectance, such as that of a reference panel."""
@@ -116,7 +116,7 @@ class StateVector(NamedTuple):
             raise invalid(key, pair, allowed, "leave it out: it is wider than the range")
         return middle, float(np.mean(distances))
 
-    def drop_priors(self) -> StateVector:
+    def without_priors(self) -> StateVector:
         """Return the state vector without priors."""
         return self._replace(prior_sd=np.full(len(self.names), np.inf))
 
@@ -140,9 +140,8 @@ class StateVector(NamedTuple):
         values = np.empty(np.shape(coordinates))
         for i, transform in enumerate(self.transforms):
             first, last = apply_axis_transform(transform, np.array([self.low[i], self.high[i]]))
-            values[..., i] = _invert_axis_transform(
-                transform, first + coordinates[..., i] * (last - first)
-            )
+            transformed = first + coordinates[..., i] * (last - first)
+            values[..., i] = COORDINATES[transform].invert(transformed)
         return np.clip(values, self.low, self.high)
 
     @property
@@ -154,19 +153,6 @@ class StateVector(NamedTuple):
     def prior_variance(self) -> np.ndarray:
         """Variance of the prior, or of the range without one."""
         return 1.0 / np.maximum(self.prior_precision, 1.0 / UNIFORM_VARIANCE)
-
-
-def _invert_axis_transform(transform: str, transformed: np.ndarray) -> np.ndarray:
-    """Return the inverse of `splits.tables.interpolation.apply_axis_transform`."""
-    if transform == "cosine":
-        return np.degrees(np.arccos(np.clip(-transformed, -1.0, 1.0)))
-    if transform == "logarithm":
-        return np.exp(transformed)
-    return (
-        np.square(transformed)
-        if transform == "square_root"
-        else np.asarray(transformed, dtype=float)
-    )
 
 
 def _check_ranges(

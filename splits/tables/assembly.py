@@ -1,10 +1,14 @@
-"""Assembly of a table from its blocks."""
+"""Assembly of a table from its blocks, in memory or block by block in a file."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
+import netCDF4
 import numpy as np
 import xarray as xr
 
@@ -12,15 +16,26 @@ from splits.core.provenance import hash_physics_sources
 from splits.core.uncertainty import compute_weighted_error, make_variable
 from splits.illumination.bands import SpectralBand, SpectralOperator
 from splits.instruments.spectral_run import QUANTITY_LABELS
-from splits.io.netcdf import make_provenance, to_netcdf_attributes
+from splits.io.netcdf import (
+    append_checksum,
+    atomic_netcdf,
+    encode_for_netcdf,
+    make_provenance,
+    to_netcdf_attributes,
+)
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.simulation.run_options import make_wavelength_coordinate
 from splits.simulation.strata import STOP_REASONS
-from splits.tables.axes import INCIDENCE, ParameterGrid
-from splits.tables.axis_order import list_quantities
+from splits.tables.axes import (
+    DIFFUSE_PREFIX,
+    INCIDENCE,
+    VIEW_AXES,
+    ParameterGrid,
+    list_quantities,
+    list_view_axes,
+)
 from splits.tables.block import TableRequest
 from splits.tables.plan import DIFFUSE, TablePlan
-from splits.tables.views import DIFFUSE_PREFIX, VIEW_AXES, list_view_axes
 
 
 class TableVariable(NamedTuple):
@@ -64,7 +79,7 @@ def list_variables(plan: TablePlan, request: TableRequest) -> dict[str, TableVar
     for quantity in request.quantities:
         trailing = {name: views[name] for name in list_view_axes(quantity)}
         trailing["wavelength"] = plan.wavelengths.size
-        grid = plan.media_grid if quantity.startswith(DIFFUSE_PREFIX) else plan.grid
+        grid = plan.grid.drop(INCIDENCE) if quantity.startswith(DIFFUSE_PREFIX) else plan.grid
         for suffix in ("", "_stderr"):
             variables[quantity + suffix] = TableVariable(quantity, grid, {}, trailing)
         if request.covariance:
@@ -83,21 +98,23 @@ LABELS = {
 }
 
 
-def allocate_arrays(plan: TablePlan, request: TableRequest) -> dict[str, np.ndarray]:
-    """Return NaN arrays of a table by variable, to be filled by `insert_block`."""
-    variables = list_variables(plan, request)
-    return {name: np.full(one.flat_shape, np.nan, np.float32) for name, one in variables.items()}
+def assemble_blocks(
+    plan: TablePlan, request: TableRequest, blocks: Iterable[xr.Dataset]
+) -> xr.Dataset:
+    """Return a table as a dataset from its blocks, which are computed meanwhile."""
+    start_time = time.perf_counter()
+    variables, block_attrs = list_variables(plan, request), []
+    arrays = {name: np.full(one.flat_shape, np.nan, np.float32) for name, one in variables.items()}
+    for block in blocks:
+        for name, variable in block.data_vars.items():
+            leading = (slice(None),) * variable.dims.index("point")
+            arrays[str(name)][(*leading, block.point.values)] = variable.values
+        block_attrs.append(block.attrs)
+    return _make_dataset(arrays, plan, request, block_attrs, time.perf_counter() - start_time)
 
 
-def insert_block(arrays: dict[str, np.ndarray], block: xr.Dataset) -> None:
-    """Copy a block into the arrays of a table."""
-    for name, variable in block.data_vars.items():
-        points = (slice(None),) * variable.dims.index("point")
-        arrays[str(name)][(*points, block.point.values)] = variable.values
-
-
-def assemble_dataset(
-    arrays: dict[str, np.ndarray],
+def _make_dataset(
+    arrays: Mapping[str, np.ndarray],
     plan: TablePlan,
     request: TableRequest,
     block_attrs: Sequence[Mapping[str, Any]],
@@ -170,15 +187,104 @@ def average_nodes(
 def _find_common_attributes(plan: TablePlan) -> dict[str, Any]:
     """Return the attributes common to all media of a table."""
     media = plan.list_media()
-    first_medium = media[0]
-    attrs = {f"{first_medium.kind}_{key}": value for key, value in first_medium.describe().items()}
-    for medium in media[1:]:
-        medium_attrs = {f"{medium.kind}_{key}": value for key, value in medium.describe().items()}
-        attrs = {
-            k: v
-            for k, v in attrs.items()
-            if k in medium_attrs and np.array_equal(medium_attrs[k], v)
-        }
+    described = [{f"{m.kind}_{key}": v for key, v in m.describe().items()} for m in media]
+    attrs = {
+        key: value
+        for key, value in described[0].items()
+        if all(key in one and np.array_equal(one[key], value) for one in described)
+    }
     if INCIDENCE not in plan.grid.names:
         attrs["incidence_deg"] = plan.path_groups[0].incidence
-    return {"medium": first_medium.kind, **attrs}
+    return {"medium": media[0].kind, **attrs}
+
+
+MAX_BYTES_IN_MEMORY = 2**28
+"""Largest size of a table that is assembled in memory or read into it."""
+
+
+def compute_table_bytes(plan: TablePlan, request: TableRequest) -> int:
+    """Return the size of the values of a table in bytes."""
+    sizes = (math.prod(one.shape) for one in list_variables(plan, request).values())
+    return np.dtype(np.float32).itemsize * sum(sizes)
+
+
+def write_table_blockwise(
+    path: Path,
+    plan: TablePlan,
+    request: TableRequest,
+    read_blocks: Callable[[], Iterable[xr.Dataset]],
+    add_attributes: Callable[[xr.Dataset], xr.Dataset],
+) -> None:
+    """Write a table to a netCDF file atomically, one block at a time.
+
+    At most one block of values is in memory.  Values are stored uncompressed in the order of the
+    axes, so that single spectra can be read.
+
+    Parameters
+    ----------
+    path : Path
+    plan : TablePlan
+    request : TableRequest
+    read_blocks : callable
+        Returns an iterable of the blocks; called several times.
+    add_attributes : callable
+        Returns a dataset with additional attributes.
+
+    Raises
+    ------
+    OSError
+        If the disk is full, or the file does not hold the blocks afterwards.
+    """
+    with atomic_netcdf(path, compute_table_bytes(plan, request)) as temporary:
+        variables = list_variables(plan, request)
+        # Broadcast values use no memory.
+        empty = {
+            name: np.broadcast_to(np.float32(np.nan), one.flat_shape)
+            for name, one in variables.items()
+        }
+        attrs = [block.attrs for block in read_blocks()]
+        seconds = sum(float(one["wall_time_s"]) for one in attrs)
+        table = _make_dataset(empty, plan, request, attrs, seconds)
+        skeleton = encode_for_netcdf(add_attributes(table))
+        skeleton.drop_vars(list(variables)).to_netcdf(temporary, engine="netcdf4")
+        with netCDF4.Dataset(temporary, "a") as file:
+            for name in variables:
+                _create_variable(file, name, skeleton)
+            for name, index, values in _iterate_points(read_blocks(), variables):
+                file.variables[name][index] = values
+        with netCDF4.Dataset(temporary) as file:
+            file.set_auto_maskandscale(False)
+            complete = all(
+                np.array_equal(file.variables[name][index], values)
+                for name, index, values in _iterate_points(read_blocks(), variables)
+            )
+        if not complete:
+            raise OSError(f"{path}: the file written does not hold the table")
+        append_checksum(temporary)
+
+
+def _create_variable(file: netCDF4.Dataset, name: str, skeleton: xr.Dataset) -> None:
+    """Create a variable in a file without writing its values."""
+    variable = skeleton[name]
+    dims = [str(dim) for dim in variable.dims]
+    for dim, size in zip(dims, variable.shape, strict=True):
+        if dim not in file.dimensions:
+            file.createDimension(dim, size)
+    created = file.createVariable(name, "f4", dims, fill_value=False, contiguous=True)
+    created.setncatts(variable.attrs)
+    auxiliary = [str(c) for c in variable.coords if c not in variable.dims]
+    if auxiliary:
+        created.coordinates = " ".join(auxiliary)
+
+
+def _iterate_points(
+    blocks: Iterable[xr.Dataset], variables: Mapping[str, TableVariable]
+) -> Iterator[tuple[str, tuple[Any, ...], np.ndarray]]:
+    """Yield the name of a variable, the index in the table, and the values, of each point."""
+    for block in blocks:
+        for name, variable in variables.items():
+            if name in block:
+                indices = np.unravel_index(block.point.values, variable.grid.shape)
+                leading = (slice(None),) * len(variable.leading)
+                for row, index in enumerate(zip(*(i.tolist() for i in indices), strict=True)):
+                    yield name, (*leading, *index), block[name].isel(point=row).values

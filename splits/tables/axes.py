@@ -1,4 +1,4 @@
-"""Axes of a table: parameters and their values."""
+"""Axes of a table: parameters, directions of observation, their order and complete values."""
 
 from __future__ import annotations
 
@@ -7,13 +7,17 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Set
 from itertools import pairwise
 from numbers import Real
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+import xarray as xr
 
-from splits.core.arrays import as_1d_array
+from splits.core.arrays import as_1d_array, check_increasing, check_no_gaps
 from splits.core.parameter_names import describe_parameter
 from splits.core.validation import as_scalar, format_key, has_surrogates, invalid, unknown_key
+from splits.instruments.spectral_run import SIDE_QUANTITIES
+from splits.io.netcdf import NETCDF_LOCK
+from splits.simulation.run_options import check_direction_angles
 
 INCIDENCE = "incidence_deg"
 RESULT_NAMES = (
@@ -150,11 +154,6 @@ def check_axis_values(
     return values
 
 
-def list_numeric_axes(dataset: Any, names: Iterable[str]) -> list[str]:
-    """Return the numeric axes of a table with more than one node."""
-    return [n for n in names if dataset[n].dtype.kind == "f" and dataset[n].size > 1]
-
-
 def _check_grid_axis(name: str, values_given: Any) -> tuple[Any, ...]:
     """Return the validated values of an axis."""
     key = f"grid.{format_key(name)}"
@@ -189,3 +188,206 @@ def _make_coordinate(name: str, axis_values: tuple[Any, ...]) -> tuple[np.ndarra
     if values.dtype.kind != "f":
         return values, {"long_name": long_name + (f" ({units})" if units != "1" else "")}
     return values, {"long_name": long_name, "units": units}
+
+
+POLAR, AZIMUTH = "polar_deg", "azimuth_deg"
+VIEW_AXES = (POLAR, AZIMUTH)
+ANGLES = (INCIDENCE, *VIEW_AXES)
+DIFFUSE_PREFIX = "diffuse_"
+VIEW_QUANTITIES = ("reflectance_factor", "anisotropy_factor")
+MIXED_QUANTITIES = ("reflectance", *VIEW_QUANTITIES)
+"""Quantities of a beam, which isotropic light may be mixed with."""
+DIFFUSE_QUANTITIES = tuple(DIFFUSE_PREFIX + name for name in ("reflectance", *VIEW_QUANTITIES))
+"""Quantities under isotropic light, in a table whose other quantities are under beams."""
+ALL_QUANTITIES = (*SIDE_QUANTITIES, *VIEW_QUANTITIES, *DIFFUSE_QUANTITIES)
+DIRECTIONAL_QUANTITIES = ("reflectance", *VIEW_QUANTITIES, *DIFFUSE_QUANTITIES)
+"""Quantities of a table with directions."""
+
+
+class ViewGrid(NamedTuple):
+    """Directions of observation.
+
+    Attributes
+    ----------
+    polar : float, shape (polar,)
+        Angles from the normal (degrees), 0 to below 90.
+    azimuth : float, shape (azimuth,)
+        Angles from the direction in which the beam travels (degrees), 0 to 180.
+    """
+
+    polar: np.ndarray
+    azimuth: np.ndarray
+
+    @classmethod
+    def from_grid(cls, grid: ParameterGrid, prefix: str = "grid.") -> ViewGrid | None:
+        """Return the directions among the axes of a grid, None without them.
+
+        Names in messages begin with the prefix.
+
+        Raises
+        ------
+        ValueError
+            For one axis without the other, or angles outside their range.
+        """
+        given = [name for name in VIEW_AXES if name in grid.names]
+        if not given:
+            return None
+        for name in VIEW_AXES:
+            if name not in given:
+                raise invalid(f"{prefix}{name}", None, "given", f"{given[0]} needs it")
+        polar = check_direction_angles(f"{prefix}{POLAR}", grid.get_values(POLAR, 0.0), 90.0)
+        azimuth = as_1d_array(f"{prefix}{AZIMUTH}", grid.get_values(AZIMUTH, 0.0), "numbers")
+        check_increasing(f"{prefix}{AZIMUTH}", azimuth)
+        if azimuth[0] < 0.0 or azimuth[-1] > 180.0:
+            hint = "both sides of the plane of incidence are the same"
+            raise invalid(f"{prefix}{AZIMUTH}", azimuth.tolist(), "0 to 180", hint)
+        return cls(polar, azimuth)
+
+    def to_coordinates(self) -> dict[str, Any]:
+        """Return the angles as dataset coordinates."""
+        labels = ("angle from the normal", "angle from the direction in which the beam travels")
+        return {
+            name: (name, angles, {"long_name": label, "units": "degree"})
+            for name, angles, label in zip(VIEW_AXES, self, labels, strict=True)
+        }
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers of polar angles and azimuths."""
+        return self.polar.size, self.azimuth.size
+
+
+def fold_azimuths(azimuth_deg: Any) -> Any:
+    """Return azimuths from 0 to 180 degrees on the same cones around the beam."""
+    turned = np.mod(azimuth_deg, 360.0)
+    return np.minimum(turned, 360.0 - turned)
+
+
+def drop_view_axes(grid: ParameterGrid) -> ParameterGrid:
+    """Return the grid of the media and beams."""
+    return grid.drop(POLAR).drop(AZIMUTH)
+
+
+def list_view_axes(quantity: str) -> tuple[str, ...]:
+    """Return the axes of a quantity that are directions of observation."""
+    name = quantity.removesuffix("_stderr")
+    if name.removeprefix(DIFFUSE_PREFIX) not in VIEW_QUANTITIES:
+        return ()
+    return (POLAR,) if name.startswith(DIFFUSE_PREFIX) else VIEW_AXES
+
+
+def has_diffuse(quantities: Iterable[str]) -> bool:
+    """Return whether any quantity is that under isotropic light beside beams."""
+    return any(name.startswith(DIFFUSE_PREFIX) for name in quantities)
+
+
+def check_quantities(quantities: Any, views: ViewGrid | None, covariance: bool) -> tuple[str, ...]:
+    """Return the validated quantities of a table; by default those of its axes.
+
+    Raises
+    ------
+    ValueError
+        For unknown quantities, or directional ones without directions.
+    """
+    allowed = SIDE_QUANTITIES if views is None else DIRECTIONAL_QUANTITIES
+    if quantities is None:
+        quantities = ("reflectance",) if views is None else ("reflectance", *VIEW_QUANTITIES)
+    is_list = isinstance(quantities, list | tuple) and len(quantities) > 0
+    if not is_list or len(set(quantities)) < len(quantities):
+        raise invalid("quantities", quantities, f"a list of different {' or '.join(allowed)}")
+    for name in quantities:
+        if name not in allowed:
+            hint = "it needs polar_deg and azimuth_deg"
+            if views is not None:
+                hint = "leave out polar_deg and azimuth_deg"
+            hint = hint if name in ALL_QUANTITIES else ""
+            raise invalid("quantities", name, " or ".join(allowed), hint)
+    if covariance and views is not None:
+        raise invalid("covariance", covariance, "False for a table with directions")
+    return tuple(quantities)
+
+
+ALONG = "_along_"
+"""Between a name and the axis of a table along which it has more positions than the nodes, see
+`splits.tables.comparison`."""
+Part = TypeVar("Part", xr.Dataset, xr.DataArray)
+
+
+def sort_axes(dataset: Any) -> xr.Dataset:
+    """Return a table with ascending numeric axes and the wavelength as the last axis.
+
+    Tables that were sliced, sorted, transposed or converted with xarray are accepted.
+
+    Raises
+    ------
+    ValueError
+        If the dataset is not a table, or an axis is missing or invalid.
+    """
+    allowed = "what splits.build_table returned, or wrote"
+    if not isinstance(dataset, xr.Dataset):
+        hint = "splits.open_table(…) takes a path" if isinstance(dataset, str) else ""
+        raise invalid("table", type(dataset).__name__, allowed, hint)
+    if "path_sharing_axes" not in dataset.attrs:
+        hint = "splits.retrieve_return takes a table of returns" if "return_rate" in dataset else ""
+        raise invalid("table", dataset.attrs.get("title", "a dataset"), allowed, hint)
+    # Means over bands follow from the spectra, also between the nodes.
+    means = [name for name in dataset.data_vars if str(name).startswith("band_")]
+    dataset = dataset.drop_vars([*means, "band"] if means else [])
+    if not list_quantities(dataset):
+        raise invalid("table", list(map(str, dataset.data_vars)), "with a quantity and its error")
+    axes = list_axes(dataset)
+    if "wavelength" not in axes:
+        hint = "select a list: sel(wavelength=[500]), which keeps the axis"
+        raise invalid("table", f"over {', '.join(axes) or 'nothing'}", "over wavelength", hint)
+    for name in axes:
+        dataset = _sort_axis(dataset, name)
+    return dataset.transpose(..., *(name for name in axes if name != "wavelength"), "wavelength")
+
+
+def list_quantities(dataset: xr.Dataset) -> list[str]:
+    """Return the quantities of a table, without standard errors."""
+    return [str(name) for name in dataset.data_vars if f"{name}_stderr" in dataset.data_vars]
+
+
+def list_axes(dataset: xr.Dataset) -> list[str]:
+    """Return the axes of the quantities of a table, the wavelength last where it is an axis."""
+    axes: list[str] = []
+    for name in list_quantities(dataset):
+        axes += [str(dim) for dim in dataset[name].dims if dim not in axes]
+    return sorted(axes, key=lambda axis: (axis == "wavelength", axis in VIEW_AXES))
+
+
+def _sort_axis(dataset: xr.Dataset, name: str) -> xr.Dataset:
+    """Return a table with one axis sorted and its numbers as floats."""
+    if name not in dataset.coords:
+        raise invalid(f"table.{name}", None, "given: the values of the axis")
+    # Axes converted by pandas may have the dtype object.
+    values = np.array(dataset[name].values.tolist())
+    text = values.dtype.kind in "OUS"
+    if not text and not (values.dtype.kind in "iuf" and np.isfinite(values).all()):
+        raise invalid(f"table.{name}", values.tolist(), "numbers, or texts")
+    if len(set(values.tolist())) < values.size:
+        raise invalid(f"table.{name}", values.tolist(), "different values")
+    if dataset[name].dtype.kind not in "fUS":
+        axis = (name, values if text else values.astype(float), dataset[name].attrs)
+        dataset = dataset.assign_coords({name: axis})
+    return dataset if text or (np.diff(values) > 0.0).all() else dataset.sortby(name)
+
+
+def check_complete(dataset: xr.Dataset) -> None:
+    """Check that a table has a value at every node."""
+    for name, variable in dataset.data_vars.items():
+        # Comparisons with gaps, such as those of joined tables, are not used.
+        is_checked = variable.dtype.kind == "f" and ALONG not in str(name)
+        if is_checked and not np.isfinite(variable).all():
+            hint = "aligning or reindexing leaves gaps: select existing nodes"
+            raise invalid(f"table.{name}", np.nan, "a number at every node", hint)
+
+
+def load_selection(selection: Part) -> Part:
+    """Load a part of a table into memory and check it for gaps."""
+    # The HDF5 library is not thread-safe.
+    with NETCDF_LOCK:
+        selection = selection.load()
+    check_no_gaps("table", selection)
+    return selection

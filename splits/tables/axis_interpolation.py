@@ -15,6 +15,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.validation import invalid
+from splits.tables.axes import ANGLES, POLAR
 from splits.tables.interpolation import (
     COORDINATES,
     Coordinate,
@@ -24,7 +25,6 @@ from splits.tables.interpolation import (
     list_coordinates,
     transform_axis,
 )
-from splits.tables.views import ANGLES, POLAR
 
 MIN_COMPARED = 2
 """Smallest number of compared positions in every interval."""

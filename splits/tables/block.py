@@ -1,31 +1,38 @@
-"""Block of a table: the spectra of all points that share an ensemble of paths."""
+"""Block of a table: the spectra of all points that share an ensemble of paths, or solutions."""
 
 from __future__ import annotations
 
 import time
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
+from splits.core.error_target import ErrorTarget
 from splits.core.progress import ProgressCallback
-from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO
-from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest
-from splits.io.netcdf import load, make_provenance, save
-from splits.kernels.tallies.exits import N_BATCHES
-from splits.simulation.deep_medium import TruncatedMedium
-from splits.tables.block_directions import (
-    make_view_variables,
-    solve_directions,
-    trace_directions,
+from splits.discrete_ordinates.applicability import make_granular_stack
+from splits.discrete_ordinates.granular_stack import (
+    GranularStack,
+    SpectrumSolution,
+    solve_with_exponent_error,
 )
-from splits.tables.media_cache import MediaCache
-from splits.tables.ordinates import solve_group
-from splits.tables.plan import PathGroup
-from splits.tables.views import ViewGrid
-
-DIGEST_ATTRIBUTE = "table_digest"
+from splits.instruments.angular_estimate import AngularEstimate, join_wavelengths
+from splits.instruments.goniophotometer import make_direction_mask, simulate_directions
+from splits.instruments.solver import (
+    DISCRETE_ORDINATES,
+    MONTE_CARLO,
+    AngularRequest,
+    AngularResult,
+    make_estimate,
+    solve_angular_results,
+)
+from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest
+from splits.io.netcdf import make_provenance
+from splits.kernels.tallies.exits import N_BATCHES
+from splits.simulation.threads import DaemonThreadPool, limit_blas_threads
+from splits.tables.axes import DIFFUSE_PREFIX, VIEW_AXES, ViewGrid, has_diffuse, list_view_axes
+from splits.tables.plan import DIFFUSE, PathGroup
 
 
 class TableRequest(NamedTuple):
@@ -36,7 +43,7 @@ class TableRequest(NamedTuple):
     spectral_request : SpectralRequest
         Request for spectra; each ensemble sets its own incidence.
     quantities : tuple of str
-        See `splits.tables.views.check_quantities`.
+        See `splits.tables.axes.check_quantities`.
     covariance : bool
         Whether deviations by batch of rays are stored.
     solver : {"monte_carlo", "discrete_ordinates"}
@@ -51,84 +58,92 @@ class TableRequest(NamedTuple):
     views: ViewGrid | None = None
 
 
+def prepare_media(group: PathGroup, request: TableRequest) -> Any:
+    """Return what the media of a group have in common under all incidences, for `compute_block`.
+
+    Paths have the truncation of semi-infinite media in common; discrete ordinates solve each medium
+    for all incidences at once.
+    """
+    if request.solver == MONTE_CARLO:
+        return request.spectral_request.truncate(group.path_sharing)
+    if request.views is None:
+        return _solve_spectra(group, request.spectral_request)
+    return _solve_directions(group, request.spectral_request, request.views)
+
+
 def compute_block(
-    path_group: PathGroup,
-    request: TableRequest,
-    cache: MediaCache,
-    digest: str,
-    progress: ProgressCallback = None,
+    group: PathGroup, request: TableRequest, prepared: Any, progress: ProgressCallback = None
 ) -> xr.Dataset:
     """Compute a block: values and standard errors over ``point``, views and ``wavelength``.
 
     Parameters
     ----------
-    path_group : PathGroup
+    group : PathGroup
     request : TableRequest
-    cache : MediaCache
-    digest : str
-        Digest of all inputs of the block, see `splits.tables.build.compute_block_digest`.
+    prepared : object
+        From `prepare_media`, for the media of the group.
     progress : callable, optional
     """
     start_time = time.perf_counter()
     run = request.spectral_request.run._replace(progress=progress)
-    spectral_request = request.spectral_request._replace(incidence=path_group.incidence, run=run)
+    spectral_request = request.spectral_request._replace(incidence=group.incidence, run=run)
+    own_request = request._replace(spectral_request=spectral_request)
     compute = _compute_spectra if request.views is None else _compute_directions
-    variables, described = compute(path_group, request, spectral_request, cache)
+    variables, described = compute(group, own_request, prepared)
     attrs = {
         **make_provenance("block of a table"),
-        DIGEST_ATTRIBUTE: digest,
-        "ensemble": path_group.number,
         **described,
         "wall_time_s": round(time.perf_counter() - start_time, 3),
     }
-    point_coordinate = ("point", path_group.positions, {"long_name": "flat index in the table"})
+    point_coordinate = ("point", group.positions, {"long_name": "flat index in the table"})
     return xr.Dataset(
         variables, {"point": point_coordinate, "wavelength": spectral_request.wavelengths}, attrs
     )
 
 
-def _compute_directions(
-    path_group: PathGroup, request: TableRequest, spectral_request: SpectralRequest,
-    cache: MediaCache,
-) -> tuple[dict[str, Any], dict[str, Any]]:  # fmt: skip
-    """Return the variables of a block with directions of observation, and its attributes."""
-    views = request.views
-    assert views is not None
-    if request.solver == DISCRETE_ORDINATES:
-        estimate, attrs = solve_directions(path_group, spectral_request, views, cache)
-    else:
-        truncation = _truncate(path_group, spectral_request, cache)
-        estimate, attrs = trace_directions(path_group, spectral_request, views, truncation)
-    variables = make_view_variables(
-        estimate, path_group, views, spectral_request.wavelengths.size, request.quantities
-    )
-    return variables, attrs | {"interpolation_error_bound": 0.0}
+def _solve_spectra(group: PathGroup, request: SpectralRequest) -> list[SpectrumSolution]:
+    """Return the solution of each medium; the error determines the number of streams."""
+    angles = [float(incidence) for incidence in group.incidences if incidence != DIFFUSE]
+    cosines, max_stderr = np.cos(np.radians(angles)), request.max_stderr
+    threads = request.run.threads
+    # Paths through grains use all threads themselves.
+    stacks = [
+        make_granular_stack(medium, request.wavelengths, max_stderr, threads)
+        for medium in group.path_sharing.media
+    ]
+
+    def solve(stack: GranularStack) -> SpectrumSolution:
+        return solve_with_exponent_error(stack, cosines, max_stderr)
+
+    with limit_blas_threads(), DaemonThreadPool(threads) as pool:
+        return list(pool.map(solve, stacks))
 
 
 def _compute_spectra(
-    path_group: PathGroup, request: TableRequest, spectral_request: SpectralRequest,
-    cache: MediaCache,
-) -> tuple[dict[str, Any], dict[str, Any]]:  # fmt: skip
+    group: PathGroup, request: TableRequest, prepared: Any
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the variables of a block of spectra, and its attributes."""
+    spectral_request = request.spectral_request
     if request.solver == DISCRETE_ORDINATES:
-        estimate = solve_group(path_group, spectral_request, cache)
+        # Isotropic light is the last column of a solution.
+        beams = [incidence for incidence in group.incidences if incidence != DIFFUSE]
+        column = -1 if group.incidence == DIFFUSE else beams.index(group.incidence)
+        estimate = make_estimate(prepared, column)
     else:
-        truncation = _truncate(path_group, spectral_request, cache)
-        estimate = spectral_request.simulate(path_group.path_sharing, truncation)
-    shape = (len(path_group.path_sharing.media), spectral_request.wavelengths.size)
+        estimate = spectral_request.simulate(group.path_sharing, prepared)
+    shape = (len(group.path_sharing.media), spectral_request.wavelengths.size)
     variables: dict[str, Any] = {}
     for side in request.quantities:
         row = SIDE_QUANTITIES.index(side)
         for name, array in ((side, estimate.mean), (f"{side}_stderr", estimate.stderr)):
-            values = array[row].reshape(shape)[path_group.media_indices]
+            values = array[row].reshape(shape)[group.media_indices]
             variables[name] = (("point", "wavelength"), values.astype(np.float32))
         if request.covariance:
-            deviations = estimate.batch_deviations[:, row].reshape(N_BATCHES, *shape)[
-                :, path_group.media_indices
-            ]
+            deviations = estimate.batch_deviations[:, row].reshape(N_BATCHES, *shape)
             variables[f"{side}_batches"] = (
-                ("batch", "point", "wavelength"), deviations.astype(np.float32),
-            )  # fmt: skip
+                ("batch", "point", "wavelength"),
+                deviations[:, group.media_indices].astype(np.float32),
+            )
     return variables, {
         **estimate.rays,
         "max_stderr_reached": float(estimate.stderr.max()),
@@ -139,34 +154,86 @@ def _compute_spectra(
     }
 
 
-def _truncate(
-    path_group: PathGroup, spectral_request: SpectralRequest, cache: MediaCache
-) -> TruncatedMedium | None:
-    """Return the truncation of semi-infinite media, which does not depend on the incidence."""
-    media = path_group.path_sharing
-    return cache.get(media, lambda: spectral_request.truncate(media))
-
-
-def make_block_path(folder: Path, number: int, digest: str) -> Path:
-    """Return the path of a block file, which depends on the digest."""
-    return folder / f"block_{number:06d}_{digest[:16]}.nc"
-
-
-def load_block(folder: Path, number: int, digest: str) -> xr.Dataset | None:
-    """Return a stored block, or None if it is missing, damaged or of another digest."""
-    path = make_block_path(folder, number, digest)
-    if not path.exists():
-        return None
-    try:
-        block = load(path)
-    except ValueError:
-        # A damaged or foreign file is computed again and overwritten.
-        return None
-    return block if block.attrs.get(DIGEST_ATTRIBUTE) == digest else None
-
-
-def save_block(block: xr.Dataset, folder: Path) -> None:
-    """Write a block to its file atomically."""
-    save(
-        block, make_block_path(folder, int(block.attrs["ensemble"]), block.attrs[DIGEST_ATTRIBUTE])
+def _solve_directions(
+    group: PathGroup, request: SpectralRequest, views: ViewGrid
+) -> list[list[AngularResult]]:
+    """Return the results of each medium of a group for all incidences."""
+    angular_request = AngularRequest(
+        request.wavelengths, *views, request.max_stderr, _make_target(views)
     )
+    return [
+        solve_angular_results(medium, angular_request, group.incidences, request.run.threads)
+        for medium in group.path_sharing.media
+    ]
+
+
+def _compute_directions(
+    group: PathGroup, request: TableRequest, prepared: Any
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the variables of a block with directions of observation, and its attributes.
+
+    Rows of the estimate are the wavelengths of one medium after the other.
+    """
+    spectral_request, views = request.spectral_request, request.views
+    assert views is not None
+    if request.solver == DISCRETE_ORDINATES:
+        column = group.incidences.index(group.incidence)
+        results = [by_incidence[column] for by_incidence in prepared]
+        estimate = join_wavelengths([result.estimate for result in results])
+        attributes = {"rays": 0} | {
+            name: max(result.attributes[name] for result in results)
+            for name in ("streams", "truncation_error", "optics_error")
+        }
+        otherwise = "solver_error"
+    else:
+        estimate, rays, stop_reason = simulate_directions(
+            group.path_sharing, prepared, spectral_request, *views, _make_target(views)
+        )
+        attributes = {"rays": rays}
+        # With enough rays, only light from below a truncation depth leaves a larger error.
+        otherwise = "interpolation_bound" if stop_reason == "converged" else stop_reason
+    reached = estimate.compute_max_error(_make_target(views))
+    attributes |= {
+        "max_stderr_reached": reached,
+        "stop_reason": "converged" if reached <= spectral_request.max_stderr else otherwise,
+        "interpolation_error_bound": 0.0,
+    }
+    n_wavelengths = spectral_request.wavelengths.size
+    variables = _make_view_variables(estimate, group, views, n_wavelengths, request.quantities)
+    return variables, attributes
+
+
+def _make_target(views: ViewGrid) -> ErrorTarget:
+    """Return the target of absolute errors of reflectance factors."""
+    return ErrorTarget(0, make_direction_mask(*views), absolute=True)
+
+
+def _make_view_variables(
+    estimate: AngularEstimate,
+    group: PathGroup,
+    views: ViewGrid,
+    n_wavelengths: int,
+    quantities: Sequence[str],
+) -> dict[str, Any]:
+    """Return the variables of a block with their errors, over ``point``, views and wavelength."""
+    values = {
+        "reflectance": (estimate.hemispherical[0], estimate.hemispherical_stderr[0]),
+        "reflectance_factor": (np.pi * estimate.mean[0], np.pi * estimate.stderr[0]),
+        "anisotropy_factor": (estimate.anisotropy, estimate.anisotropy_stderr),
+    }
+    is_diffuse = group.incidence == DIFFUSE and has_diffuse(quantities)
+    prefix = DIFFUSE_PREFIX if is_diffuse else ""
+    variables: dict[str, Any] = {}
+    for name in quantities:
+        if name.startswith(DIFFUSE_PREFIX) != is_diffuse:
+            continue
+        axes = list_view_axes(name)
+        for suffix, array in zip(("", "_stderr"), values[name.removeprefix(prefix)], strict=True):
+            shape = (len(group.path_sharing.media), n_wavelengths, *(views.shape if axes else ()))
+            by_medium = np.moveaxis(array.reshape(shape), 1, -1)[group.media_indices]
+            if axes != VIEW_AXES and axes:
+                # Under isotropic light, all azimuths are equal.
+                by_medium = by_medium[:, :, 0]
+            dims = ("point", *axes, "wavelength")
+            variables[name + suffix] = (dims, by_medium.astype(np.float32))
+    return variables

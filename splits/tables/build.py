@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -23,27 +22,32 @@ from splits.illumination.bands import SpectralOperator, check_bands, choose_band
 from splits.instruments.goniophotometer import MAX_CONVERGED_POLAR_DEG
 from splits.instruments.solver import MONTE_CARLO
 from splits.instruments.spectral_run import SpectralRequest
+from splits.io.cache import Cache
 from splits.media.medium import Medium
 from splits.simulation.run_options import RunOptions
-from splits.simulation.shared_paths import compute_absorption_signature, compute_path_signature
+from splits.simulation.shared_paths import (
+    PathSharingMedia,
+    compute_absorption_signature,
+    compute_path_signature,
+)
 from splits.tables.assembly import (
-    allocate_arrays,
-    assemble_dataset,
+    assemble_blocks,
     average_nodes,
-    insert_block,
 )
-from splits.tables.axes import ParameterGrid
-from splits.tables.block import (
-    TableRequest,
-    compute_block,
-    load_block,
-    save_block,
+from splits.tables.axes import (
+    ParameterGrid,
+    ViewGrid,
+    check_quantities,
+    drop_view_axes,
+    has_diffuse,
 )
+from splits.tables.block import TableRequest, compute_block, prepare_media
 from splits.tables.comparison import PATH_ERROR_RATIO, add_comparisons
-from splits.tables.media_cache import MediaCache
 from splits.tables.plan import PathGroup, TablePlan, choose_table_solver
 from splits.tables.table_interpolation import TableInterpolation
-from splits.tables.views import ViewGrid, check_quantities, drop_view_axes, has_diffuse
+
+BLOCK_PREFIX = "block"
+"""Beginning of the names of files of blocks."""
 
 
 @reject_unknown_arguments
@@ -180,13 +184,8 @@ def compute_table(
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
     """Return the table of a plan, without comparisons."""
-    start_time = time.perf_counter()
-    arrays, block_attrs = allocate_arrays(plan, request), []
-    for block in iterate_blocks(request, plan.path_groups, folder, progress):
-        insert_block(arrays, block)
-        block_attrs.append(block.attrs)
-    wall_time_s = time.perf_counter() - start_time
-    return assemble_dataset(arrays, plan, request, block_attrs, wall_time_s)
+    blocks = iterate_blocks(request, plan.path_groups, folder, progress)
+    return assemble_blocks(plan, request, blocks)
 
 
 def warn_of_wide_intervals(table: xr.Dataset) -> None:
@@ -210,39 +209,28 @@ def warn_of_wide_intervals(table: xr.Dataset) -> None:
         )
 
 
-def compute_block_digest(path_group: PathGroup, request: TableRequest) -> str:
-    """Return the SHA-256 of all inputs that determine the values of a block."""
-    digest = hashlib.sha256(hash_physics_sources().encode())
-    spectral_request = request.spectral_request
-    run = spectral_request.run
-    inputs: list[Any] = [path_group.incidence, spectral_request.max_stderr, request.solver]
-    if request.solver == MONTE_CARLO:
-        inputs += [spectral_request.max_rays, run.seed, run.kernel]
-    else:
-        # All incidences determine the number of streams.
-        inputs.append(path_group.incidences)
-    digest.update(repr(inputs).encode())
-    digest.update(repr([request.quantities, request.covariance]).encode())
-    for angles in request.views or ():
-        digest.update(np.ascontiguousarray(angles).tobytes())
-    signature, unit = compute_path_signature(path_group.path_sharing.media[0])
-    digest.update(signature)
-    sizes = unit * path_group.path_sharing.size_ratios
-    for row in (
-        spectral_request.wavelengths,
-        path_group.positions,
-        path_group.media_indices,
-        sizes,
-    ):
-        digest.update(np.ascontiguousarray(row).tobytes())
-    for medium in path_group.path_sharing.media:
-        digest.update(compute_absorption_signature(medium, spectral_request.wavelengths))
-    return digest.hexdigest()
+def list_block_inputs(group: PathGroup, request: TableRequest) -> list[Any]:
+    """Return all that determines the values of a block, as the key of a cache."""
+    spectral_request, path_sharing = request.spectral_request, group.path_sharing
+    wavelengths, run = spectral_request.wavelengths, spectral_request.run
+    signature, unit = compute_path_signature(path_sharing.media[0])
+    # All incidences determine the number of streams of discrete ordinates.
+    solver = (
+        [spectral_request.max_rays, run.seed, run.kernel]
+        if request.solver == MONTE_CARLO
+        else group.incidences
+    )
+    return [
+        hash_physics_sources(), group.incidence, spectral_request.max_stderr, request.solver,
+        solver, request.quantities, request.covariance, request.views, signature,
+        wavelengths, group.positions, group.media_indices, unit * path_sharing.size_ratios,
+        [compute_absorption_signature(medium, wavelengths) for medium in path_sharing.media],
+    ]  # fmt: skip
 
 
 def iterate_blocks(
     request: TableRequest,
-    path_groups: Sequence[PathGroup],
+    groups: Sequence[PathGroup],
     folder: Path | None,
     progress: ProgressCallback = None,
 ) -> Iterator[xr.Dataset]:
@@ -251,7 +239,7 @@ def iterate_blocks(
     Parameters
     ----------
     request : TableRequest
-    path_groups : sequence of PathGroup
+    groups : sequence of PathGroup
         All or some path groups of a plan.
     folder : path or None
     progress : callable, optional
@@ -259,16 +247,19 @@ def iterate_blocks(
     """
     if folder is not None:
         check_writable(folder / "block.nc")
-    start_time, n_done = time.perf_counter(), 0
-    cache = MediaCache()
-    for number, path_group in enumerate(path_groups):
-        digest = compute_block_digest(path_group, request)
-        block = None if folder is None else load_block(folder, path_group.number, digest)
-        if block is None:
-            n_left = len(path_groups) - number - 1
-            block_progress = report_whole_table(progress, start_time, n_done, n_left)
-            block = compute_block(path_group, request, cache, digest, block_progress)
-            n_done += 1
-            if folder is not None:
-                save_block(block, folder)
-        yield block
+    cache, start_time, n_done = Cache(folder, BLOCK_PREFIX), time.perf_counter(), 0
+    prepared: tuple[PathSharingMedia | None, Any] = (None, None)
+
+    def compute(number: int) -> xr.Dataset:
+        nonlocal n_done, prepared
+        group = groups[number]
+        # The incidences of the same media follow each other.
+        if prepared[0] is not group.path_sharing:
+            prepared = group.path_sharing, prepare_media(group, request)
+        report = report_whole_table(progress, start_time, n_done, len(groups) - number - 1)
+        block = compute_block(group, request, prepared[1], report)
+        n_done += 1
+        return block
+
+    for number, group in enumerate(groups):
+        yield cache.get(list_block_inputs(group, request), partial(compute, number))

@@ -19,13 +19,22 @@ import xarray as xr
 
 from splits.instruments.solver import DISCRETE_ORDINATES
 from splits.media.medium import Medium
-from splits.tables.axes import INCIDENCE, ParameterGrid
+from splits.tables.axes import (
+    ALONG,
+    ANGLES,
+    INCIDENCE,
+    POLAR,
+    ParameterGrid,
+    ViewGrid,
+    drop_view_axes,
+    has_diffuse,
+    list_axes,
+    list_quantities,
+)
 from splits.tables.axis_interpolation import MIN_COMPARED
-from splits.tables.axis_order import ALONG, list_axes, list_quantities
 from splits.tables.block import TableRequest
 from splits.tables.interpolation import COORDINATES, transform_axis
 from splits.tables.plan import TablePlan
-from splits.tables.views import ANGLES, POLAR, ViewGrid, drop_view_axes, has_diffuse
 
 POSITIONS = {"few nodes": (0.15, 0.5, 0.85), "more nodes": (0.25, 0.75)}
 """Compared positions in an interval, as fractions of it in the default coordinate.  With few nodes,
@@ -140,7 +149,6 @@ def add_comparisons(
     spectral = request.spectral_request
     if not by_ordinates:
         spectral = spectral._replace(max_stderr=PATH_ERROR_RATIO * spectral.max_stderr)
-    added = {}
     incidence = 0.0 if INCIDENCE in grid.names else plan.path_groups[0].incidence
     for name, one in list_comparison_grids(grid, axes, by_ordinates=by_ordinates).items():
         views = ViewGrid.from_grid(one)
@@ -155,8 +163,6 @@ def add_comparisons(
             spectral_request=spectral, quantities=tuple(kept), covariance=False, views=views
         )
         part = compute(part_plan, part_request)[kept]
-        added[name] = part
-    for name, part in added.items():
         table = table.assign(rename_comparison(part, name).data_vars)
     return table
 

@@ -20,9 +20,8 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.core.validation import as_scalar, check_number, invalid, snap_to_limits
+from splits.kernels.interpolation import STENCIL_SIZE, find_first_node, set_lagrange_weights
 
-STENCIL_SIZE = 4
-"""Largest number of nodes in an interpolation stencil."""
 N_VALIDATION_NODES = 2
 """Number of nodes that are predicted from others.  All nodes of the stencil are with directions,
 because distributions have details, such as halos, in a few intervals only."""
@@ -184,7 +183,8 @@ class InterpolationWeights(NamedTuple):
 
 def compute_stencil(coordinates: np.ndarray, x: float) -> InterpolationWeights:
     """Return the stencil of a position among the coordinates of nodes."""
-    stencil = _find_nearest_nodes(coordinates, x, STENCIL_SIZE)
+    first = int(find_first_node(coordinates, len(coordinates), x))
+    stencil = np.arange(first, first + min(STENCIL_SIZE, len(coordinates)))
     return InterpolationWeights(stencil, *compute_lagrange_weights(coordinates[stencil], x))
 
 
@@ -195,17 +195,9 @@ def compute_lagrange_weights(
 
     The product is that of the distances of the nodes from x; its derivative is the last item.
     """
-    n = len(nodes)
     points = nodes.tolist()
-    weights, slopes = np.empty(n), np.empty(n)
-    for i, node in enumerate(points):
-        weight, slope = 1.0, 0.0
-        for j, other_node in enumerate(points):
-            if i != j:
-                scale = 1.0 / (node - other_node)
-                slope = slope * (x - other_node) * scale + weight * scale
-                weight *= (x - other_node) * scale
-        weights[i], slopes[i] = weight, slope
+    weights, slopes = np.empty((2, len(points)))
+    set_lagrange_weights(points, 0, len(points), x, weights, slopes)
     product, product_slope = 1.0, 0.0
     for node in points:
         product_slope = product_slope * (x - node) + product
@@ -235,6 +227,17 @@ def compute_interpolation_weights(
     kind, coordinates = transform_axis(name, nodes, has_direction=has_direction)
     x = check_within_axis(name, nodes, value)
     return compute_stencil(coordinates, float(apply_axis_transform(kind, np.array(x))))
+
+
+def make_weight_matrix(
+    name: str, nodes: np.ndarray, values: np.ndarray, *, has_direction: bool = False
+) -> np.ndarray:
+    """Return the weights of all nodes at several values, shape (values, nodes)."""
+    matrix = np.zeros((len(values), len(nodes)))
+    for row, value in zip(matrix, values.tolist(), strict=True):
+        stencil = compute_interpolation_weights(name, nodes, value, has_direction=has_direction)
+        row[stencil.nodes] = stencil.weights
+    return matrix
 
 
 def estimate_error_weights(
@@ -309,11 +312,3 @@ def list_compared_coordinates(name: str, nodes: np.ndarray, kind: str) -> list[C
     high = float(nodes[-1] + 0.25 * (nodes[-1] - nodes[-2]))
     others = [COORDINATES["identity"], *(Coordinate(False, 0.0, one) for one in (low, high))]
     return [one for one in others if one != COORDINATES[kind]]
-
-
-def _find_nearest_nodes(nodes: np.ndarray, x: float, n_nodes: int) -> np.ndarray:
-    """Return the nodes around x, with equal numbers on both sides where possible."""
-    n_nodes = min(n_nodes, len(nodes))
-    right = int(np.searchsorted(nodes, x))
-    first = min(max(right - n_nodes // 2, 0), len(nodes) - n_nodes)
-    return np.arange(first, first + n_nodes)

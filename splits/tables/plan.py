@@ -19,8 +19,7 @@ from splits.simulation.shared_paths import (
     PathSharingMedia,
     group_by_shared_paths,
 )
-from splits.tables.axes import INCIDENCE, ParameterGrid
-from splits.tables.views import ANGLES
+from splits.tables.axes import ANGLES, INCIDENCE, ParameterGrid
 
 DIFFUSE = "diffuse"
 MAX_VIEW_ROWS = 1000
@@ -32,8 +31,6 @@ class PathGroup(NamedTuple):
 
     Attributes
     ----------
-    number : int
-        Number of the ensemble in the table.
     incidence : float or "diffuse"
     incidences : tuple
         All incidences of the media in the table.
@@ -46,7 +43,6 @@ class PathGroup(NamedTuple):
         Index of the medium of each point.
     """
 
-    number: int
     incidence: float | str
     incidences: tuple[float | str, ...]
     path_sharing: PathSharingMedia
@@ -116,28 +112,21 @@ class TablePlan(NamedTuple):
         if INCIDENCE in grid.names:
             positions = np.moveaxis(positions, grid.names.index(INCIDENCE), -1)
         positions = positions.reshape(len(media), len(beams))
-        path_groups = [
-            PathGroup(0, beam, incidences, group.path_sharing, rows, group.media_indices)
+        path_groups = tuple(
+            PathGroup(beam, incidences, group.path_sharing, rows, group.media_indices)
             for group in media_groups
             for beam, rows in [
                 *zip(beams, positions[group.positions].T, strict=True),
                 *([(DIFFUSE, group.positions)] if with_diffuse else []),
             ]
-        ]
-        numbered = tuple(
-            path_group._replace(number=number) for number, path_group in enumerate(path_groups)
         )
-        return cls(grid, wavelengths, numbered, _find_path_sharing_axes(media_axes, media_groups))
+        sharing_axes = _find_path_sharing_axes(media_axes, media_groups)
+        return cls(grid, wavelengths, path_groups, sharing_axes)
 
     def list_media(self) -> list[Medium]:
         """Return the distinct media of all points."""
         groups = {id(group.path_sharing): group.path_sharing for group in self.path_groups}
         return [medium for path_sharing in groups.values() for medium in path_sharing.media]
-
-    @property
-    def media_grid(self) -> ParameterGrid:
-        """Grid of the media, without the incidence."""
-        return self.grid.drop(INCIDENCE)
 
     def select_part(self, part: int, n_parts: int, solver: str) -> tuple[PathGroup, ...]:
         """Return the ensembles of one of several parts.
@@ -147,7 +136,8 @@ class TablePlan(NamedTuple):
         """
         n_media_groups = len({id(one.path_sharing) for one in self.path_groups})
         n_beams = len(self.path_groups) // n_media_groups if solver == DISCRETE_ORDINATES else 1
-        return tuple(one for one in self.path_groups if one.number // n_beams % n_parts == part)
+        numbered = enumerate(self.path_groups)
+        return tuple(one for number, one in numbered if number // n_beams % n_parts == part)
 
     def __str__(self) -> str:
         """Return a one-line summary of the plan."""

@@ -9,16 +9,25 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.core.atomic import atomic_write
+from splits.core.escaping import escape_cells
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.paths import expand_path
 from splits.core.validation import invalid, key_prefix
 from splits.io.netcdf import load, open_lazily
-from splits.tables.axes import check_axis_values
-from splits.tables.axis_order import check_complete, list_axes, list_quantities, sort_axes
-from splits.tables.eradiate import convert_to_eradiate
-from splits.tables.export import write_csv
-from splits.tables.isofit import convert_to_isofit
-from splits.tables.storage import MAX_BYTES_IN_MEMORY
+from splits.tables.assembly import MAX_BYTES_IN_MEMORY
+from splits.tables.axes import (
+    ALONG,
+    AZIMUTH,
+    POLAR,
+    VIEW_AXES,
+    check_axis_values,
+    check_complete,
+    list_axes,
+    list_quantities,
+    sort_axes,
+)
+from splits.tables.conversions import convert_to_eradiate, convert_to_isofit
 from splits.tables.table_interpolation import (
     TableInterpolation,
     average_bands,
@@ -28,7 +37,36 @@ from splits.tables.table_interpolation import (
     interpolate_table,
 )
 from splits.tables.view_selection import ViewRequest, describe_table, select_view
-from splits.tables.views import AZIMUTH, POLAR, VIEW_AXES
+
+
+def write_csv(dataset: xr.Dataset, path: str | Path) -> None:
+    """Write a table as CSV, with one row per wavelength and point and the axes as columns.
+
+    All quantities of a table of directions are in the same file.  A quantity that does not depend
+    on an axis, such as ``reflectance`` on the angles of view, is repeated along this axis.  Text
+    that a spreadsheet would evaluate as a formula gets an apostrophe in front.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Result of `splits.build_table`; deviations by batch and values between nodes are omitted.
+    path : path
+        Output file, written atomically.
+    """
+    names = [
+        str(name)
+        for name, v in dataset.data_vars.items()
+        if "batch" not in v.dims and ALONG not in str(name)
+    ]
+    by_number_of_axes = sorted(names, key=lambda name: -dataset[name].ndim)
+    dims = [str(dim) for name in by_number_of_axes for dim in dataset[name].dims]
+    axes = [*dict.fromkeys(dim for dim in dims if dim != "wavelength"), "wavelength"]
+    with atomic_write(path) as temporary:
+        for number in range(dataset.sizes[axes[0]]):
+            # One slice at a time: all rows together need many times the memory of the table.
+            frame = dataset[names].isel({axes[0]: [number]}).to_dataframe(dim_order=axes)
+            rows = escape_cells(frame.reset_index()[[*axes, *names]])
+            rows.to_csv(temporary, mode="a", header=number == 0, index=False, float_format="%.6g")
 
 
 class Table:
@@ -263,19 +301,19 @@ class Table:
 
     @reject_unknown_arguments
     def to_csv(self, path: str | Path) -> None:
-        """Write the table as CSV; see `splits.tables.export.write_csv`."""
+        """Write the table as CSV; see `splits.tables.table.write_csv`."""
         write_csv(self.dataset, path)
 
     @reject_unknown_arguments
     def to_isofit(self, **at: Any) -> xr.Dataset:
-        """Convert the table for isofit; see `splits.tables.isofit.convert_to_isofit`."""
+        """Convert the table for isofit; see `splits.tables.conversions.convert_to_isofit`."""
         return convert_to_isofit(self.dataset, **at)
 
     @reject_unknown_arguments
     def to_eradiate(
         self, wavelength: float | None = None, n_cosines: int = 51, n_azimuths: int = 72, **at: Any
     ) -> xr.Dataset:
-        """Convert the table for eradiate; see `splits.tables.eradiate.convert_to_eradiate`."""
+        """Convert the table for eradiate; see `splits.tables.conversions.convert_to_eradiate`."""
         return convert_to_eradiate(self.dataset, wavelength, n_cosines, n_azimuths, **at)
 
 

@@ -1,4 +1,8 @@
-"""Spectra, errors and derivatives at a point between the nodes of a table."""
+"""Spectra, errors and derivatives at a point between the nodes of a table.
+
+Derivatives with respect to the parameters of the axes are those of the interpolating polynomials of
+`splits.tables.interpolation`.
+"""
 
 from __future__ import annotations
 
@@ -9,18 +13,21 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import as_1d_array
-from splits.core.validation import check_choice, invalid
+from splits.core.validation import check_choice, invalid, unknown_key
 from splits.illumination.bands import SpectralOperator, check_bands
 from splits.io.netcdf import to_netcdf_attributes
-from splits.tables.axes import check_axis_values
-from splits.tables.axis_interpolation import AxisError, AxisInterpolation, AxisWeights
-from splits.tables.axis_order import list_axes, list_quantities, load_selection
-from splits.tables.comparison import extract_comparisons
-from splits.tables.derivatives import (
-    DerivativeEstimate,
-    check_derivative_axes,
-    make_derivative_dataset,
+from splits.media.parameters import get_derivative_unit
+from splits.tables.axes import (
+    MIXED_QUANTITIES,
+    POLAR,
+    VIEW_QUANTITIES,
+    check_axis_values,
+    list_axes,
+    list_quantities,
+    load_selection,
 )
+from splits.tables.axis_interpolation import AxisError, AxisInterpolation, AxisWeights
+from splits.tables.comparison import extract_comparisons
 from splits.tables.interpolation import (
     check_within_axis,
     compute_interpolation_weights,
@@ -29,7 +36,6 @@ from splits.tables.interpolation import (
     estimate_error_weights,
     transform_axis,
 )
-from splits.tables.views import MIXED_QUANTITIES, POLAR, VIEW_QUANTITIES
 
 ERROR_STEP = 1e-3
 """Step of the derivative of an error, relative to the length of the axis."""
@@ -41,7 +47,7 @@ class TableInterpolation:
     Parameters
     ----------
     dataset : xarray.Dataset
-        Table with sorted axes, see `splits.tables.axis_order.sort_axes`.
+        Table with sorted axes, see `splits.tables.axes.sort_axes`.
     """
 
     def __init__(self, dataset: xr.Dataset) -> None:
@@ -206,8 +212,8 @@ class LocatedQuantity:
                 errors.append(AxisError(found[largest], np.abs(found).max(axis=0), False))
         return errors
 
-    def differentiate(self, name: str) -> DerivativeEstimate:
-        """Return the derivative with respect to the parameter of an axis.
+    def differentiate(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return the derivative with respect to the parameter of an axis, and its standard error.
 
         The point needs slopes of this axis.
         """
@@ -235,7 +241,7 @@ class LocatedQuantity:
             else:
                 lower_order = self.combine(values, {name: self._compute_lower_order_slopes(name)})
                 squared_error += (value - lower_order) ** 2
-        return DerivativeEstimate(value, np.sqrt(variance), np.sqrt(squared_error))
+        return value, np.hypot(np.sqrt(variance), np.sqrt(squared_error))
 
     def _list_others(self, axis: AxisInterpolation) -> dict[str, Any]:
         """Return the positions on the other axes, or their nodes where these are kept."""
@@ -419,16 +425,35 @@ def differentiate_table(
     """Return the derivatives of `splits.Table.derivatives` from a table without directions."""
     dataset = interpolation.dataset
     at = check_axis_values(at, interpolation.axes)
-    numeric_axes = [n for n in interpolation.axes if dataset[n].dtype.kind == "f"]
-    selected = check_derivative_axes(names, numeric_axes)
-    for name in selected:
+    axes = [n for n in interpolation.axes if dataset[n].dtype.kind == "f"]
+    if isinstance(names, str) or not isinstance(names, Sequence) or not names:
+        raise invalid("names", names, f"a list of {', '.join(axes)}")
+    for name in names:
+        if name not in axes:
+            raise unknown_key(f"names.{name}", axes)
+    if len(set(names)) < len(names):
+        raise invalid("names", list(names), "different names")
+    for name in names:
         if dataset[name].size < 2:
             allowed = "an axis of at least two nodes"
             raise invalid(f"derivatives ({name})", dataset[name].size, allowed)
     point = interpolation.complete_point(at)
-    estimates = {}
+    variables: dict[str, Any] = {}
     for quantity in interpolation.quantities:
-        located = interpolation.locate(quantity, point, selected)
-        estimates[quantity] = [located.differentiate(name) for name in selected]
-    wavelength = ("wavelength", dataset.wavelength.values, dataset.wavelength.attrs)
-    return make_derivative_dataset(estimates, selected, wavelength, to_netcdf_attributes(dict(at)))
+        located = interpolation.locate(quantity, point, names)
+        values, errors = np.stack([located.differentiate(name) for name in names], axis=1)
+        label = f"derivative of {quantity} with respect to the parameter, per unit of it"
+        for suffix, rows, long_name in (
+            ("", values, label), ("_stderr", errors, f"standard error of the {label}"),
+        ):  # fmt: skip
+            attributes = {"long_name": long_name, "units": "1"}
+            variables[f"{quantity}_jacobian{suffix}"] = (
+                ("parameter", "wavelength"), rows, attributes,
+            )  # fmt: skip
+    units = [get_derivative_unit(name) for name in names]
+    coordinates = {
+        "parameter": ("parameter", list(names), {"long_name": "parameter"}),
+        "parameter_unit": ("parameter", units, {"long_name": "unit of the derivative"}),
+        "wavelength": ("wavelength", dataset.wavelength.values, dataset.wavelength.attrs),
+    }
+    return xr.Dataset(variables, coordinates, to_netcdf_attributes(dict(at)))

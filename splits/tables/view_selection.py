@@ -16,20 +16,22 @@ from splits.core.arrays import align_to_labels, check_array_range
 from splits.core.uncertainty import make_variable
 from splits.core.validation import check_number, check_range, invalid, snap_to_limits
 from splits.simulation.run_options import FULL_TURN_DEG, check_direction_angles
-from splits.tables.axes import INCIDENCE
-from splits.tables.axis_order import list_axes, list_quantities, load_selection
-from splits.tables.comparison import rename_comparison
-from splits.tables.interpolation import check_within_axis
-from splits.tables.table_interpolation import TableInterpolation, combine_axis_errors
-from splits.tables.views import (
+from splits.tables.axes import (
     AZIMUTH,
     DIFFUSE_PREFIX,
+    INCIDENCE,
     MIXED_QUANTITIES,
     POLAR,
     VIEW_AXES,
     fold_azimuths,
+    list_axes,
+    list_quantities,
     list_view_axes,
+    load_selection,
 )
+from splits.tables.comparison import rename_comparison
+from splits.tables.interpolation import check_within_axis
+from splits.tables.table_interpolation import TableInterpolation, combine_axis_errors
 
 N_RINGS, N_RING_DIRECTIONS = 3, 8
 """Numbers of rings of a field of view, and of directions in each."""
@@ -39,14 +41,6 @@ LABELS = {
     "reflectance_factor": "reflectance factor",
     "anisotropy_factor": "anisotropy factor",
 }
-
-
-class Direction(NamedTuple):
-    """Direction of observation (degrees), with its weight in a field of view."""
-
-    polar: float
-    azimuth: float
-    weight: float
 
 
 class ViewRequest(NamedTuple):
@@ -93,10 +87,10 @@ class ViewRequest(NamedTuple):
             raise invalid("diffuse_fraction", diffuse_fraction, "0 for this table", hint)
         return cls(polar, float(fold_azimuths(azimuth)), field, fraction)
 
-    def list_directions(self) -> list[Direction]:
-        """Return the directions of the field of view, with weights that add up to 1."""
+    def list_directions(self) -> list[tuple[dict[str, float], float]]:
+        """Return the angles of directions in the field of view, with weights of a sum of 1."""
         if self.field_of_view_deg == 0.0:
-            return [Direction(self.polar, self.azimuth, 1.0)]
+            return [({POLAR: self.polar, AZIMUTH: self.azimuth}, 1.0)]
         nodes, weights = np.polynomial.legendre.leggauss(N_RINGS)
         half_angle = np.radians(0.5 * self.field_of_view_deg)
         cosine = 1.0 - 0.5 * (1.0 - np.cos(half_angle)) * (1.0 + nodes)
@@ -113,7 +107,7 @@ class ViewRequest(NamedTuple):
         fractions = np.repeat(weights, N_RING_DIRECTIONS) * z.ravel()
         fractions = fractions / fractions.sum()
         return [
-            Direction(polar, float(fold_azimuths(azimuth)), fraction)
+            ({POLAR: polar, AZIMUTH: float(fold_azimuths(azimuth))}, fraction)
             for polar, azimuth, fraction in zip(*angles.tolist(), fractions.tolist(), strict=True)
         ]
 
@@ -127,7 +121,7 @@ class ViewRequest(NamedTuple):
         """
         center = self.polar if name == POLAR else self.azimuth
         check_within_axis(name, nodes, center)
-        angles = [one.polar if name == POLAR else one.azimuth for one in self.list_directions()]
+        angles = [direction[name] for direction, _ in self.list_directions()]
         inside = snap_to_limits(angles, nodes[0], nodes[-1])
         if inside.min() < nodes[0] or inside.max() > nodes[-1]:
             allowed = f"within the {name} of the table, {nodes[0]:g} to {nodes[-1]:g}"
@@ -249,21 +243,22 @@ Estimate = tuple[xr.DataArray, xr.DataArray]
 """Values and standard errors."""
 
 
-def _average(interpolation: TableInterpolation, name: str, directions: list[Direction]) -> Estimate:
+def _average(
+    interpolation: TableInterpolation, name: str, directions: list[tuple[dict[str, float], float]]
+) -> Estimate:
     """Return a quantity of a table, averaged over directions where it depends on these."""
     dataset, axes = interpolation.dataset, list_view_axes(name)
     if not axes:
         return load_selection(dataset[name]), load_selection(dataset[f"{name}_stderr"])
     total: Any = 0.0
     # Errors of neighbouring directions are treated as fully correlated.
-    for direction in directions:
-        angles = {POLAR: direction.polar, AZIMUTH: direction.azimuth}
+    for angles, weight in directions:
         located = interpolation.locate(name, {axis: angles[axis] for axis in axes})
         values = located.read(name)
         value, stderr = located.combine(values), located.read(f"{name}_stderr")
         error = combine_axis_errors(located.estimate_errors(values), value)
         estimate = np.stack([value, np.hypot(located.combine_errors(stderr), error)])
-        total = total + direction.weight * estimate
+        total = total + weight * estimate
     dims = [*located.kept, "wavelength"]
     coordinates = {dim: dataset[dim] for dim in dims}
     mean, mean_error = (xr.DataArray(one, coordinates, dims) for one in total)

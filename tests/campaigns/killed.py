@@ -15,7 +15,7 @@ import splits
 from splits.core.atomic import atomic_write
 from splits.experiments.archive import pack_archive
 from splits.io.unarchive import unpack_archive
-from splits.kernels.compiler.cache_folder import find_cache_folder
+from splits.kernels.compiler.cache import find_cache_folder
 from splits.plotting import draw_surface, save_figure
 
 DATA_FILE, TABLE_FILE, FIGURE_STEM = "data/made.nc", "tables/made.csv", "figures/made"

@@ -11,9 +11,9 @@ import pytest
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.discrete_ordinates import grain_cache
-from splits.discrete_ordinates.grain_cache import GRAINS_SUFFIX, load_grains
-from splits.discrete_ordinates.grains import MIN_RAYS, GrainTracing
+from splits.core.notices import warn_once
+from splits.discrete_ordinates import grains
+from splits.discrete_ordinates.grains import MIN_RAYS, GrainTracing, load_grains
 
 WAVELENGTHS = np.array([1300.0])
 SNOW = splits.Snow(interpretation="radiative_transfer", saturation=0.0)
@@ -23,8 +23,8 @@ RAYS = MIN_RAYS // 16
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """Return an empty folder for the results, and count how often grains are traced."""
-    monkeypatch.setattr(grain_cache, "find_cache_folder", lambda: tmp_path)
-    grain_cache.warn_once.cache_clear()
+    monkeypatch.setattr(grains, "find_cache_folder", lambda: tmp_path)
+    warn_once.cache_clear()
     return tmp_path
 
 
@@ -89,9 +89,8 @@ def test_damaged_and_foreign_files_are_not_used(folder, traced, caplog, damage):
     assert len(traced) == n_before + 1
     np.testing.assert_array_equal(found.moments, expected.moments)
     messages = [record.getMessage() for record in caplog.records]
-    assert all("traced again" in one or "not kept" in one for one in messages) and messages
+    assert all("made again" in one or "not kept" in one for one in messages) and messages
     if damage != "folder":
-        assert path.read_bytes() == content
         load()
         assert len(traced) == n_before + 1
 
@@ -102,27 +101,27 @@ def test_files_unused_for_long_are_removed(folder, monkeypatch):
     (first,) = folder.iterdir()
     os.utime(first, (1.0, 1.0))
     (folder / "kernel.nbc").write_bytes(b"0")
-    monkeypatch.setattr(grain_cache, "MAX_CACHE_BYTES", first.stat().st_size)
+    monkeypatch.setattr(grains, "MAX_CACHE_BYTES", first.stat().st_size)
     load(rays=2 * RAYS)
-    assert not first.exists() and len(list(folder.glob(f"*{GRAINS_SUFFIX}"))) == 1
+    assert not first.exists() and len(list(folder.glob("grains_*.nc"))) == 1
     assert (folder / "kernel.nbc").exists()
 
 
 @NEEDS_JIT
 def test_without_a_folder_results_are_the_same(folder, traced, monkeypatch):
     expected = load()
-    monkeypatch.setattr(grain_cache, "find_cache_folder", lambda: None)
+    monkeypatch.setattr(grains, "find_cache_folder", lambda: None)
     np.testing.assert_array_equal(load().moments, expected.moments)
     assert len(traced) == 2
 
 
 SCRIPT = """
 import sys, numpy as np, pathlib, splits
-from splits.discrete_ordinates import grain_cache
-grain_cache.find_cache_folder = lambda: pathlib.Path(sys.argv[1])
+from splits.discrete_ordinates import grains
+grains.find_cache_folder = lambda: pathlib.Path(sys.argv[1])
 snow = splits.Snow(interpretation="radiative_transfer", saturation=0.0)
-grains = grain_cache.load_grains(snow, np.array([1300.0]), int(sys.argv[2]), 1)
-print(grains.moments.tobytes().hex()[:4000])
+loaded = grains.load_grains(snow, np.array([1300.0]), int(sys.argv[2]), 1)
+print(loaded.moments.tobytes().hex()[:4000])
 """
 
 

@@ -12,13 +12,15 @@ from scipy.interpolate import RegularGridInterpolator
 import splits
 from splits.core.validation import InvalidValue
 from splits.instruments.solver import MONTE_CARLO
-from splits.retrieval.interpolated_model import InterpolatedModel
-from splits.retrieval.linearization import Linearization, LinearizedModel
+from splits.retrieval.linearization import InterpolatedModel, Linearization, LinearizedModel
 from splits.retrieval.measurement import Measurement
-from splits.retrieval.media import make_medium_model, make_medium_state_vector
-from splits.retrieval.medium_model import LAST_STAGE
-from splits.retrieval.ordinates_model import OrdinatesForwardModel
-from splits.retrieval.simulation_model import SimulationForwardModel
+from splits.retrieval.medium_model import (
+    LAST_STAGE,
+    OrdinatesForwardModel,
+    SimulationForwardModel,
+    make_medium_model,
+    make_medium_state_vector,
+)
 
 ORDINATES = "discrete_ordinates"
 W = np.arange(400.0, 2001.0, 50.0)

@@ -11,9 +11,11 @@ from splits.core.progress import Progress
 from splits.core.validation import InvalidValue
 from splits.retrieval.linearization import Linearization, LinearizedModel, estimate_nonlinearity
 from splits.retrieval.measurement import Measurement
-from splits.retrieval.media import make_medium_state_vector
-from splits.retrieval.medium_model import select_simulation_wavelengths
-from splits.retrieval.simulation_schedule import ProgressTracker
+from splits.retrieval.medium_model import (
+    ProgressTracker,
+    make_medium_state_vector,
+    select_simulation_wavelengths,
+)
 
 pytestmark = pytest.mark.long
 
@@ -85,7 +87,7 @@ def test_unknown_noise_is_estimated():
 def test_time_left_is_predicted_from_previous_runs(monkeypatch):
     """Predictions are proportional to costs on a clock that advances by one second per run."""
     clock, reports = [0.0], []
-    monkeypatch.setattr("splits.retrieval.simulation_schedule.time.perf_counter", lambda: clock[0])
+    monkeypatch.setattr("splits.retrieval.medium_model.time.perf_counter", lambda: clock[0])
     tracker = ProgressTracker(reports.append, 0.005, 2)
     for _ in range(4):
         report = tracker.track_run(0.01, 1)

@@ -10,7 +10,7 @@ from scipy import stats
 import splits
 from splits.core.validation import InvalidValue
 from splits.instruments.delay_record import Pulse
-from splits.retrieval.return_model import make_return_operator
+from splits.retrieval.retrieve_return import make_return_operator
 from tests.statistics.chi2 import judge_z
 
 AREA, DENSITY, DEPTH = "specific_surface_area_m2_kg", "density_kg_m3", "depth_m"

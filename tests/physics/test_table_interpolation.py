@@ -10,7 +10,7 @@ import pytest
 from chi2 import NEEDS_JIT, compute_z_bound
 
 import splits
-from splits.tables.axis_order import ALONG
+from splits.tables.axes import ALONG
 
 WAVELENGTHS = np.array([400.0, 500.0, 800.0, 1030.0, 1300.0, 1600.0])
 VIEW_WAVELENGTHS = np.array([600.0, 1300.0])

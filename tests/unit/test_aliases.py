@@ -9,8 +9,8 @@ from formula_tables import W, evaluate_spectrum, make_table
 import splits
 from splits.core.validation import InvalidValue
 from splits.experiments.config.experiment import ExperimentConfig
-from splits.retrieval.media import check_measurement_incidence, make_medium_state_vector
-from splits.tables.isofit import convert_to_isofit
+from splits.retrieval.medium_model import check_measurement_incidence, make_medium_state_vector
+from splits.tables.conversions import convert_to_isofit
 
 BOTH_SPELLINGS = {"sza": 30.0, "incidence_deg": 50.0}
 POINT = {SIZE: 100.0, SOOT: 64.0}

@@ -18,8 +18,8 @@ LAYERS = (
 """Packages from the lowest to the highest layer."""
 INNER_LAYERS = {
     "kernels": (
-        "compiler", "arithmetic", "rng", "phase_function", "stokes", "interface", "scene",
-        "tallies", "rough_surface", "grains", "transport", "vectorized",
+        "compiler", "arithmetic", "rng", "interpolation", "phase_function", "stokes", "interface",
+        "scene", "tallies", "rough_surface", "grains", "transport", "vectorized",
     ),
     "experiments": ("config", "report"),
 }  # fmt: skip

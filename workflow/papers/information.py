@@ -39,7 +39,6 @@ from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.state_vector import StateVector
 from splits.simulation.run_options import make_wavelength_coordinate
-from splits.tables.axes import list_numeric_axes
 from splits.tables.table import Table
 
 N_REPEATS = 16
@@ -53,9 +52,7 @@ N_STATES = 200
 def make_sobol_indices(*, seed: int, **tables: xr.Dataset) -> tuple[pd.DataFrame, Figure]:
     """Return the Sobol indices of the axes of tables, whose names are titles, and their figure."""
     indices = {
-        title: compute_sobol_indices(
-            table, list_numeric_axes(table.dataset, table.axes[:-1]), seed=seed
-        )
+        title: compute_sobol_indices(table, _list_numeric_axes(table), seed=seed)
         for title, table in _open_tables(tables).items()
     }
     return _concatenate(indices), draw_sobol_indices(indices)
@@ -97,7 +94,7 @@ def make_band_selection(
     selections = {}
     for title, table in opened.items():
         axes = table.axes[:-1]
-        numeric = list_numeric_axes(table.dataset, axes)
+        numeric = _list_numeric_axes(table)
         for axis in axes:
             if axis not in numeric and axis not in fixed and table.dataset.sizes[axis] > 1:
                 labels = ", ".join(map(str, table.dataset[axis].values))
@@ -116,6 +113,12 @@ def make_band_selection(
     return _concatenate(selections), draw_band_selection(selections, note)
 
 
+def _list_numeric_axes(table: Table) -> list[str]:
+    """Return the numeric axes of a table with more than one node."""
+    axes, dataset = table.axes[:-1], table.dataset
+    return [n for n in axes if dataset[n].dtype.kind == "f" and dataset[n].size > 1]
+
+
 def _open_tables(datasets: Mapping[str, xr.Dataset]) -> dict[str, Table]:
     """Return tables of reflectance over two numeric axes or more by title."""
     if not datasets:
@@ -127,7 +130,7 @@ def _open_tables(datasets: Mapping[str, xr.Dataset]) -> dict[str, Table]:
     for name, dataset in datasets.items():
         with key_prefix(f"inputs.{name}"):
             table = Table(dataset)
-        numeric = list_numeric_axes(table.dataset, table.axes[:-1])
+        numeric = _list_numeric_axes(table)
         if "reflectance" not in table.quantities or len(numeric) < 2:
             allowed = "a table of reflectance over two parameters or more"
             raise invalid(f"inputs.{name}", dataset.attrs.get("experiment", ""), allowed)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from splits.io.data_frame import write_data_frame
+from splits.core.escaping import write_data_frame
 from splits.plotting import save_figure
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))

@@ -1,8 +1,8 @@
 """Write the table of fitted parameters (snakemake script)."""
 
 from splits import load
+from splits.core.escaping import write_data_frame
 from splits.experiments.run_fit import make_fit_table
-from splits.io.data_frame import write_data_frame
 from splits.io.netcdf import exit_if_damaged
 
 exit_if_damaged(snakemake.input)

@@ -15,7 +15,6 @@ from splits.core.arrays import (
     check_increasing,
     find_labels,
 )
-from splits.core.optional import import_optional
 from splits.core.validation import check_range, invalid
 
 RADIUS_RANGE_UM = (1e-4, 1e5)
@@ -116,10 +115,11 @@ class GammaSizes:
         They exclude `EXCLUDED_FRACTION` of the area of the smallest spheres, and of the squared
         area, to which the light that is scattered straight ahead is proportional, of the largest.
         """
-        special = import_optional("scipy.special", "mie", "size distributions need")
+        from scipy.special import gammainccinv, gammaincinv
+
         shape = 1.0 / self.effective_variance
-        low = special.gammaincinv(shape, EXCLUDED_FRACTION)
-        high = special.gammainccinv(shape + 2.0, EXCLUDED_FRACTION)
+        low = gammaincinv(shape, EXCLUDED_FRACTION)
+        high = gammainccinv(shape + 2.0, EXCLUDED_FRACTION)
         return float(low) / shape, float(high) / shape
 
     @property

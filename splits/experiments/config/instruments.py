@@ -49,9 +49,8 @@ from splits.simulation.run_options import (
     check_wavelengths,
 )
 from splits.simulation.scene import ALLOWED_STOKES
-from splits.tables.axes import ParameterGrid
+from splits.tables.axes import VIEW_AXES, ParameterGrid, ViewGrid, check_quantities
 from splits.tables.plan import choose_table_solver
-from splits.tables.views import VIEW_AXES, ViewGrid, check_quantities
 
 USE_GRID_HINT = "several values belong under grid"
 MAX_STDERR = 0.5

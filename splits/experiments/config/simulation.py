@@ -43,7 +43,7 @@ from splits.media.kinds import LAYERS_KEY, MEDIUM_CLASSES, get_kind, make_medium
 from splits.media.medium import Medium
 from splits.media.natural_snow import override_keywords
 from splits.media.snow_packs import SnowPacks
-from splits.retrieval.sand_parameters import resolve_ranges
+from splits.retrieval.sand_fit import resolve_ranges
 from splits.simulation.run_options import check_incidence
 from splits.tables.axes import INCIDENCE, ParameterGrid
 

@@ -1,196 +1,244 @@
-"""Cache of compiled kernels on disk, with checksums.
+"""Compiled kernels on disk: Numba's own cache, in a folder named after the content of all sources.
 
-Numba loads any file that it finds; here every kernel has a file of its own that begins with its
-checksum.  Files that fail the check are removed and the kernel is compiled again.  If a file cannot
-be written, the computation continues without it.  Of several processes that need the same kernel at
-the same time, one compiles it.
+Numba notices a change only in the file that holds a kernel, not in the files that it calls.  The
+name of the folder therefore contains a digest of all kernel sources, so that stale machine code is
+never loaded.  Of several processes that need the same kernel at the same time, one compiles it.  A
+damaged file is compiled again, and one that cannot be written serves this process only.
+
+Cached files are unpickled, which could run foreign code: the folder belongs to the user, and no
+other user can write to it.
 """
 
 from __future__ import annotations
 
+import functools
 import glob
 import hashlib
+import os
 import pickle
-from collections.abc import Callable
-from contextlib import suppress
+import shutil
+import stat
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
+import llvmlite
 import numba
-from numba.core import serialize
-from numba.core.caching import CompileResultCacheImpl, FunctionCache
+import numpy as np
+from filelock import FileLock, Timeout
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
+from numba.core.compiler_lock import global_compiler_lock
 
-from splits.core.atomic import atomic_write
-from splits.core.compile_notice import COMPILING_MESSAGE, announce
-from splits.kernels.compiler import cache_lock
-from splits.kernels.compiler.cache_folder import find_cache_folder, warn_once
+from splits.core.notices import COMPILING_MESSAGE, WAITING_MESSAGE, announce, warn_once
 
-_DIGEST_BYTES = hashlib.sha256().digest_size
+MAX_UNUSED_AGE_S = 90 * 86_400.0
+"""Age after which unused kernels of other versions are removed."""
+MAX_WAIT_S = 300.0
+"""Longest wait for another process: ten times the compile time of the largest kernel."""
+_CHECKSUM_BYTES = hashlib.sha256().digest_size
 
 
 def enable_caching(kernel: Any) -> Any:
     """Enable the cache on disk for a compiled function, and return that function."""
-    if not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
-        kernel._cache = cache = KernelCache(kernel.py_func)
-        kernel._compiler.compile = cache.release_locks_on_failure(kernel._compiler.compile)
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return kernel
+    compile_kernel = kernel.compile
+
+    def compile_once(signature: Any) -> Any:
+        # Threads take turns before processes do, so that none waits for a lock of its own process.
+        with global_compiler_lock:
+            if not isinstance(kernel._cache, KernelCache) and find_cache_folder():
+                kernel._cache = KernelCache(kernel.py_func)
+            hold_lock = getattr(kernel._cache, "hold_lock", nullcontext)
+            with hold_lock(), announce(COMPILING_MESSAGE):
+                return compile_kernel(signature)
+
+    kernel.compile = compile_once
     return kernel
 
 
 class _CacheLocator:
-    """Locator required by Numba; `CacheFiles` manages the files."""
+    """Locator of the files of a function, as Numba requires it."""
 
-    def __init__(self, first_line: int) -> None:
-        self.first_line = first_line
+    def __init__(self, py_func: Any, py_file: str) -> None:
+        self._py_file, self._first_line = py_file, py_func.__code__.co_firstlineno
 
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> _CacheLocator:
-        return cls(py_func.__code__.co_firstlineno)
+        return cls(py_func, py_file)
 
     def ensure_cache_path(self) -> None:
-        """Do nothing: folders are created when a file is written."""
+        """Do nothing: `find_cache_folder` has made the folder."""
 
     def get_cache_path(self) -> str:
-        return str(find_cache_folder() or "")
+        return str(find_cache_folder())
 
     def get_source_stamp(self) -> str:
-        # The name of the folder contains the digest of the sources.
-        return ""
+        """Return the digest of the own file, which need not be in `splits.kernels`."""
+        return _hash_file(self._py_file)
 
     def get_disambiguator(self) -> str:
-        return str(self.first_line)
+        return f"{Path(self._py_file).parent.name}-{self._first_line}"
 
 
 class _KernelCacheImpl(CompileResultCacheImpl):
     _locator_classes: Any = (_CacheLocator,)
 
 
+class _CheckedFiles(IndexDataCacheFile):
+    """Numba's files of a function, with checksums: damaged machine code would run otherwise."""
+
+    def _save_data(self, name: str, data: Any) -> None:
+        payload = self._dump(data)
+        with self._open_for_write(self._data_path(name)) as file:
+            file.write(hashlib.sha256(payload).digest() + payload)
+
+    def _load_data(self, name: str) -> Any:
+        content = Path(self._data_path(name)).read_bytes()
+        payload = content[_CHECKSUM_BYTES:]
+        if hashlib.sha256(payload).digest() != content[:_CHECKSUM_BYTES]:
+            raise ValueError("damaged")
+        return pickle.loads(payload)
+
+
 class KernelCache(FunctionCache):
-    """Numba's cache of a function, in files with checksums."""
+    """Numba's cache of a function, which never ends a computation."""
 
     _impl_class = _KernelCacheImpl
 
     def __init__(self, py_func: Any) -> None:
         super().__init__(py_func)
-        self._cache_file = CacheFiles(self._impl.filename_base)
+        name, stamp = self._impl.filename_base, self._impl.locator.get_source_stamp()
+        self._cache_file = _CheckedFiles(self.cache_path, name, stamp)
+        self._file_lock = FileLock(Path(self.cache_path, f"{name}.lock"))
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the cached code of a signature, or None if this process has to compile it."""
-        overload = self._load_cached(sig, target_context)
-        if overload is not None or not self._cache_file.acquire_lock(sig):
-            return overload
-        # Another process may have compiled it meanwhile.
-        overload = self._load_cached(sig, target_context)
-        if overload is not None:
-            self._cache_file.release_lock(sig)
-        return overload
-
-    def save_overload(self, sig: Any, data: Any) -> None:
-        """Save the code of a signature, and release its lock."""
-        try:
-            super().save_overload(sig, data)
-        finally:
-            self._cache_file.release_lock(sig)
-
-    def release_locks_on_failure(self, compile: Callable[..., Any]) -> Callable[..., Any]:
-        """Wrap `compile` so that locks are released if it fails or is interrupted."""
-
-        def compile_or_release(*args: Any) -> Any:
-            try:
-                with announce(COMPILING_MESSAGE):
-                    return compile(*args)
-            except BaseException:
-                self._cache_file.release_all_locks()
-                raise
-
-        return compile_or_release
-
-    def _load_cached(self, sig: Any, target_context: Any) -> Any:
+        """Return the cached code of a signature, or None if it has to be compiled."""
         try:
             return super().load_overload(sig, target_context)
         except Exception as error:
-            # The file is intact but unusable; compiling again repairs it, whatever the reason.
+            # Compiling again repairs it, whatever the reason.
             warn_once(f"{self.cache_path}: kernels are compiled again ({error})")
-            return None
-
-
-class CacheFiles:
-    """Files of the compiled code of a function, one per signature.
-
-    Files are written atomically and without an index, so that processes can write concurrently.
-
-    Parameters
-    ----------
-    name : str
-        Prefix of the file names.
-    """
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self._locked: dict[Any, Path] = {}
-
-    def make_file_name(self, key: Any) -> str:
-        """Return the file name of a key."""
-        return f"{self.name}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.nbc"
-
-    def load(self, key: Any) -> Any:
-        """Return the data saved under a key, or None; remove damaged files."""
-        folder = find_cache_folder()
-        if folder is None:
-            return None
-        path = folder / self.make_file_name(key)
-        try:
-            content = path.read_bytes()
-        except OSError:
-            return None
-        try:
-            payload = content[_DIGEST_BYTES:]
-            if hashlib.sha256(payload).digest() != content[:_DIGEST_BYTES]:
-                raise ValueError("checksum differs")
-            saved, data = pickle.loads(payload)
-        except Exception:
-            warn_once(f"{folder}: damaged compiled kernels are removed and compiled again")
             with suppress(OSError):
-                path.unlink()
+                self.flush()
             return None
-        # Different types may have the same name.
-        return data if saved == key else None
 
-    def save(self, key: Any, data: Any) -> None:
-        """Save data under a key; without success, the kernel serves this process only."""
-        folder = find_cache_folder()
-        if folder is None:
-            return
-        payload = serialize.dumps((key, data))
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Save the code of a signature; without success, it serves this process only."""
         try:
-            with atomic_write(folder / self.make_file_name(key)) as path, open(path, "xb") as file:
-                file.write(hashlib.sha256(payload).digest() + payload)
+            super().save_overload(sig, data)
         except OSError as error:
-            reason = f"{folder}: {error.strerror or error}"
+            reason = f"{self.cache_path}: {error.strerror or error}"
             warn_once(f"compiled kernels are not kept for the next process ({reason})")
 
-    def acquire_lock(self, sig: Any) -> bool:
-        """Lock a signature while this process compiles it; return whether the lock is held.
+    @contextmanager
+    def hold_lock(self) -> Iterator[None]:
+        """Let no other process compile this function in the block.
 
-        Another process may have compiled the signature during the wait.
+        After `MAX_WAIT_S`, and where files cannot be locked, it may be compiled more than once.
         """
-        folder = find_cache_folder()
-        if folder is None or not cache_lock.acquire_lock(folder, f"{self.name} {sig}"):
-            return False
-        self._locked[sig] = folder
-        return True
+        with suppress(OSError, NotImplementedError):
+            try:
+                self._file_lock.acquire(blocking=False)
+            except Timeout:
+                with announce(WAITING_MESSAGE):
+                    self._file_lock.acquire(timeout=MAX_WAIT_S)
+        try:
+            yield
+        finally:
+            self._file_lock.release()
 
-    def release_lock(self, sig: Any) -> None:
-        """Release the lock of a signature."""
-        if sig in self._locked:
-            cache_lock.release_lock(self._locked.pop(sig), f"{self.name} {sig}")
 
-    def release_all_locks(self) -> None:
-        """Release the locks of all signatures."""
-        for sig in list(self._locked):
-            self.release_lock(sig)
+@functools.cache
+def _hash_file(path: str) -> str:
+    """Return the SHA-256 of a source file, an empty text for generated code."""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest() if os.path.exists(path) else ""
 
-    def flush(self) -> None:
-        """Remove all files of the function."""
-        folder = find_cache_folder()
-        for path in folder.glob(f"{glob.escape(self.name)}.*.nbc") if folder else ():
-            path.unlink(missing_ok=True)
+
+@functools.cache
+def compute_kernels_digest() -> str:
+    """Return the SHA-256 (first 16 hex digits) of kernel sources and compiler versions."""
+    compilers = (numba, llvmlite, np)
+    versions = [sys.implementation.cache_tag, *(package.__version__ for package in compilers)]
+    digest = hashlib.sha256("\0".join(versions).encode())
+    root = Path(__file__).parents[1]
+    for source in sorted(root.rglob("*.py")):
+        digest.update(f"\0{source.relative_to(root).as_posix()}\0".encode())
+        digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+@functools.cache
+def find_cache_folder() -> Path | None:
+    """Return the folder of this user's kernels, made if it is missing, or None without one.
+
+    It is in the folder that the user has set in NUMBA_CACHE_DIR, or in the user's cache folder, or
+    else in the folder for temporary files.
+    """
+    reasons = []
+    for folder in _list_candidates():
+        try:
+            make_private_folder(folder)
+            return folder
+        except OSError as error:
+            reasons.append(f"{folder}: {error.strerror or error}")
+    warn_once(f"compiled kernels are not kept for the next process ({'; '.join(reasons)})")
+    return None
+
+
+def _list_candidates() -> Iterator[Path]:
+    """Yield the possible cache folders in the order of preference."""
+    name = f"numba-{compute_kernels_digest()}"
+    if numba.config.CACHE_DIR:  # type: ignore[attr-defined]
+        yield Path(numba.config.CACHE_DIR) / f"splits-{_get_user_id()}-{name}"  # type: ignore[attr-defined]
+    else:
+        user_cache = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+        # A user without a home folder has no cache folder.
+        if user_cache.is_absolute():
+            yield user_cache / "splits" / name
+    with suppress(OSError):
+        yield Path(tempfile.gettempdir()) / f"splits-{_get_user_id()}-{name}"
+
+
+def make_private_folder(folder: Path) -> None:
+    """Make a folder for this user alone, and remove unused ones of other versions beside it.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be made, or if another user can write to it.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with suppress(FileExistsError):
+        folder.mkdir(mode=0o700)
+        _remove_stale_versions(folder)
+    if not _is_private(folder.lstat()):
+        warn_once(f"{folder}: not a folder of the user's own, its kernels are not used")
+        raise PermissionError("not a folder of the user's own")
+    if not os.access(folder, os.W_OK):
+        raise PermissionError("not writable")
+
+
+def _remove_stale_versions(folder: Path) -> None:
+    """Remove the kernels of other versions that are unused for `MAX_UNUSED_AGE_S`."""
+    prefix = folder.name.removesuffix(compute_kernels_digest())
+    for other in folder.parent.glob(f"{glob.escape(prefix)}*"):
+        with suppress(OSError):
+            if other != folder and time.time() - other.lstat().st_mtime > MAX_UNUSED_AGE_S:
+                shutil.rmtree(other)
+
+
+def _is_private(status: os.stat_result) -> bool:
+    """Return whether a folder belongs to the user, and no other user can write to it."""
+    # Windows has neither user ids nor these permissions.
+    open_to_others = os.name != "nt" and status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return stat.S_ISDIR(status.st_mode) and status.st_uid == _get_user_id() and not open_to_others
+
+
+def _get_user_id() -> int:
+    """Return the id of the current user; 0 on Windows, as in the status of files there."""
+    return os.getuid() if hasattr(os, "getuid") else 0

@@ -14,7 +14,7 @@ import xarray as xr
 
 import splits
 from splits.core.atomic import ABANDONED_AFTER_S, atomic_write
-from splits.io.data_frame import write_data_frame
+from splits.core.escaping import write_data_frame
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 
 KILLED_PROGRAM = """

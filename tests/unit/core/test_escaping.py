@@ -18,14 +18,14 @@ from splits.core.escaping import (
     escape_json,
     escape_markdown,
     escape_mathtext,
+    write_data_frame,
 )
 from splits.core.validation import ConfigError
 from splits.experiments import load_experiments, load_settings
-from splits.io.data_frame import write_data_frame
 from splits.plotting import draw_spectra
 from splits.plotting.interpretation_shifts import draw_shifts
 from splits.plotting.style import format_parameter, format_value, use_style
-from splits.tables.export import write_csv
+from splits.tables.table import write_csv
 from workflow.papers.information import draw_band_selection, draw_sobol_indices
 from workflow.papers.sensitivity import draw_sensitivity_bars
 from workflow.papers.surface_area import draw_fitted_spectra

@@ -13,7 +13,7 @@ from shipped import CONFIG
 
 import splits
 from splits import cli
-from splits.kernels.compiler import cache_folder
+from splits.kernels.compiler import cache
 
 SMALL = """
 title: Small
@@ -107,7 +107,7 @@ def test_versions_list_the_package_and_its_dependencies(capsys):
 
 def test_cached_kernels_are_counted_and_cleared(tmp_path, capsys, monkeypatch):
     (tmp_path / "a.nbc").write_bytes(b"x" * 2000)
-    monkeypatch.setattr(cache_folder, "find_cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(cache, "find_cache_folder", lambda: tmp_path)
     assert cli.main(["cache"]) == 0
     assert (
         capsys.readouterr().out

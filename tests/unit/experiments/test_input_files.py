@@ -16,13 +16,14 @@ import splits
 from splits.core.validation import ConfigError
 from splits.experiments import load_experiment
 from splits.experiments.archive import list_table_files, make_configuration_members
-from splits.experiments.checkpoints import PointCache
 from splits.experiments.config.instruments import SKIES, Albedo
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.settings import Settings
 from splits.experiments.config.simulation import SimulationConfig
+from splits.experiments.run import list_point_keys
 from splits.experiments.run_table import run_packs
 from splits.instruments.sky_mixing import choose_wavelengths
+from splits.io.cache import compute_digest
 
 LAYER = "kind: particle_layer, optical_thickness: 4, single_scattering_albedo: 0.9"
 ANGLES = np.linspace(0.0, 180.0, 5)
@@ -174,13 +175,12 @@ def test_stored_points_depend_on_the_content_of_files(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = f"medium: {{{LAYER}, scattering_matrix: mie}}\ninstrument: {{wavelength_nm: [550]}}\n"
     (tmp_path / "mine.yaml").write_text(text, encoding="utf-8")
-    names = []
+    keys = []
     for scale in (1.0, 1.0, 2.0):
         write_matrix(tmp_path / "mie", scale)
-        cache = PointCache(tmp_path, load_experiment("mine.yaml"), Accuracy(max_stderr=0.1), 1)
-        assert cache.load([0]) is None
-        names.append(cache.files[0].name)
-    assert names[0] == names[1] != names[2]
+        experiment = load_experiment("mine.yaml")
+        keys.append(compute_digest(*list_point_keys(experiment, Accuracy(max_stderr=0.1), 1)))
+    assert keys[0] == keys[1] != keys[2]
 
 
 def test_paths_of_inputs_are_those_that_snakemake_finds(tmp_path, monkeypatch):

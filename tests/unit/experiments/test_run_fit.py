@@ -18,7 +18,7 @@ from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.run_fit import UNDETERMINED_VERDICT, make_fit_table
 from splits.plotting import draw
-from splits.retrieval.sand_forward_model import Effort
+from splits.retrieval.sand_fit import Effort
 
 WAVELENGTHS = np.arange(400.0, 1001.0, 50.0)
 TINY_EFFORT = Effort(points=2, starts=(1,), evaluations=(2,), rays=(32, 32), max_stderr=0.05)

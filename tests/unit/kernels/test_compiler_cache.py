@@ -12,16 +12,23 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import numba
 import pytest
 from chi2 import NEEDS_JIT
 from numba import njit
+from numba.core.caching import IndexDataCacheFile
 
-from splits.kernels.compiler import cache, cache_folder, cache_lock
-from splits.kernels.compiler.cache import KernelCache, enable_caching
-from splits.kernels.compiler.cache_folder import find_cache_folder, make_private_folder
+from splits.core import notices
+from splits.kernels.compiler import cache
+from splits.kernels.compiler.cache import (
+    KernelCache,
+    enable_caching,
+    find_cache_folder,
+    make_private_folder,
+)
 
 SCRIPT = """
 import numpy as np
@@ -52,9 +59,9 @@ def count_cache_hits(kernel):
 def folder(monkeypatch, tmp_path):
     """Return the cache folder, of two candidates: the user's own and one for temporary files."""
     candidates = (tmp_path / "own" / "numba", tmp_path / "temporary")
-    monkeypatch.setattr(cache_folder, "_list_candidates", lambda: candidates)
+    monkeypatch.setattr(cache, "_list_candidates", lambda: candidates)
     monkeypatch.setattr(cache, "find_cache_folder", find_cache_folder.__wrapped__)
-    cache_folder.warn_once.cache_clear()
+    notices.warn_once.cache_clear()
     return candidates[0]
 
 
@@ -139,30 +146,20 @@ def test_kernels_that_fail_to_load_are_compiled_again(folder, caplog, monkeypatc
     assert str(folder) in message and "gone in this version" in message
 
 
-class _FullDisk:
-    """A file on a full disk."""
-
-    def __init__(self, path, mode):
-        if "r" in mode:
-            raise FileNotFoundError
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *error):
-        return False
-
-    def write(self, content):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+@contextmanager
+def fill_disk(files, path):
+    """Fail as a file on a full disk."""
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    yield
 
 
 @NEEDS_JIT
 def test_a_full_disk_does_not_stop_compilation(folder, caplog, monkeypatch):
-    monkeypatch.setattr(cache, "open", _FullDisk, raising=False)
+    monkeypatch.setattr(IndexDataCacheFile, "_open_for_write", fill_disk)
     assert make_kernel()(1) == 2
     (message,) = caplog.messages
     assert str(folder) in message and "No space left" in message
-    assert {path.name for path in folder.iterdir()} <= {cache_lock.LOCK_FILE}
+    assert {path.suffix for path in folder.iterdir()} <= {".lock"}
 
 
 @NEEDS_JIT
@@ -191,10 +188,10 @@ class _ForeignCode:
 
 
 def test_kernels_of_old_versions_are_removed(monkeypatch, tmp_path):
-    monkeypatch.setattr(cache_folder, "compute_kernels_digest", lambda: "new")
+    monkeypatch.setattr(cache, "compute_kernels_digest", lambda: "new")
     for name, age in (("numba-old", 2.0), ("numba-recent", 0.5), ("notes", 2.0)):
         (tmp_path / name).mkdir()
-        timestamp = time.time() - age * cache_folder.MAX_UNUSED_AGE_S
+        timestamp = time.time() - age * cache.MAX_UNUSED_AGE_S
         os.utime(tmp_path / name, (timestamp, timestamp))
     make_private_folder(tmp_path / "numba-new")
     remaining = {folder.name for folder in tmp_path.iterdir()}
@@ -224,7 +221,7 @@ def test_folders_writable_by_others_are_not_read(violation, folder, caplog, monk
         folder.rename(folder.with_name("elsewhere"))
         folder.symlink_to(folder.with_name("elsewhere"))
     else:
-        monkeypatch.setattr(cache_folder, "_get_user_id", lambda: os.getuid() + 1)
+        monkeypatch.setattr(cache, "_get_user_id", lambda: os.getuid() + 1)
     assert make_kernel()(1) == 2
     assert str(folder) in caplog.messages[0] and "own" in caplog.messages[0]
     if violation != "of another user":
@@ -233,8 +230,8 @@ def test_folders_writable_by_others_are_not_read(violation, folder, caplog, monk
 
 def test_each_user_has_a_folder_in_a_shared_one(monkeypatch, tmp_path):
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
-    first, last = cache_folder._list_candidates()
-    name = f"splits-{os.getuid()}-numba-{cache_folder.compute_kernels_digest()}"
+    first, last = cache._list_candidates()
+    name = f"splits-{os.getuid()}-numba-{cache.compute_kernels_digest()}"
     assert (first, last) == (tmp_path / name, Path(tempfile.gettempdir()) / name)
 
 
@@ -242,24 +239,24 @@ def test_users_without_a_home_use_the_temporary_folder(monkeypatch):
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setattr(os.path, "expanduser", lambda path: path)
-    (only,) = cache_folder._list_candidates()
+    (only,) = cache._list_candidates()
     assert only.parent == Path(tempfile.gettempdir())
 
 
 @NEEDS_JIT
 def test_without_a_folder_kernels_serve_one_process(folder, caplog, monkeypatch):
-    monkeypatch.setattr(cache_folder, "_list_candidates", lambda: ())
+    monkeypatch.setattr(cache, "_list_candidates", lambda: ())
     assert make_kernel()(1) == 2
     assert "not kept" in caplog.messages[0]
 
 
 def test_a_warning_is_printed_once_and_unchanged(capsys, monkeypatch):
-    cache_folder.warn_once.cache_clear()
-    logger = logging.getLogger(cache_folder.__name__)
+    notices.warn_once.cache_clear()
+    logger = logging.getLogger(notices.__name__)
     monkeypatch.setattr(logger, "handlers", [logging._StderrHandler(logging.WARNING)])
     monkeypatch.setattr(logger, "propagate", False)
-    cache_folder.warn_once("one line")
-    cache_folder.warn_once("one line")
+    notices.warn_once("one line")
+    notices.warn_once("one line")
     assert capsys.readouterr().err == "one line\n"
 
 
@@ -290,8 +287,8 @@ def test_processes_share_kernels_and_recover_from_damage(tmp_path):
         path.write_bytes(flip_bit(0.5)(content))
     ((stdout, stderr, code),) = run_processes(tmp_path)
     assert (stdout.splitlines()[0], code) == (numbers, 0)
-    (line,) = stderr.splitlines()
-    assert str(tmp_path) in line
+    # A damaged index is that of no kernel, which is not reported.
+    assert all(str(tmp_path) in line for line in stderr.splitlines())
     ((stdout, stderr, code),) = run_processes(tmp_path)
     assert (stdout, stderr, code) == (f"{numbers}\n3\n", "", 0)
 
@@ -330,16 +327,23 @@ def test_one_of_several_concurrent_processes_compiles(tmp_path):
     assert outputs == ["go 2 0\n"] + 3 * ["go 2 1\n"]
 
 
+LOCKED = f"""{KERNEL}
+from splits.kernels.compiler.cache import KernelCache
+with KernelCache(slow).hold_lock():
+    print(1, flush=True)
+    input()
+"""
+
+
 @NEEDS_JIT
 def test_lock_is_released_when_its_process_is_killed(tmp_path):
-    program = "import sys, pathlib; from splits.kernels.compiler import cache_lock\n"
-    program += "cache_lock.acquire_lock(pathlib.Path(sys.argv[1]), 'kernel')\n"
-    program += "print(1, flush=True); input()"
-    command = [sys.executable, "-c", program, tmp_path]
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    first = subprocess.Popen(command, **pipes)
+    script = tmp_path / "locked.py"
+    script.write_text(LOCKED)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "env": environment}
+    first = subprocess.Popen([sys.executable, script], **pipes)
     assert first.stdout.readline() == b"1\n"
-    second = subprocess.Popen(command, **pipes)
+    second = subprocess.Popen([sys.executable, script], **pipes)
     with pytest.raises(subprocess.TimeoutExpired):
         second.wait(2.0)
     first.kill()
@@ -383,9 +387,19 @@ def test_lock_is_released_after_a_failed_compilation(tmp_path):
     failed.communicate("\n")
 
 
-def test_locking_an_unwritable_folder_does_not_block(tmp_path, monkeypatch):
-    cache_lock._open_lock_file.cache_clear()
-    missing = tmp_path / "gone"
-    assert not cache_lock.acquire_lock(missing, "kernel")
-    assert cache_lock.acquire_lock(tmp_path, "kernel")
-    cache_lock.release_lock(tmp_path, "kernel")
+@NEEDS_JIT
+def test_a_file_system_without_locks_does_not_stop_compilation(folder, monkeypatch):
+    def fail(*given, **settings):
+        raise NotImplementedError
+
+    monkeypatch.setattr(cache.FileLock, "acquire", fail)
+    assert make_kernel()(1) == 2
+
+
+@NEEDS_JIT
+def test_a_change_of_the_file_of_a_kernel_is_noticed(folder, monkeypatch):
+    """Kernels may be outside of the sources whose digest names the folder."""
+    make_kernel()(1)
+    monkeypatch.setattr(cache, "_hash_file", lambda path: "changed")
+    changed = make_kernel()
+    assert changed(1) == 2 and count_cache_hits(changed) == 0

@@ -9,7 +9,7 @@ import xarray as xr
 from shipped import CONFIG
 
 from splits.analysis.measured import read_measured, read_published
-from splits.io.data_frame import write_data_frame
+from splits.core.escaping import write_data_frame
 from workflow.papers.splitsnow import (
     DIFFUSE_FRACTION,
     LETCHER_COLUMNS,

@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splits.retrieval.least_squares import apply_priors
-from splits.retrieval.residual_covariance import (
+from splits.retrieval.least_squares import (
     NEIGHBOUR_CORRELATIONS,
+    apply_priors,
     estimate_fit_covariance,
     estimate_misfit_variances,
 )
-from splits.retrieval.sand_fit import estimate_parameter_errors
-from splits.retrieval.sand_parameters import UnitCube
+from splits.retrieval.sand_fit import UnitCube, estimate_parameter_errors
 from splits.retrieval.state_vector import ParameterRange, StateVector
 
 UNIFORM = np.sqrt(1.0 / 12.0)
@@ -31,7 +30,7 @@ def sample_states(best, covariance):
 def compute_covariance(jacobians, misfit, noise):
     """Return the covariance of the coordinates of the unit cube."""
     at_bound = np.zeros(jacobians[0].shape[1], dtype=bool)
-    return estimate_fit_covariance(jacobians, misfit, noise, at_bound).state
+    return estimate_fit_covariance(jacobians, misfit, noise, at_bound)[0]
 
 
 def make_jacobian(n_values, n_coordinates):

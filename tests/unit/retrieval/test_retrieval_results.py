@@ -9,9 +9,14 @@ from formula_tables import W, evaluate_spectrum, make_snowlike_table
 
 import splits
 from splits.core.validation import InvalidValue
-from splits.retrieval.optimal_estimation import MAPEstimate, PosteriorSummary
-from splits.retrieval.posterior import N_DRAWS, PosteriorDraws
-from splits.retrieval.solution import Solution, list_warnings
+from splits.retrieval.optimal_estimation import (
+    N_DRAWS,
+    MAPEstimate,
+    PosteriorDraws,
+    PosteriorSummary,
+    Solution,
+    list_warnings,
+)
 from splits.retrieval.state_vector import ParameterRange, StateVector
 
 SIZE, SOOT = "optical_radius_um", "impurities_ng_g.black_carbon"

@@ -8,9 +8,15 @@ from chi2 import NEEDS_JIT
 
 from splits import Sand, spectrophotometer
 from splits.retrieval.gauss_newton import Objective, minimize_gauss_newton
-from splits.retrieval.sand_fit import check_measured_reflectance, fit
-from splits.retrieval.sand_forward_model import Effort, compute_central_differences
-from splits.retrieval.sand_parameters import DEFAULT_RANGES, UnitCube, resolve_ranges
+from splits.retrieval.sand_fit import (
+    DEFAULT_RANGES,
+    Effort,
+    UnitCube,
+    check_measured_reflectance,
+    compute_central_differences,
+    fit,
+    resolve_ranges,
+)
 from splits.retrieval.state_vector import ParameterRange, StateVector
 
 WAVELENGTHS = np.arange(400.0, 1001.0, 50.0)

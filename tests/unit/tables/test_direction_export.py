@@ -16,9 +16,8 @@ from direction_tables import (
 )
 
 from splits.core.validation import InvalidValue
-from splits.tables.eradiate import convert_to_eradiate
-from splits.tables.export import write_csv
-from splits.tables.isofit import ISOFIT_DIMS, convert_to_isofit
+from splits.tables.conversions import ISOFIT_DIMS, convert_to_eradiate, convert_to_isofit
+from splits.tables.table import write_csv
 
 COARSE = {SIZE: 100.0}
 

@@ -10,6 +10,7 @@ import splits
 from splits.experiments import run_table as module
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
+from splits.tables import assembly
 from splits.tables import table as table_module
 
 ACCURACY = Accuracy(max_stderr=0.05, relative_stderr=0.3)
@@ -115,7 +116,13 @@ def test_damage_is_detected(tables, tmp_path):
 def test_incomplete_files_are_not_kept(tables, tmp_path, monkeypatch):
     experiment, folder, _, _ = tables
     monkeypatch.setattr(module, "MAX_BYTES_IN_MEMORY", 0)
-    monkeypatch.setattr("splits.tables.storage._write_block", lambda *_arguments: None)
+    iterate, calls = assembly._iterate_points, []
+
+    def skip_writing(*arguments):
+        calls.append(arguments)
+        return iterate(*arguments) if len(calls) > 1 else iter(())
+
+    monkeypatch.setattr(assembly, "_iterate_points", skip_writing)
     path = tmp_path / "never.nc"
     with pytest.raises(OSError, match="does not hold the table"):
         module.write_table(experiment, ACCURACY, 1, folder, path)

@@ -1,4 +1,4 @@
-"""Notices about kernel compilation, in this process or another one.
+"""Warnings that are logged once, and notices about compilation, here or in another process.
 
 Notices are written to the terminal or shown in the output of a notebook's cell, or passed to
 registered functions such as a progress bar.  Elsewhere, as in the log of a batch job, there are
@@ -7,6 +7,8 @@ none.  Errors are ignored, so that a notice never ends a run.
 
 from __future__ import annotations
 
+import functools
+import logging
 import os
 import sys
 import threading
@@ -24,6 +26,12 @@ _NOTICE_INTERVAL_S = 0.1
 
 listeners: list[Callable[[str], None]] = []
 """Functions that receive every notice, with the elapsed seconds, in place of the terminal."""
+
+
+@functools.cache
+def warn_once(message: str) -> None:
+    """Log a warning, once per process."""
+    logging.getLogger(__name__).warning(message)
 
 
 class _NoticeSession:

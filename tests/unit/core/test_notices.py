@@ -9,15 +9,20 @@ import time
 from contextlib import contextmanager, suppress
 
 import pytest
+from chi2 import NEEDS_JIT
+from numba import njit
 
 import splits
-from splits.core import compile_notice as notices
-from splits.core.compile_notice import COMPILING_MESSAGE, DONE_MESSAGE, WAITING_MESSAGE, announce
-from splits.kernels.compiler import cache_lock
-from splits.kernels.compiler.cache import KernelCache
+from splits.core import notices
+from splits.core.notices import COMPILING_MESSAGE, DONE_MESSAGE, WAITING_MESSAGE, announce
+from splits.kernels.compiler import cache
 
 openpty = getattr(os, "openpty", None)
 NEEDS_TERMINAL = pytest.mark.skipif(openpty is None, reason="needs pseudoterminals")
+
+
+def cube(x):
+    return x**3
 
 
 @pytest.fixture(autouse=True)
@@ -141,21 +146,22 @@ def test_a_failing_callback_does_not_stop_the_run(received):
     assert received
 
 
-@pytest.mark.skipif(cache_lock.fcntl is None, reason="needs fcntl")
+@NEEDS_JIT
 def test_waiting_for_another_process_is_reported(received, monkeypatch, tmp_path):
-    start = time.monotonic()
-
-    def lockf(*given):
-        if time.monotonic() - start < 0.3:
-            raise BlockingIOError
-
-    monkeypatch.setattr(cache_lock.fcntl, "lockf", lockf)
-    assert cache_lock.acquire_lock(tmp_path, "kernel")
+    monkeypatch.setattr(cache, "find_cache_folder", lambda: tmp_path)
+    first, second = cache.KernelCache(cube), cache.KernelCache(cube)
+    with first.hold_lock():
+        monkeypatch.setattr(cache, "MAX_WAIT_S", 0.3)
+        with second.hold_lock():
+            pass
     assert received[0] == f"{WAITING_MESSAGE}: 0 s"
 
 
-def test_compilation_of_a_kernel_is_reported(received):
-    """Tested without a kernel, which might be in a cache folder already."""
-    wait = KernelCache.release_locks_on_failure(None, time.sleep)
-    wait(0.3)
-    assert received[0] == f"{COMPILING_MESSAGE}: 0 s"
+@NEEDS_JIT
+def test_compilation_of_a_kernel_is_reported(received, monkeypatch):
+    monkeypatch.setattr(cache, "find_cache_folder", lambda: None)
+    kernel = njit(cube)
+    compile_kernel = kernel.compile
+    kernel.compile = lambda signature: time.sleep(0.3) or compile_kernel(signature)
+    assert cache.enable_caching(kernel)(2) == 8
+    assert received[0].startswith(COMPILING_MESSAGE)

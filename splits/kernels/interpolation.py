@@ -1,21 +1,23 @@
-"""Compiled interpolation of a table and its derivatives at many states.
+"""Cubic interpolation between the nodes of a table, in Python and in kernels, with derivatives.
 
-Along every axis, the cubic through the four nearest nodes is used, as in
-`splits.tables.interpolation`.
+The polynomial of Lagrange through the four nearest nodes is used along every axis,
+
+    f(x) = ∑_i f_i ∏_(j≠i) (x − x_j)/(x_i − x_j).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from splits.kernels.compiler.jit import entry_point
+from splits.kernels.compiler.jit import entry_point, inline_allocating, inline_only
 
 STENCIL_SIZE = 4
+"""Largest number of nodes in an interpolation stencil."""
 
 
-@entry_point
-def compute_cubic_weights(nodes, n_nodes, x, weights, derivative_weights):
-    """Set the weights of the nearest nodes and their derivatives; return the first node.
+@inline_allocating
+def find_first_node(nodes, n_nodes, x):
+    """Return the first node of the stencil around x, in whose middle x is where possible.
 
     Parameters
     ----------
@@ -24,24 +26,35 @@ def compute_cubic_weights(nodes, n_nodes, x, weights, derivative_weights):
     n_nodes : int
         Number of nodes in use.
     x : float
-    weights, derivative_weights : float64[4]
-        Output; 0 for unused nodes of the stencil.
     """
     n_stencil = min(STENCIL_SIZE, n_nodes)
     right = np.searchsorted(nodes[:n_nodes], x)
-    first = min(max(right - n_stencil // 2, 0), n_nodes - n_stencil)
-    weights[:] = 0.0
-    derivative_weights[:] = 0.0
-    for i in range(n_stencil):
-        weight, derivative = 1.0, 0.0
-        for j in range(n_stencil):
+    return min(max(right - n_stencil // 2, 0), n_nodes - n_stencil)
+
+
+@inline_only
+def set_lagrange_weights(nodes, first, count, x, weights, slopes):
+    """Set the weights of the polynomial of Lagrange at x, and their derivatives.
+
+    Parameters
+    ----------
+    nodes : float64[:] or list of float
+    first, count : int
+        First node and number of nodes of the polynomial.
+    x : float
+    weights, slopes : float64[:] or list of float
+        Output, the first `count` items.
+    """
+    for i in range(count):
+        weight, slope = 1.0, 0.0
+        for j in range(count):
             if j != i:
                 scale = 1.0 / (nodes[first + i] - nodes[first + j])
-                derivative = derivative * (x - nodes[first + j]) * scale + weight * scale
+                # Derivative of the product of the factors so far and the next one.
+                slope = slope * (x - nodes[first + j]) * scale + weight * scale
                 weight *= (x - nodes[first + j]) * scale
         weights[i] = weight
-        derivative_weights[i] = derivative
-    return first
+        slopes[i] = slope
 
 
 @entry_point
@@ -65,14 +78,17 @@ def interpolate(node_values, axis_nodes, n_nodes, state, values, jacobian):
     first = np.empty(axes, dtype=np.int64)
     n_stencil_nodes = 1
     for a in range(axes):
-        first[a] = compute_cubic_weights(
-            axis_nodes[a], n_nodes[a], state[a], axis_weights[a], axis_slopes[a]
+        n_stencil = min(STENCIL_SIZE, n_nodes[a])
+        first[a] = find_first_node(axis_nodes[a], n_nodes[a], state[a])
+        set_lagrange_weights(
+            axis_nodes[a], first[a], n_stencil, state[a], axis_weights[a], axis_slopes[a]
         )
-        n_stencil_nodes *= min(STENCIL_SIZE, n_nodes[a])
+        n_stencil_nodes *= n_stencil
     values[:] = 0.0
     jacobian[:] = 0.0
     with_jacobian = len(jacobian) > 0
     gradient_weights = np.empty(axes)
+    # Weights of a node are the product of those along all axes.
     for node in range(n_stencil_nodes):
         rest, row, stride, weight = node, 0, 1, 1.0
         gradient_weights[:] = 1.0

@@ -370,9 +370,6 @@ def find_label(parameter: str, values: Mapping[str, Any], given: float | str) ->
     raise invalid(f"figure.select.{format_key(parameter)}", given, f"one of {names}{suffix}")
 
 
-PACKS_PER_BLOCK, BLOCKS_PER_PART = 50, 10
-
-
 def load_packs(settings: Mapping[str, Any]) -> SnowPacks:
     """Return the snowpacks of the keywords of a medium; the last files are kept in memory."""
     if "file" not in settings:

@@ -8,11 +8,9 @@ from pathlib import PurePath
 from typing import Any, NamedTuple
 
 from splits.core.provenance import PACKAGE_FOLDER, hash_files
-from splits.experiments.config.experiment import OWN_GROUP, ExperimentConfig
-from splits.experiments.config.reproduces import PAPERS, parse_place
+from splits.experiments.config.experiment import OWN_GROUP, PAPERS, ExperimentConfig, parse_place
 from splits.experiments.config.sections import FIGURE_SUFFIXES
-from splits.experiments.config.settings import Settings
-from splits.experiments.config.studies import Study
+from splits.experiments.config.settings import Settings, Study
 
 GROUP_TITLES = {
     OWN_GROUP: "Own experiments",

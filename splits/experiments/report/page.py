@@ -25,7 +25,7 @@ from splits.core.provenance import (
     get_git_commit,
     get_package_version,
 )
-from splits.experiments.config.reproduces import PAPERS, parse_place
+from splits.experiments.config.experiment import PAPERS, parse_place
 from splits.experiments.config.sections import FIGURE_SUFFIXES
 from splits.experiments.report.contents import ReportContents, ReportItem, ReportSection
 

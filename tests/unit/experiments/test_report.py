@@ -18,7 +18,7 @@ from shipped import CONFIG
 
 from splits.core.yaml import read_yaml
 from splits.experiments import load_experiment, load_experiments, load_settings
-from splits.experiments.config.reproduces import PAPERS, parse_place
+from splits.experiments.config.experiment import PAPERS, parse_place
 from splits.experiments.report.contents import make_report_contents
 from splits.experiments.report.page import (
     VERDICTS,

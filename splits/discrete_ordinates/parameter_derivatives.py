@@ -17,7 +17,7 @@ import numpy as np
 from splits.core.validation import InvalidValue, invalid
 from splits.discrete_ordinates.applicability import make_granular_stack
 from splits.discrete_ordinates.derivatives import compute_gradient
-from splits.discrete_ordinates.granular_layers import LAYER_ARRAYS, GranularLayer
+from splits.discrete_ordinates.granular_layers import GranularLayer
 from splits.discrete_ordinates.granular_stack import (
     GranularStack,
     SpectrumSolution,
@@ -131,7 +131,7 @@ class Tangent(NamedTuple):
                 name: combine_differences(
                     weights, np.array([getattr(one, name) for one in properties])
                 )
-                for name in LAYER_ARRAYS
+                for name in GranularLayer._fields[:7]
             }
             layers[number] = properties[0]._replace(**changes)
         return cls(layers)

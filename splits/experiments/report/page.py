@@ -181,7 +181,7 @@ def compare_papers(sections: Iterable[ReportSection], folder: Path) -> list[Pape
                             MEASURED_ID if row["id"] == MEASURED_ID else next(named, section.key)
                         )
                         rows[paper].append(row)
-    titles = {key: paper.title for key, paper in PAPERS.items()}
+    titles = {str(key): paper.title for key, paper in PAPERS.items()}
     titles[MEASURED_ID] = "Measured spectra"
     return [
         PaperComparison(key, titles[key], _group_by_place(key, rows[key], figures[key]))

@@ -9,7 +9,7 @@ import numpy as np
 from splits.core.uncertainty import compute_jackknife_stderr
 from splits.discrete_ordinates.adding import apply_rows, iterate_levels
 from splits.discrete_ordinates.grains import GrainTable
-from splits.discrete_ordinates.granular_layers import GranularLayer, iterate_replicates, list_traced
+from splits.discrete_ordinates.granular_layers import iterate_replicates, list_traced
 from splits.discrete_ordinates.granular_stack import (
     STREAM_NUMBERS,
     WET_ERROR,
@@ -303,9 +303,23 @@ def _compute_grain_error(
         return _compute_intervals(snowpack, geometry, incidence, n_streams)
 
     total = IntervalProfile(*(np.zeros_like(one) for one in values))
-    for layers in _perturb_tables(parts):
-        change = _subtract(compute(parts._replace(layers=layers)), values)
-        total = IntervalProfile(*map(np.hypot, total, change))
+    tabulated = [i for i, one in enumerate(parts.layers) if isinstance(one.grains, GrainTable)]
+    if tabulated:
+        # More absorbing, and more grains of natural snow.
+        absorbing, denser = list(parts.layers), list(parts.layers)
+        error = find_similarity_error(parts.layers[tabulated[0]].contrast, parts.is_wet)
+        # One number for all wavelengths: the largest error of (1 − g) is nearly the same for all.
+        more = 1.0 + error.max()
+        for number in tabulated:
+            layer = parts.layers[number]
+            absorption, collisions = layer.grain_absorption, layer.collisions_per_m
+            absorbing[number] = layer._replace(grain_absorption=absorption * (1.0 + error))
+            denser[number] = layer._replace(
+                collisions_per_m=collisions * more, grain_absorption=absorption / more
+            )
+        for layers in (absorbing, denser):
+            change = _subtract(compute(parts._replace(layers=layers)), values)
+            total = IntervalProfile(*map(np.hypot, total, change))
     for digest in list_traced(parts.layers):
         replicates = [
             compute(parts._replace(layers=layers))
@@ -316,25 +330,6 @@ def _compute_grain_error(
         )
         total = IntervalProfile(*map(np.hypot, total, stderr))
     return total
-
-
-def _perturb_tables(parts: GranularStack) -> list[list[GranularLayer]]:
-    """Return the layers with more absorbing, and with more grains of natural snow, if any."""
-    numbers = [i for i, one in enumerate(parts.layers) if isinstance(one.grains, GrainTable)]
-    if not numbers:
-        return []
-    error = find_similarity_error(parts.layers[numbers[0]].contrast, parts.is_wet)
-    # One number for all wavelengths: the largest error of (1 − g) is nearly the same for all.
-    largest = error.max()
-    absorbing, denser = list(parts.layers), list(parts.layers)
-    for number in numbers:
-        layer = parts.layers[number]
-        absorbing[number] = layer._replace(grain_absorption=layer.grain_absorption * (1.0 + error))
-        denser[number] = layer._replace(
-            collisions_per_m=layer.collisions_per_m * (1.0 + largest),
-            grain_absorption=layer.grain_absorption / (1.0 + largest),
-        )
-    return [absorbing, denser]
 
 
 def _subtract(one: IntervalProfile, other: IntervalProfile) -> IntervalProfile:

@@ -308,7 +308,13 @@ def solve_layer_radiance(
 
     shifted, own, seen = map(select, (slice(n_shifted), slice(n_beams), slice(n_shifted, None)))
     across = 0.5 * (even - odd)
-    reflected = _reflect(own, seen, across)
+    # R without light scattered once, by invariance; T below.
+    reflected = (
+        own.within @ _transpose(seen.reflection)
+        + own.reflection @ _transpose(seen.within + seen.reflection @ across)
+        - (own.direct * own.across) @ _transpose(seen.transmission)
+        - own.transmission @ _transpose(seen.direct * seen.across + seen.transmission @ across)
+    ) / (own.rates + _transpose(seen.rates))
     transmitted = _transmit(shifted, seen, across, n_beams)
     isotropic = make_isotropic(optics, streams, n_beams)
     layers = Slab(
@@ -334,18 +340,6 @@ def _select(values: np.ndarray, shape: tuple[int, ...], chosen: slice) -> np.nda
     """Return some of the directions of each state."""
     by_state = values.reshape(*values.shape[:-2], *shape, values.shape[-1])[..., chosen, :]
     return by_state.reshape(*values.shape[:-2], -1, values.shape[-1])
-
-
-def _reflect(own: _Directions, seen: _Directions, across: np.ndarray) -> np.ndarray:
-    """Return R without light scattered once, by invariance."""
-    numerator = (
-        own.within @ _transpose(seen.reflection)
-        + own.reflection @ _transpose(seen.within + seen.reflection @ across)
-        - (own.direct * own.across) @ _transpose(seen.transmission)
-        - own.transmission @ _transpose(seen.direct * seen.across + seen.transmission @ across)
-    )
-    reflected: np.ndarray = numerator / (own.rates + _transpose(seen.rates))
-    return reflected
 
 
 def _transmit(

@@ -321,7 +321,7 @@ def solve_layer_radiance(
         slab.reflection, slab.transmission, own.reflection, own.transmission, own.direct[..., 0]
     )
     elements = [
-        Element.from_slab(Slab(*(values[layer] for values in layers)), isotropic[layer])
+        Element.from_slab(layers.select(layer), isotropic[layer])
         for layer in range(optics.thickness.shape[0])
     ]
     into_all = (

@@ -211,11 +211,10 @@ def solve_spectra(
     max_error : float
         See `splits.discrete_ordinates.granular_stack.solve_spectrum`.
     """
-    n_snowpacks, n_wavelengths = snowpacks.ground.shape
-    result = SpectraSolution(
-        *np.empty((2, n_snowpacks, n_wavelengths, cosines.shape[-1] + 1)),
-        np.zeros(n_snowpacks, dtype=int), *np.empty((2, n_snowpacks, n_wavelengths)),
-    )  # fmt: skip
+    shape = n_snowpacks, n_wavelengths = snowpacks.ground.shape
+    reflectance, transmittance = np.empty((2, *shape, cosines.shape[-1] + 1))
+    numbers = np.zeros(n_snowpacks, dtype=int)
+    result = SpectraSolution(reflectance, transmittance, numbers, np.empty(shape), np.empty(shape))
     if snowpacks.is_wet:
         for number in range(n_snowpacks):
             one = solve_spectrum(snowpacks.select(slice(None), number), cosines[number], max_error)

@@ -15,7 +15,8 @@ from snakemake.exceptions import WorkflowError
 from snakemake.utils import update_config
 
 from splits.core.process import forward_interrupts
-from splits.core.yaml import ConfigError, read_yaml
+from splits.core.validation import ConfigError
+from splits.core.yaml import read_yaml
 from splits.experiments import load_experiments, load_settings
 from splits.experiments.config.load import select_experiments
 

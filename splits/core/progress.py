@@ -17,7 +17,7 @@ from typing import Any, TextIO
 from tqdm import tqdm
 
 from splits.core.compile_notice import listeners
-from splits.core.validation import InvalidValue, invalid
+from splits.core.validation import ConfigError, InvalidValue, invalid
 
 LogCallback = Callable[[str], None]
 """Function that receives lines of progress."""
@@ -274,7 +274,10 @@ def open_progress_log(path: str | Path) -> Iterator[Callable[[str], None]]:
 
         try:
             yield log_line
+        # Values of the user, for whom a traceback explains nothing.
         except InvalidValue as error:
-            # A value of the user, for whom a traceback explains nothing.
             log_line(f"{Path(path).stem}: {error}")
+            raise SystemExit(1) from None
+        except ConfigError as error:
+            log_line(str(error))
             raise SystemExit(1) from None

@@ -120,6 +120,10 @@ class UnknownKey(InvalidValue, TypeError):
         return f"{format_key(self.key)}: unknown key, must be {self.allowed}"
 
 
+class ConfigError(ValueError):
+    """Invalid configuration; the message names file, line, key, value and range."""
+
+
 def invalid(key: str, value: object, allowed: str, hint: str = "") -> InvalidValue:
     """Return the error for an invalid value of a key."""
     return InvalidValue(key, value, allowed, hint)

@@ -15,7 +15,7 @@ from ruamel.yaml import YAML, events
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.representer import SafeRepresenter
 
-from splits.core.validation import format_key, short_repr
+from splits.core.validation import ConfigError, format_key, short_repr
 
 MAX_BYTES = 2**20
 """Largest size of a file."""
@@ -25,10 +25,6 @@ MAX_DEPTH = 32
 """Largest nesting depth of lists and mappings."""
 MAX_NUMBER_CHARS = 1000
 """Largest number of characters of a number."""
-
-
-class ConfigError(ValueError):
-    """Invalid configuration; the message names file, line, key, value and range."""
 
 
 CORE_SCHEMA = {

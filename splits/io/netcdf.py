@@ -23,6 +23,7 @@ import json
 import os
 import platform
 import re
+import shlex
 import shutil
 import sys
 import warnings
@@ -437,13 +438,17 @@ def _hash_bytes(path: str | Path, n_bytes: int) -> bytes:
 
 
 def exit_if_damaged(paths: Iterable[str]) -> None:
-    """End a job with one line if a dataset among its input files is damaged."""
+    """End a job with one line if a dataset among its input files is damaged.
+
+    The workflow makes a removed file again.
+    """
     for path in paths:
         if path.endswith(NETCDF_SUFFIXES):
             try:
                 _read_file(path, lazy=True)
             except DamagedFileError as error:
-                sys.exit(str(error))
+                command = shlex.join(["rm", path])
+                sys.exit(f"{path}: damaged, {error.args[1]} (type: {command}, and run again)")
 
 
 def encode_for_netcdf(dataset: xr.Dataset) -> xr.Dataset:

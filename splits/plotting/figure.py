@@ -75,10 +75,10 @@ def draw(
         raise invalid("dataset", type(dataset).__name__, "an xarray.Dataset")
     if not isinstance(section, Mapping):
         raise invalid("figure", section, "a mapping of settings")
-    known = dict.fromkeys(name for names in FIGURE_SETTINGS.values() for name in names)
+    known = {*OTHER_SETTINGS}.union(*FIGURE_SETTINGS.values())
     for key in section:
-        if key not in (*known, *OTHER_SETTINGS):
-            raise unknown_key(f"figure.{key}", [*known, *OTHER_SETTINGS])
+        if key not in known:
+            raise unknown_key(f"figure.{key}", sorted(known))
     kind = section.get("kind") or "spectra"
     check_choice("figure.kind", kind, FUNCTIONS)
     check_settings(kind, section)

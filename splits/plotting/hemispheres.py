@@ -84,10 +84,12 @@ def draw_hemispheres(
     dataset = select_point(dataset, select)
     if not can_map_hemisphere(dataset.polar.values, dataset.azimuth.values):
         allowed = (
-            f"at least {MIN_POLAR_ANGLES} polar angles and {MIN_AZIMUTHS} azimuths at most "
-            f"{MAX_AZIMUTH_GAP_DEG:g} degrees apart, all around"
+            f"another kind, such as principal_plane: a map needs at least {MIN_POLAR_ANGLES} polar "
+            f"angles and {MIN_AZIMUTHS} azimuths at most {MAX_AZIMUTH_GAP_DEG:g} degrees apart, "
+            "all around"
         )
-        raise invalid("azimuth_deg", dataset.azimuth.values.tolist(), allowed)
+        hint = f"here are {dataset.sizes['polar']} and {dataset.sizes['azimuth']}"
+        raise invalid("figure.kind", "hemisphere", allowed, hint)
     count = len(make_lines(dataset, quantity[0]).lines)
     check_count("maps", count * len(quantity), MAX_PANELS, select)
     columns = min(MAX_MAP_COLUMNS, count)

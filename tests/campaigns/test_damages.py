@@ -21,7 +21,7 @@ from chi2 import NEEDS_JIT
 from shipped import CONFIG
 
 import splits
-from splits.core.yaml import ConfigError
+from splits.core.validation import ConfigError
 from splits.experiments import load_experiment
 from splits.experiments.archive import pack_archive
 from splits.io.netcdf import DamagedFileError

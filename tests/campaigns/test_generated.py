@@ -28,8 +28,7 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 from shipped import CONFIG
 
-from splits.core.validation import InvalidValue
-from splits.core.yaml import ConfigError
+from splits.core.validation import ConfigError, InvalidValue
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.load import load_experiment
 from splits.experiments.config.sections import Accuracy

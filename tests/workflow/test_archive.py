@@ -14,7 +14,7 @@ import yaml
 from rocrate.rocrate import ROCrate
 
 import splits
-from splits.core.yaml import ConfigError
+from splits.core.validation import ConfigError
 from splits.experiments import load_experiment, load_settings
 from splits.experiments.archive import make_configuration_members, pack_archive
 from splits.experiments.config.settings import Settings

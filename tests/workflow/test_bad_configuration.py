@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 pytestmark = pytest.mark.slow
@@ -78,7 +80,10 @@ def test_invalid_experiments_are_rejected_before_any_job(rejected_run, case):
 def test_values_that_an_instrument_rejects_stop_its_job_in_one_line(project):
     project.put("beach", "medium: {kind: sand}\ninstrument: {wavelength_nm: [2500]}\n")
     run = project.snakemake("--cores", 1)
-    message = "beach: instrument.wavelength_nm = 2500.0: must be in [198, 2053.1] nm"
+    message = (
+        "config/experiments/beach.yaml, line 2: instrument.wavelength_nm = 2500.0: must be in "
+        "[198, 2053.1] nm"
+    )
     assert run.code != 0 and "Traceback" not in run.text
     assert any(line.startswith(message) for line in run.text.splitlines()), run.text
     (log,) = project.folder.glob("results/**/logs/simulate/beach.log")
@@ -144,3 +149,33 @@ def test_missing_names_of_studies_are_reported(project):
     (project.folder / "mine.yaml").write_text(study, encoding="utf-8")
     run = project.snakemake("--dry-run", "--configfile", "mine.yaml")
     assert "study mine is left out: no such experiment: goood (did you mean good?)" in run.text
+
+
+def test_errors_of_jobs_name_the_file_and_the_line(make_project, tmp_path):
+    """What a medium, an instrument or a figure rejects has the place where it is written."""
+    project = make_project(tmp_path)
+    project.put(
+        "too_deep",
+        """\
+instrument:
+  solver: discrete_ordinates
+  wavelength_nm: [500]
+medium: {kind: sand}
+""",
+    )
+    project.put(
+        "bare",
+        """\
+name: bare_map
+instrument: {kind: goniophotometer, wavelength_nm: [500], polar_deg: [0, 30], rays: 1000}
+
+figure: {kind: hemisphere}
+""",
+    )
+    run = project.snakemake("too_deep", "bare_map", "--cores", 1, "--keep-going")
+    assert run.code and "Traceback" not in run.text
+    for expected in (
+        r"config/experiments/too_deep\.yaml, line 2: instrument\.solver = 'discrete_ordinates': ",
+        r"config/experiments/bare\.yaml, line 4: figure\.kind = 'hemisphere': .* at least 3 polar",
+    ):
+        assert re.search(f"^{expected}", run.text, re.MULTILINE), run.text

@@ -42,7 +42,7 @@ def test_damaged_datasets_are_named_and_made_again_after_deletion(project):
     assert run.code != 0 and "Traceback" not in run.text
     (line,) = [line for line in run.text.splitlines() if "damaged.nc: damaged, " in line]
     assert line.startswith("results/tiny/data/damaged.nc: damaged, ")
-    assert line.endswith("(delete it, and run again what made it)")
+    assert line.endswith("(type: rm results/tiny/data/damaged.nc, and run again)")
     assert (data / "damaged.nc").read_bytes() == content
 
     (data / "damaged.nc").unlink()

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
+from experiment_jobs import start_jobs
 
 import splits
-from splits.core.yaml import ConfigError
-from splits.experiments import load_experiment
+from splits.core.validation import ConfigError
 
 SEASON = """\
 title: Season
@@ -130,5 +130,5 @@ def test_invalid_settings_are_named(tmp_path, text, message):
     path = tmp_path / "experiment.yaml"
     path.write_text(text)
     with pytest.raises(ConfigError, match=message) as error:
-        load_experiment(path, tmp_path)
+        start_jobs(path, tmp_path)
     assert "\n" not in str(error.value)

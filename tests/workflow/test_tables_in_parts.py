@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 import splits
-from splits.core.validation import InvalidValue
+from splits.core.validation import ConfigError, InvalidValue
 from splits.experiments import load_experiment
 from splits.io.netcdf import drop_run_specific_attributes
 
@@ -92,7 +92,6 @@ def test_table_is_built_in_parts_and_rebuilt_from_kept_blocks(project):
     ],
 )
 def test_invalid_tables_are_rejected(tmp_path, change, line):
-    from splits.core.yaml import ConfigError
 
     path = tmp_path / "snow.yaml"
     path.write_text(TABLE.replace(*change), encoding="utf-8")

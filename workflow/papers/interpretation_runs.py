@@ -20,7 +20,6 @@ import numpy as np
 import xarray as xr
 
 from splits.analysis.directions import select_principal_plane
-from splits.analysis.sensitivity import compute_spectral_sensitivity
 from splits.core.convergence import nest_runs
 from splits.instruments import goniophotometer, spectrophotometer
 from splits.instruments.solver import MONTE_CARLO
@@ -28,6 +27,7 @@ from splits.materials.library import load_dataset
 from splits.materials.refractive_index import TabulatedIndex
 from splits.media import Interpretation, Snow
 from workflow.papers.angles import MAX_LAMBERTIAN_RANGE, compute_relative_range, get_brdf
+from workflow.papers.sensitivity import compute_spectral_sensitivity
 from workflow.papers.statements import Estimate
 
 TREND_TOLERANCE = 0.1

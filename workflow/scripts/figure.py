@@ -5,10 +5,16 @@ from pathlib import Path
 
 from splits import load
 from splits.analysis.measured import read_spectra
+from splits.core.progress import open_progress_log
+from splits.experiments.config.load import locate_job_errors
 from splits.io.netcdf import exit_if_damaged
 from splits.plotting import draw, save_figure
 
 exit_if_damaged(snakemake.input)
-measured = [read_spectra(path) for path in snakemake.input.measured]
-figure = draw(load(snakemake.input.data), json.loads(snakemake.params.figure), *measured)
-save_figure(figure, Path(snakemake.output[0]).with_suffix(""))
+with (
+    open_progress_log(snakemake.log[0]),
+    locate_job_errors(snakemake.config, snakemake.wildcards.experiment),
+):
+    measured = [read_spectra(path) for path in snakemake.input.measured]
+    figure = draw(load(snakemake.input.data), json.loads(snakemake.params.figure), *measured)
+    save_figure(figure, Path(snakemake.output[0]).with_suffix(""))

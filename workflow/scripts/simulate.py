@@ -12,12 +12,16 @@ from pathlib import Path
 from splits import save
 from splits.analysis.measured import read_spectra
 from splits.core.progress import open_progress_log
+from splits.experiments.config.load import locate_job_errors
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.run import write_run
 from splits.experiments.run_fit import run_fit
 
-with open_progress_log(snakemake.log[0]) as log:
+with (
+    open_progress_log(snakemake.log[0]) as log,
+    locate_job_errors(snakemake.config, snakemake.wildcards.experiment),
+):
     experiment = SimulationConfig.model_validate(snakemake.params.experiment)
     accuracy = Accuracy.model_validate(snakemake.params.accuracy)
     settings = {"seed": snakemake.params.seed, "threads": snakemake.threads, "log": log}

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from splits.core.paths import expand_path
-from splits.core.validation import check_choice, invalid
-from splits.core.yaml import ConfigError, find_key, locate_message, read_yaml
+from splits.core.validation import ConfigError, InvalidValue, check_choice, invalid
+from splits.core.yaml import find_key, locate_message, read_yaml
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.media import MERGED_KEYWORDS, SAMPLE_KEY
 from splits.experiments.config.messages import suggest_mapping, validate_content
@@ -79,6 +79,37 @@ def locate_errors(path: Path) -> Iterator[None]:
         raise
     except (TypeError, ValueError) as error:
         raise ConfigError(locate_message(path, _to_single_line(str(error)))) from None
+
+
+@contextmanager
+def locate_job_errors(settings: Mapping[str, Any], name: str) -> Iterator[None]:
+    """Add the file of an experiment, and the line of the key, to the errors of its job.
+
+    The file is not a parameter of the job, which would run again if it moved.
+
+    Parameters
+    ----------
+    settings : mapping
+        The main configuration.
+    name : str
+        Name of the experiment.
+    """
+    try:
+        yield
+    except InvalidValue as error:
+        folder = load_settings(dict(settings)).experiments_folder
+        files = [one for one in _list_yaml_files(folder) if _read_name(one) == name]
+        with locate_errors(files[0] if files else Path(name)):
+            raise error from None
+
+
+def _list_yaml_files(folder: str | Path) -> list[Path]:
+    """Return the YAML files below a folder, which need not exist."""
+    return sorted(expand_path(folder, "folder").rglob("*.y*ml"))
+
+
+def _read_name(path: Path) -> str:
+    return str(read_yaml(path).get("name", path.stem))
 
 
 def _to_single_line(text: str) -> str:
@@ -203,7 +234,7 @@ def load_experiments(
             _read_base(path.stem, f"{path}: base", media)
         except ValueError as error:
             errors.append(str(error))
-    for path in sorted(expand_path(folder, "folder").rglob("*.y*ml")):
+    for path in _list_yaml_files(folder):
         try:
             experiment = load_experiment(path, media_folder, measured_folder)
             for table in experiment.list_table_paths():

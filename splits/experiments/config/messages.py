@@ -18,6 +18,7 @@ from splits.core.validation import (
 )
 from splits.media.formatting import NAMED_MEDIA
 from splits.media.kinds import MEDIUM_CLASSES
+from splits.plotting.panels import FIGURE_SETTINGS
 
 MAPPING = "a mapping of keys to values"
 ALLOWED = {
@@ -147,5 +148,5 @@ def suggest_mapping(key: str, value: Any, kinds: Sequence[Any]) -> str:
     """Return a hint for a text in place of a section of one of several kinds, or ""."""
     if key == "medium" and value in NAMED_MEDIA:
         return f"write {key}: {{base: {value}}}"
-    kinds = [*MEDIUM_CLASSES] if key == "medium" else kinds
+    kinds = {"medium": [*MEDIUM_CLASSES], "figure": [*FIGURE_SETTINGS]}.get(key, kinds)
     return f"write {key}: {{kind: {value}, …}}" if value in kinds else ""

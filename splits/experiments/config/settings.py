@@ -16,8 +16,14 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from splits.analysis.measured import read_measured, read_published
 from splits.core.paths import expand_path
 from splits.core.provenance import hash_files
-from splits.core.validation import check_choice, invalid, join_names, suggest_name, unknown_key
-from splits.core.yaml import ConfigError
+from splits.core.validation import (
+    ConfigError,
+    check_choice,
+    invalid,
+    join_names,
+    suggest_name,
+    unknown_key,
+)
 from splits.experiments.config.experiment import (
     OWN_GROUP,
     RESERVED_NAMES,

@@ -118,6 +118,10 @@ class SimulationConfig(ConfigSection):
                 raise invalid("instrument.kind", instrument.kind, allowed)
             self.load_packs()
             return self
+        if instrument.kind == "albedo":
+            allowed = f"{PACKS_KIND} for instrument.kind = 'albedo'"
+            hint = "splits.albedo accepts other media in Python"
+            raise invalid("medium.kind", kind, allowed, hint)
         if self.fit:
             self._check_fit(kind)
         if instrument.kind in ("table", "return_table"):

@@ -19,7 +19,7 @@ from splits.core.escaping import (
     escape_markdown,
     escape_mathtext,
 )
-from splits.core.yaml import ConfigError
+from splits.core.validation import ConfigError
 from splits.experiments import load_experiments, load_settings
 from splits.io.data_frame import write_data_frame
 from splits.plotting import draw_spectra

@@ -15,8 +15,7 @@ from formula_tables import make_snowlike_table
 import splits
 from splits import cli
 from splits.analysis.measured import read_measured
-from splits.core.validation import InvalidValue
-from splits.core.yaml import ConfigError
+from splits.core.validation import ConfigError, InvalidValue
 from splits.experiments import load_experiment, load_experiments, load_settings
 from splits.experiments.archive import make_configuration_members, pack_archive
 from splits.experiments.config.media import identify_by_content

@@ -10,7 +10,8 @@ import pytest
 import yaml
 from shipped import CONFIG
 
-from splits.core.yaml import MAX_NUMBER_CHARS, ConfigError, dump_yaml, read_yaml
+from splits.core.validation import ConfigError
+from splits.core.yaml import MAX_NUMBER_CHARS, dump_yaml, read_yaml
 from splits.experiments import load_experiment
 
 ROOT = Path(__file__).parents[3]

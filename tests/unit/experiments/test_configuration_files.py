@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from shipped import CONFIG
 
-from splits.core.yaml import ConfigError
+from splits.core.validation import ConfigError
 from splits.experiments import load_experiment, load_experiments, load_settings
 from splits.experiments.config.load import read_yaml
 

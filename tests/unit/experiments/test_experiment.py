@@ -11,7 +11,7 @@ import pytest
 from shipped import CONFIG
 
 from splits import Snow
-from splits.core.yaml import ConfigError
+from splits.core.validation import ConfigError
 from splits.experiments import ExperimentConfig, load_experiments, load_settings
 from splits.experiments.config.experiment import RESERVED_NAMES
 from splits.experiments.config.instruments import WavelengthGrid

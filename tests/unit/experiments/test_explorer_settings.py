@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from splits.core.yaml import ConfigError
+from splits.core.validation import ConfigError
 from splits.experiments import load_experiments, load_settings
 
 EXPERIMENTS = {

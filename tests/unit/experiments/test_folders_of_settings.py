@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from splits.core.yaml import ConfigError
+from splits.core.validation import ConfigError
 from splits.experiments import load_settings
 
 ACCURACIES = {"accuracies": {"standard": {"max_stderr": 0.1}}}

@@ -7,7 +7,8 @@ import time
 import pytest
 from experiment_jobs import start_jobs
 
-from splits.core.yaml import MAX_BYTES, ConfigError, read_yaml
+from splits.core.validation import ConfigError
+from splits.core.yaml import MAX_BYTES, read_yaml
 from splits.experiments import load_settings
 
 HUGE_NUMBER = "1" + 400 * "0"

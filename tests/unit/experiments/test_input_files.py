@@ -13,7 +13,7 @@ import yaml
 from experiment_jobs import start_jobs
 
 import splits
-from splits.core.yaml import ConfigError
+from splits.core.validation import ConfigError
 from splits.experiments import load_experiment
 from splits.experiments.archive import list_table_files, make_configuration_members
 from splits.experiments.checkpoints import PointCache

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from shipped import CONFIG
 
-from splits.core.yaml import ConfigError, read_yaml
+from splits.core.validation import ConfigError
+from splits.core.yaml import read_yaml
 from splits.experiments import load_experiments, load_settings
 from splits.experiments.config.load import select_experiments
 

@@ -9,8 +9,7 @@ import pytest
 import yaml
 from shipped import CONFIG
 
-from splits.core.validation import InvalidValue
-from splits.core.yaml import ConfigError
+from splits.core.validation import ConfigError, InvalidValue
 from splits.experiments import load_experiment, load_experiments, load_settings
 from splits.experiments.config.load import read_yaml
 from splits.experiments.config.sections import Accuracy

@@ -9,8 +9,7 @@ import yaml
 
 import splits
 from splits import cli
-from splits.core.validation import InvalidValue
-from splits.core.yaml import ConfigError
+from splits.core.validation import ConfigError, InvalidValue
 from splits.experiments import SimulationConfig, load_experiment
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run

@@ -11,7 +11,7 @@ from experiment_jobs import start_jobs
 from stated_errors import list_variables_with_errors
 
 from splits import load, save
-from splits.core.yaml import ConfigError
+from splits.core.validation import ConfigError
 from splits.experiments import load_experiment
 from splits.experiments import run_fit as module
 from splits.experiments.config.experiment import ExperimentConfig

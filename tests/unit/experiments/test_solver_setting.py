@@ -8,7 +8,7 @@ import pytest
 from chi2 import NEEDS_JIT
 from experiment_jobs import start_jobs
 
-from splits.core.yaml import ConfigError
+from splits.core.validation import ConfigError
 from splits.experiments import load_experiment
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run

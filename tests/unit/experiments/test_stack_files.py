@@ -9,8 +9,7 @@ from experiment_jobs import start_jobs
 from shipped import CONFIG, ROOT
 
 import splits
-from splits.core.validation import InvalidValue
-from splits.core.yaml import ConfigError
+from splits.core.validation import ConfigError, InvalidValue
 from splits.experiments import load_experiment
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.media import make_grid_coordinates

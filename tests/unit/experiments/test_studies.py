@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from shipped import CONFIG
 
-from splits.core.yaml import ConfigError
+from splits.core.validation import ConfigError
 from splits.experiments import ExperimentConfig, load_experiments, load_settings
 from splits.experiments.config.load import read_yaml
 from splits.experiments.config.messages import validate_content

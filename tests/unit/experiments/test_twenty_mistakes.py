@@ -7,7 +7,8 @@ from jsonschema import Draft202012Validator
 from shipped import CONFIG
 
 from splits import cli
-from splits.core.yaml import ConfigError, read_yaml
+from splits.core.validation import ConfigError
+from splits.core.yaml import read_yaml
 from splits.experiments import load_experiment
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.schema import make_schema

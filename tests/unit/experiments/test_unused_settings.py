@@ -15,8 +15,7 @@ from shipped import CONFIG
 
 import splits
 from splits import cli
-from splits.core.validation import InvalidValue
-from splits.core.yaml import ConfigError
+from splits.core.validation import ConfigError, InvalidValue
 from splits.experiments import SimulationConfig, load_experiment, load_settings
 from splits.experiments.config.retrieval import RetrieveSection
 from splits.experiments.config.sections import Accuracy

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from experiment_jobs import COARSE
 
 import splits
 from splits.experiments.config.experiment import ExperimentConfig
@@ -108,14 +109,14 @@ def test_experiments_with_layers_run_and_are_drawn(instrument, grid):
     [
         ({"medium": {"kind": "particle_layer"},
           "instrument": {"kind": "surface_map", "half_width_m": 1}},
-         "a layer with a surface"),
-        ({"instrument": {"kind": "surface_map", "half_width_m": 1}}, "a layer with a surface"),
+         "medium.surface = None: must be given for a map"),
+        ({"instrument": {"kind": "surface_map", "half_width_m": 1}},
+         "medium = 'snow': must be splits.ParticleLayer"),
         ({"medium": LAYER, "instrument": {"kind": "lens", "radius_m": 1}}, "screen_depth_m"),
         ({"medium": LAYER, "instrument": {"kind": "goniophotometer", "estimator": "next_event"}},
          "expansion or bins"),
         ({"medium": LAYER, "instrument": {"radius_m": 1}}, "left out for spectrophotometer"),
         ({"medium": {"kind": "particle_layer", "density_kg_m3": 3}}, "density_kg_m3"),
-        ({"medium": {"kind": "particle_layer"}}, "properties of layers"),
         ({"medium": {"kind": "particle_layer", "optical_thickness": "inf"}}, ".inf in YAML"),
         ({"medium": LAYER, "instrument": {"kind": "surface_map", "half_width_m": 1},
           "grid": {"refractive_index": [1.3, 1.5]}}, "figure.select"),
@@ -127,4 +128,5 @@ def test_experiments_with_layers_run_and_are_drawn(instrument, grid):
 )  # fmt: skip
 def test_invalid_experiments_are_rejected(content, message):
     with pytest.raises((ValueError, TypeError), match=message):
-        validate_content(ExperimentConfig, {"name": "made", **content})
+        experiment = validate_content(ExperimentConfig, {"name": "made", **content})
+        draw(run(experiment, COARSE, threads=1), experiment.resolve_figure())

@@ -191,7 +191,7 @@ def test_a_job_with_damaged_input_ends_with_one_line(tmp_path, damage):
     with pytest.raises(SystemExit) as exit_status:
         exit_if_damaged([str(sound), str(path)])
     line = exit_status.value.code
-    assert line.startswith(f"{path}: damaged, ") and line.endswith("run again what made it)")
+    assert line.startswith(f"{path}: damaged, ") and line.endswith(", and run again)")
     assert "\n" not in line
 
 

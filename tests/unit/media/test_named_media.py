@@ -10,8 +10,8 @@ import sys
 import pytest
 
 import splits
-from splits.core.validation import InvalidValue
-from splits.core.yaml import ConfigError, dump_yaml
+from splits.core.validation import ConfigError, InvalidValue
+from splits.core.yaml import dump_yaml
 from splits.experiments import load_experiment
 from splits.io.netcdf import to_netcdf_attributes
 from splits.media.kinds import NAMED_MEDIA, NAMED_MEDIA_FOLDER, read_named_medium

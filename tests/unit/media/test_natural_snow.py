@@ -8,7 +8,7 @@ import pytest
 from shipped import CONFIG
 
 import splits
-from splits.core.yaml import ConfigError
+from splits.core.validation import ConfigError
 from splits.experiments.config.load import load_experiment
 from splits.media.natural_snow import NATURAL_GRAIN_SHAPE, override_keywords
 

@@ -218,7 +218,7 @@ def test_legend_of_many_lines_lies_outside_the_panels():
 
 
 @pytest.mark.parametrize(
-    ("sizes", "rows"), [((3, 5), 3), ((5, 3), 3), ((2, 3), 1), ((15, 1), 1), ((9, 8), 1)]
+    ("sizes", "rows"), [((3, 5), 3), ((5, 3), 3), ((2, 3), 1), ((15, 1), 1), ((9, 6), 1)]
 )
 def test_many_lines_have_rows_of_panels(sizes, rows):
     grid = {
@@ -231,6 +231,12 @@ def test_many_lines_have_rows_of_panels(sizes, rows):
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     named = [title for title in titles if "saturation" in title or "density" in title]
     assert len(named) == (rows if rows > 1 else 0)
+
+
+def test_more_lines_than_can_be_told_apart_are_rejected():
+    grid = {"saturation": np.linspace(0.0, 1.0, 9), "density_kg_m3": np.linspace(100.0, 500.0, 8)}
+    with pytest.raises(ValueError, match=r"figure\.select.*at most 60 lines of 72"):
+        draw_principal_planes(make_dataset(grid))
 
 
 def test_maps_are_shown_for_few_grid_points_only():

@@ -62,6 +62,8 @@ def test_figures_have_a_notebook_representation():
 @pytest.mark.parametrize("kind", ["spectra", "points", "hemisphere"])
 def test_figure_files_are_reproducible(kind, tmp_path):
     section = SECTION | {"kind": kind}
+    if kind == "hemisphere":
+        section |= {"quantity": ["brdf"]}
     dataset = make_directions() if kind == "hemisphere" else make_spectrum()
     stems = (tmp_path / "one", tmp_path / "two")
     files = [
@@ -89,7 +91,7 @@ def test_settings_that_are_left_out_have_defaults():
     ("section", "message"),
     [
         ({"kind": "spectrum"}, "figure.kind = 'spectrum': must be one of .*did you mean spectra"),
-        ({"knd": "spectra"}, "figure.knd: unknown key, must be one of kind, "),
+        ({"knd": "spectra"}, "figure.knd: unknown key, must be one of kind, legend, .*mean kind"),
         ({"quantity": ["albedo"]}, "figure.quantity = 'albedo': must be one of reflectance"),
         (None, "figure = None: must be a mapping of settings"),
     ],

@@ -10,8 +10,7 @@ import pytest
 import xarray as xr
 from shipped import CONFIG
 
-from splits.core.validation import InvalidValue
-from splits.core.yaml import ConfigError
+from splits.core.validation import ConfigError, InvalidValue
 from splits.experiments import ExperimentConfig, load_experiment
 from splits.plotting import draw, draw_spectra, save_figure
 from splits.plotting.figure import FUNCTIONS

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from chi2 import compute_z_bound
 
-from splits.analysis.sensitivity import NOISE_THRESHOLD_SIGMA, compute_mean_sensitivity_index
+from workflow.papers.sensitivity import NOISE_THRESHOLD_SIGMA, compute_mean_sensitivity_index
 
 
 def test_equal_spectra_have_no_sensitivity():

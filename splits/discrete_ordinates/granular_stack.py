@@ -99,6 +99,11 @@ class GranularStack(NamedTuple):
         return any(layer.grains.n_states > 1 for layer in self.layers)
 
     @property
+    def water_index(self) -> np.ndarray | None:
+        """Refractive index of water, shape (wavelengths,); None if all layers are dry."""
+        return self.layers[0].water_index if self.is_wet else None
+
+    @property
     def wet_fractions(self) -> list[float]:
         """Fractions of wet pores, above 0; none if all layers are dry."""
         fractions = (layer.wet_fraction for layer in self.layers if self.is_wet)
@@ -145,9 +150,7 @@ class GranularStack(NamedTuple):
         streams = Streams.from_number(n_streams)
         in_air = self.equilibrium == AIR
         optics = [layer.compute_optics(n_streams + 1, in_air) for layer in self.layers]
-        directions = cosines[..., np.newaxis, :]
-        if self.is_wet:
-            directions = refract_directions(cosines, self.layers[0].water_index)
+        directions = refract_directions(cosines, self.water_index)
         own = [make_isotropic(one, streams, n_beams) for one in optics]
         isotropic = [
             make_isotropic(
@@ -164,8 +167,7 @@ class GranularStack(NamedTuple):
             )
             for one, outside, inside in zip(optics, isotropic, own, strict=True)
         ]  # fmt: skip
-        index = self.layers[0].water_index if self.is_wet else None
-        faces = make_faces(len(elements), self.wet_fractions, index, streams, cosines)
+        faces = make_faces(len(elements), self.wet_fractions, self.water_index, streams, cosines)
         combined, levels = elements[:1], isotropic[:1]
         for number, interface in enumerate(faces.interfaces, start=1):
             if interface is not None:

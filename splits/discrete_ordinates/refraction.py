@@ -78,8 +78,13 @@ def compute_reflectance(cosine: np.ndarray, index: np.ndarray) -> np.ndarray:
     return reflectance
 
 
-def refract_directions(cosines: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Return the cosines of directions in dry and wet pores, shape (..., 2, directions)."""
+def refract_directions(cosines: np.ndarray, index: np.ndarray | None) -> np.ndarray:
+    """Return the cosines of directions in dry and wet pores, shape (..., states, directions).
+
+    `index` is the refractive index of water, None for layers without wet pores.
+    """
+    if index is None:
+        return cosines[..., np.newaxis, :]
     sine2 = (1.0 - cosines**2) / np.asarray(index)[..., np.newaxis] ** 2
     refracted = np.sqrt(1.0 - sine2)
     return np.stack(np.broadcast_arrays(cosines, refracted), axis=-2)
@@ -299,8 +304,6 @@ class PlaneLayers(NamedTuple):
 
     def refract(self, cosines: np.ndarray) -> np.ndarray:
         """Return the cosines within the layers, shape (..., states, directions)."""
-        if self.water_index is None:
-            return cosines[np.newaxis]
         return refract_directions(cosines, self.water_index)
 
     def truncate(self, streams: int) -> PlaneLayers:

@@ -313,7 +313,4 @@ def _stack_layers(snowpack: GranularStack, orders: int) -> PlaneLayers:
         orders = N_PEAK_ORDERS
     layers = [layer.compute_optics(orders, in_air=True) for layer in snowpack.layers]
     optics = LayerOptics(*(np.stack(values) for values in zip(*layers, strict=True)))
-    if not snowpack.is_wet:
-        return PlaneLayers(optics, snowpack.ground)
-    index = snowpack.layers[0].water_index
-    return PlaneLayers(optics, snowpack.ground, snowpack.wet_fractions, index)
+    return PlaneLayers(optics, snowpack.ground, snowpack.wet_fractions, snowpack.water_index)

@@ -5,20 +5,25 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from splits.core.arrays import check_array_range, check_increasing, read_columns
+from splits.core.arrays import check_array_range
 from splits.core.equality import ContentEquality
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.optional import import_optional
 from splits.core.validation import check_range, invalid, suggest_name
 from splits.illumination.bands import SpectralBand, as_bands, interpolate_locally
-from splits.materials.csv_table import is_csv_path, read_numeric_csv, read_user_table, to_columns
+from splits.materials.csv_table import (
+    is_csv_path,
+    read_numeric_csv,
+    read_tabulated_function,
+    to_columns,
+)
 from splits.materials.refractive_index import check_wavelength_range
 
 SKY_COLUMNS = ("wavelength_nm", "direct", "diffuse")
@@ -55,19 +60,13 @@ class Sky(ContentEquality):
     relative: bool = False
 
     def __post_init__(self) -> None:
-        def set_attribute(name: str, value: Any) -> None:
-            object.__setattr__(self, name, value)
-
+        put = partial(object.__setattr__, self)
         zenith = check_range("zenith_deg", self.zenith_deg, 0.0, MAX_ZENITH_DEG, "degrees")
-        set_attribute("zenith_deg", zenith)
+        put("zenith_deg", zenith)
         columns = {key: getattr(self, key) for key in SKY_COLUMNS}
-        wavelengths, *light = read_columns("sky", columns)
-        check_increasing("sky.wavelength_nm", wavelengths)
-        if not wavelengths.size == light[0].size == light[1].size >= 2:
-            sizes = f"{wavelengths.size}, {light[0].size} and {light[1].size} numbers"
-            raise invalid("sky", sizes, "three lists of the same length, at least 2")
-        for key, values in zip(SKY_COLUMNS, (wavelengths, *light), strict=True):
-            set_attribute(key, check_array_range(f"sky.{key}", values, 0.0, np.inf))
+        spectra, _ = read_tabulated_function("sky", columns, SKY_COLUMNS)
+        for key, values in zip(SKY_COLUMNS, spectra, strict=True):
+            put(key, check_array_range(f"sky.{key}", values, 0.0, np.inf))
         if not self.total.any():
             raise invalid("sky", "0 everywhere", "light at some wavelength")
 
@@ -98,11 +97,11 @@ class Sky(ContentEquality):
                 )
             return self
         total = check_range("total_w_m2", total_w_m2, 0.0, 1e5, "W m-2", open_low=True)
-        factor = (
-            total / self.compute_weights(self.wavelength_nm, self.make_bands(None)[BROADBAND]).sum()
+        weights = self.compute_weights(self.wavelength_nm, self.make_bands(None)[BROADBAND])
+        factor = total / weights.sum()
+        return replace(
+            self, direct=factor * self.direct, diffuse=factor * self.diffuse, relative=False
         )
-        direct, diffuse = factor * self.direct, factor * self.diffuse
-        return replace(self, direct=direct, diffuse=diffuse, relative=False)
 
     def check_coverage(self, wavelength_nm: np.ndarray) -> None:
         """Check that wavelengths (nm) are within the spectrum of this sky."""
@@ -259,14 +258,9 @@ def sky(
     zenith = None
     if zenith_deg is not None:
         zenith = check_range("zenith_deg", zenith_deg, 0.0, MAX_ZENITH_DEG, "degrees")
-    all_parameters = {
-        "pressure_pa": pressure_pa,
-        "precipitable_water_cm": precipitable_water_cm,
-        "ozone_atm_cm": ozone_atm_cm,
-        "turbidity_500nm": turbidity_500nm,
-        "ground_albedo": ground_albedo,
-    }
-    atmosphere = {key: value for key, value in all_parameters.items() if value is not None}
+    given = (pressure_pa, precipitable_water_cm, ozone_atm_cm, turbidity_500nm, ground_albedo)
+    named = zip(ATMOSPHERE_PARAMETERS, given, strict=True)
+    atmosphere = {key: value for key, value in named if value is not None}
     if name == CLEAR_SKY:
         if zenith is None:
             raise invalid(
@@ -278,49 +272,30 @@ def sky(
         raise invalid(first, value, "left out", f"it applies to the sky {CLEAR_SKY} only")
     if name == ASTM_G173:
         return _make_astm_sky()
-    if isinstance(spectrum, Mapping):
-        if set(spectrum) != set(SKY_COLUMNS):
-            raise invalid(
-                "sky", sorted(map(str, spectrum)), "a mapping of " + ", ".join(SKY_COLUMNS)
-            )
-        return _make_user_sky("table", zenith, [spectrum[name] for name in SKY_COLUMNS])
-    if isinstance(spectrum, Path) or is_csv_path(name):
-        columns, digest = read_user_table("sky", spectrum, SKY_COLUMNS)
-        return _make_user_sky(Path(spectrum).name, zenith, columns, digest)
+    polar_angle = SNICAR_ZENITH_DEG if zenith is None else zenith
+    if isinstance(spectrum, Mapping | Path) or is_csv_path(name):
+        columns, digest = read_tabulated_function("sky", spectrum, SKY_COLUMNS)
+        name = "table" if isinstance(spectrum, Mapping) else Path(spectrum).name
+        user_sky = Sky(name, "given by the user", polar_angle, *columns)
+        if zenith is None and user_sky.direct.any():
+            hint = "splits.sky(…, zenith_deg=50): this sky has direct light"
+            raise invalid("zenith_deg", None, ZENITH_REQUIREMENT, hint)
+        content = np.stack([user_sky.wavelength_nm, user_sky.direct, user_sky.diffuse])
+        return replace(user_sky, sha256=digest or hashlib.sha256(content.tobytes()).hexdigest())
     if name not in list_sky_names():
         known = [*list_sky_names(), CLEAR_SKY, ASTM_G173]
         allowed = "one of " + ", ".join(known) + ", a mapping or a .csv file"
         raise invalid("sky", spectrum, allowed, suggest_name(spectrum, known))
-    return _make_snicar_sky(name, SNICAR_ZENITH_DEG if zenith is None else zenith)
-
-
-def _make_snicar_sky(name: str, zenith: float) -> Sky:
-    """Return a sky of the tables of SNICAR."""
     table = _load_snicar_skies()
     irradiance = table[name].to_numpy()
-    zeros = np.zeros_like(irradiance)
-    cloudy = name.endswith(CLOUDY_SUFFIX)
-    direct_and_diffuse = (zeros, irradiance) if cloudy else (irradiance, zeros)
-    source = "SNICAR-ADv3 (Flanner et al. 2021)"
+    light = (irradiance, np.zeros_like(irradiance))
     return Sky(
-        name, source, zenith, table["wavelength_nm"].to_numpy(), *direct_and_diffuse, relative=True
-    )
-
-
-def _make_user_sky(name: str, zenith: float | None, columns: list[Any], sha256: str = "") -> Sky:
-    wavelengths, direct, diffuse = columns
-    user_sky = Sky(name, "given by the user", SNICAR_ZENITH_DEG, wavelengths, direct, diffuse)
-    if zenith is None and user_sky.direct.any():
-        raise invalid(
-            "zenith_deg",
-            None,
-            ZENITH_REQUIREMENT,
-            "splits.sky(…, zenith_deg=50): this sky has direct light",
-        )
-    table = np.stack([user_sky.wavelength_nm, user_sky.direct, user_sky.diffuse])
-    digest = sha256 or hashlib.sha256(table.tobytes()).hexdigest()
-    return replace(
-        user_sky, zenith_deg=user_sky.zenith_deg if zenith is None else zenith, sha256=digest
+        name,
+        "SNICAR-ADv3 (Flanner et al. 2021)",
+        polar_angle,
+        table["wavelength_nm"].to_numpy(),
+        *(light[::-1] if name.endswith(CLOUDY_SUFFIX) else light),
+        relative=True,
     )
 
 

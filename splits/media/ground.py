@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
@@ -13,12 +13,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.core.arrays import (
-    check_array_range,
-    check_increasing,
-    check_named_numbers,
-    read_columns,
-)
+from splits.core.arrays import check_array_range, check_named_numbers
 from splits.core.equality import ContentEquality
 from splits.core.units import check_nanometres
 from splits.core.validation import (
@@ -30,7 +25,12 @@ from splits.core.validation import (
     suggest_name,
 )
 from splits.materials import RefractiveIndex, make_refractive_index, parse_refractive_index
-from splits.materials.csv_table import is_csv_path, read_numeric_csv, read_user_table, to_columns
+from splits.materials.csv_table import (
+    is_csv_path,
+    read_numeric_csv,
+    read_tabulated_function,
+    to_columns,
+)
 from splits.materials.refractive_index import check_wavelength_range
 from splits.media.formatting import format_input
 
@@ -93,19 +93,21 @@ class Ground(ContentEquality):
                 value = value.to_series()
             value = value.sort_index()
             value = {"wavelength_nm": value.index.to_numpy(), "albedo": value.to_numpy()}
-        if isinstance(value, Path) or (isinstance(value, str) and is_csv_path(value)):
-            path = Path(value)
-            (w, values), digest = read_user_table("ground", path, ("wavelength_nm", "albedo"))
-            return _make_tabulated_ground(path.name, "table of the user", w, values, digest)
+        if isinstance(value, Mapping | Path) or (isinstance(value, str) and is_csv_path(value)):
+            names = ("wavelength_nm", "albedo")
+            (w, values), digest = read_tabulated_function("ground", value, names)
+            values = check_array_range("ground.albedo", values, 0.0, 1.0)
+            if isinstance(value, Mapping):
+                return Ground(TABLE_NAME, "given by the user", values, w)
+            return Ground(Path(value).name, "table of the user", values, w, digest)
         if isinstance(value, str):
-            return _find_ground(value)
-        if isinstance(value, Mapping):
-            if set(value) != {"wavelength_nm", "albedo"}:
-                keys = sorted(map(str, value))
-                raise invalid("ground", keys, "a mapping of wavelength_nm and albedo, lists")
-            return _make_tabulated_ground(
-                TABLE_NAME, "given by the user", value["wavelength_nm"], value["albedo"]
-            )
+            if value in (OPEN, BLACK):
+                return None if value == OPEN else Ground(BLACK, "given by the user", np.zeros(1))
+            soils = load_soils()
+            if value not in soils:
+                hint = suggest_name(value, [OPEN, BLACK, *soils]) or "soils: " + ", ".join(soils)
+                raise invalid("ground", value, _ALLOWED_INPUT, hint)
+            return soils[value]
         if np.ndim(value):
             hint = 'a spectrum is {"wavelength_nm": [...], "albedo": [...]}'
             raise invalid("ground", value, _ALLOWED_INPUT, hint)
@@ -118,7 +120,8 @@ class Ground(ContentEquality):
             return {"wavelength_nm": self.wavelength_nm, "albedo": self.albedo_values}
         if self.wavelength_nm is None:
             return BLACK if self.name == BLACK else float(self.albedo_values[0])
-        return self.name if self.sha256 else _get_soil_name(self.name)
+        # Columns of soils are named SOIL_SAMPLE.
+        return self.name if self.sha256 else self.name.partition("_")[0]
 
     def __repr__(self) -> str:
         """Return the call that constructs the ground, on one line."""
@@ -181,42 +184,10 @@ def load_soils() -> dict[str, Ground]:
     lines = _SOILS_FILE.read_text(encoding="utf-8").splitlines()
     source = " ".join(line.lstrip("# ") for line in lines if line.startswith("#"))
     w = table["wavelength_nm"].to_numpy(dtype=float)
-    columns = [name for name in table.columns if name != "wavelength_nm"]
     return {
-        _get_soil_name(name): Ground(name, source, table[name].to_numpy(dtype=float), w)
-        for name in columns
+        name.partition("_")[0]: Ground(name, source, table[name].to_numpy(dtype=float), w)
+        for name in table.columns.drop("wavelength_nm")
     }
-
-
-def _get_soil_name(name: str) -> str:
-    """Return the short name of the soil of a column."""
-    return name.partition("_")[0]
-
-
-def _find_ground(name: str) -> Ground | None:
-    if name == OPEN:
-        return None
-    if name == BLACK:
-        return Ground(BLACK, "given by the user", np.zeros(1))
-    soils = load_soils()
-    if name not in soils:
-        hint = suggest_name(name, [OPEN, BLACK, *soils]) or "soils: " + ", ".join(soils)
-        raise invalid("ground", name, _ALLOWED_INPUT, hint)
-    return soils[name]
-
-
-def _make_tabulated_ground(
-    name: str, source: str, wavelength_nm: Any, albedo: Any, sha256: str = ""
-) -> Ground:
-    """Return the ground of a validated table."""
-    columns = {"wavelength_nm": wavelength_nm, "albedo": albedo}
-    w, values = read_columns("ground", columns)
-    check_increasing("ground.wavelength_nm", w)
-    if w.size != values.size or w.size < 2:
-        allowed = "two lists of the same length, at least 2"
-        raise invalid("ground", f"{w.size} wavelengths, {values.size} albedos", allowed)
-    values = check_array_range("ground.albedo", values, 0.0, 1.0)
-    return Ground(name, source, values, w, sha256)
 
 
 # --------------------------------------------------------------------------------------------------
@@ -227,12 +198,11 @@ EXPANDED_INPUTS = (
     "impurities_ng_g", "algae_cells_ml", "impurities_in",
 )  # fmt: skip
 """Inputs that expand to several dataset attributes."""
-_TRUNCATED_NORMAL_NAMES = ("min", "max", "mean", "sd")
 
 
 def check_truncated_normal(key: str, value: Any, low: float) -> tuple[float, ...]:
     """Return the validated (min, max, mean, sd) of a truncated normal distribution in [low, 1]."""
-    *limits_and_mean, sd = check_named_numbers(key, value, _TRUNCATED_NORMAL_NAMES)
+    *limits_and_mean, sd = check_named_numbers(key, value, ("min", "max", "mean", "sd"))
     minimum, maximum, mean = snap_to_limits(limits_and_mean, low, 1.0).tolist()
     if not low <= minimum <= mean <= maximum <= 1.0:
         raise invalid(key, value, f"{low:g} <= min <= mean <= max <= 1 (min, max, mean, sd)")
@@ -258,16 +228,16 @@ def check_ground_reached(
 
 
 def make_refractive_indices(
-    materials: Iterable[str], given: Any, pore_fluids: Iterable[str] = ()
+    materials: Sequence[str], given: Any, pore_fluids: Iterable[str]
 ) -> dict[str, RefractiveIndex]:
     """Return the refractive index of every material, by default that of its default dataset.
 
     Parameters
     ----------
-    materials : iterable of str
+    materials : sequence of str
     given : mapping
         Refractive indices by material; air may be among them and is 1 otherwise.
-    pore_fluids : iterable of str, optional
+    pore_fluids : iterable of str
         Other pore fluids; each must be given.
 
     Raises
@@ -275,25 +245,16 @@ def make_refractive_indices(
     ValueError
         If `given` is not a mapping, or for a material that the medium does not have.
     """
-    solids = list(materials)
-    optional_materials = (
-        [*pore_fluids, "air"]
-        if isinstance(given, Mapping) and "air" in given
-        else list(pore_fluids)
-    )
-    names = solids + optional_materials
     if not isinstance(given, Mapping):
         raise invalid("refractive_index", given, "a mapping by material")
+    fluids = [*pore_fluids, *(["air"] if "air" in given else [])]
+    names = [*materials, *fluids]
     for name in given:
         if name not in names:
-            raise invalid(
-                "refractive_index",
-                name,
-                "a mapping with keys " + ", ".join(names),
-                suggest_name(name, names),
-            )
-    return {m: make_refractive_index(m, given.get(m)) for m in solids} | {
-        m: parse_refractive_index(m, given[m]) for m in optional_materials
+            allowed = "a mapping with keys " + ", ".join(names)
+            raise invalid("refractive_index", name, allowed, suggest_name(name, names))
+    return {m: make_refractive_index(m, given.get(m)) for m in materials} | {
+        m: parse_refractive_index(m, given[m]) for m in fluids
     }
 
 

@@ -14,10 +14,9 @@ from splits.core.paths import expand_path
 from splits.core.validation import check_choice, format_limit, invalid, key_prefix
 from splits.media.formatting import NAMED_MEDIA, NAMED_MEDIA_FOLDER, suggest_medium
 from splits.media.medium import GranularMedium, Medium
-from splits.media.natural_snow import override_keywords
 from splits.media.particle_layer import ParticleLayer
 from splits.media.sand import Sand
-from splits.media.snow import Snow
+from splits.media.snow import Snow, override_keywords
 from splits.media.snow_packs import SnowPacks
 from splits.media.stack import Stack
 

@@ -18,7 +18,7 @@ from splits.core.parameter_names import IMPURITY_KEYWORDS, describe_parameter
 from splits.core.validation import check_choice, check_range, invalid, suggest_name, unknown_key
 from splits.materials.impurities import ALGAE_NAMES, list_impurities
 from splits.media.ground import Ground
-from splits.media.natural_snow import (
+from splits.media.snow import (
     GRAIN_SIZE_RANGE_UM,
     LIQUID_WATER_KEY,
     OPTICAL_RADIUS_KEY,

@@ -20,7 +20,7 @@ from splits.io.crocus import THICKNESS, WATER_DENSITY_KG_M3, read_crocus_output
 from splits.io.layer_profiles import average_over_layers, interpolate_to_layers
 from splits.io.netcdf import NETCDF_SUFFIXES, SCHEMA_ATTRIBUTE, load, open_foreign
 from splits.materials.csv_table import read_csv
-from splits.media.natural_snow import SURFACE_AREA_KEY
+from splits.media.snow import SURFACE_AREA_KEY
 from splits.media.snow_pack_input import (
     DEFAULT_LABEL,
     DEFAULTS,

@@ -33,7 +33,7 @@ from splits.media.ground import (
     Ground,
     is_ground_spectrum,
 )
-from splits.media.natural_snow import OPTICAL_RADIUS_KEY, SURFACE_AREA_KEY
+from splits.media.snow import OPTICAL_RADIUS_KEY, SURFACE_AREA_KEY
 
 # --------------------------------------------------------------------------------------------------
 # Ground below the snowpacks of `splits.SnowPacks`: one for all, or an albedo for each.

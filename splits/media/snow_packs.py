@@ -26,14 +26,14 @@ from splits.io.netcdf import ANCILLARY_ATTRIBUTE
 from splits.materials.impurities import MAX_NG_G
 from splits.materials.library import interpolate_ice_density
 from splits.media.ground import OPEN
-from splits.media.natural_snow import (
+from splits.media.snow import (
     MAX_SURFACE_AREA_M2_KG,
     MIN_NATURAL_DENSITY_KG_M3,
     MIN_SURFACE_AREA_M2_KG,
     OPTICAL_RADIUS_KEY,
     SURFACE_AREA_KEY,
+    Snow,
 )
-from splits.media.snow import Snow
 from splits.media.snow_pack_input import (
     DEFAULTS,
     DENSITY_KEY,

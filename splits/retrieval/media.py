@@ -21,8 +21,8 @@ from splits.discrete_ordinates.applicability import find_obstacle, find_paramete
 from splits.instruments.solver import MONTE_CARLO, SOLVERS, choose_solver
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
-from splits.media.natural_snow import check_no_equivalents
 from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
+from splits.media.snow import check_no_equivalents
 from splits.retrieval.forward_model import SCALE_RANGE
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.medium_model import MediumForwardModel

@@ -8,11 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from splits.core.arrays import read_columns
+from splits.core.arrays import check_increasing
 from splits.core.equality import ContentEquality
 from splits.core.keywords import reject_unknown_keywords
 from splits.core.validation import (
@@ -33,6 +34,7 @@ from splits.kernels.phase_function import (
 )
 from splits.kernels.rough_surface.realization import HeightFields
 from splits.kernels.scene import MATRIX
+from splits.materials.csv_table import read_tabulated_function
 from splits.media.formatting import find_differences, format_call
 from splits.media.ground import Ground
 from splits.media.medium import LayerBottom, ParticleMedium
@@ -140,23 +142,14 @@ class ParticleLayer(ContentEquality, ParticleMedium):
     depth_m: float = 1.0
 
     def __post_init__(self) -> None:
-        def put(name: str, value: Any) -> None:
-            object.__setattr__(self, name, value)
-
-        put("optical_thickness", as_scalar(self.optical_thickness))
-        if isinstance(self.optical_thickness, str):
-            raise invalid(
-                "optical_thickness", self.optical_thickness, "a number from 0 to 1e+06",
-                "or infinite: .inf in YAML, math.inf in Python",
-            )  # fmt: skip
-        if not (isinstance(self.optical_thickness, float) and self.is_semi_infinite):
-            put(
-                "optical_thickness",
-                check_range(
-                    "optical_thickness", self.optical_thickness, 0.0, 1e6,
-                    hint="or infinite: .inf in YAML, math.inf in Python",
-                ),
-            )  # fmt: skip
+        put = partial(object.__setattr__, self)
+        thickness = as_scalar(self.optical_thickness)
+        hint = "or infinite: .inf in YAML, math.inf in Python"
+        if isinstance(thickness, str):
+            raise invalid("optical_thickness", thickness, "a number from 0 to 1e+06", hint)
+        if not (isinstance(thickness, float) and thickness == math.inf):
+            thickness = check_range("optical_thickness", thickness, 0.0, 1e6, hint=hint)
+        put("optical_thickness", thickness)
         for name, low, high in (
             ("single_scattering_albedo", 0.0, 1.0),
             ("asymmetry", -0.999, 0.999),
@@ -169,7 +162,19 @@ class ParticleLayer(ContentEquality, ParticleMedium):
             put("bottom_albedo", check_range("bottom_albedo", self.bottom_albedo, 0.0, 1.0))
         for name in ("polarized", "opaque"):
             put(name, check_flag(name, getattr(self, name)))
-        put("_phase", self._make_phase_function())
+        if self.scattering_matrix is not None:
+            put("scattering_matrix", ScatteringMatrix.from_input(self.scattering_matrix))
+            phase = self.scattering_matrix.make_phase_function()
+        elif isinstance(self.phase_function, Mapping):
+            if self.polarized:
+                hint = "a phase function alone does not determine polarization"
+                raise invalid("polarized", True, "with scattering_matrix", hint)
+            phase = _make_tabulated_phase(self.phase_function)
+        elif check_choice("phase_function", self.phase_function, PHASE_FUNCTIONS) == "rayleigh":
+            phase = make_rayleigh(self.depolarization)
+        else:
+            phase = make_henyey_greenstein(self.asymmetry)
+        put("_phase", phase)
         if self.surface is not None:
             put("surface", RoughSurface.from_input(self.surface))
             min_depth_m = CLEARANCE_SIGMA * self.surface.rms_height_m
@@ -180,24 +185,6 @@ class ParticleLayer(ContentEquality, ParticleMedium):
                     f"at least {format_limit(min_depth_m, self.depth_m)} m",
                     f"{CLEARANCE_SIGMA:g} standard deviations of height must fit above the bottom",
                 )  # fmt: skip
-
-    def _make_phase_function(self) -> PhaseFunction:
-        """Return the validated phase function; the scattering matrix replaces its input."""
-        phase_function, matrix = self.phase_function, self.scattering_matrix
-        if matrix is not None:
-            matrix = ScatteringMatrix.from_input(matrix)
-            object.__setattr__(self, "scattering_matrix", matrix)
-            phase: PhaseFunction = matrix.make_phase_function()
-            return phase
-        if isinstance(phase_function, Mapping):
-            if self.polarized:
-                hint = "a phase function alone does not determine polarization"
-                raise invalid("polarized", True, "with scattering_matrix", hint)
-            return _make_tabulated_phase(phase_function)
-        check_choice("phase_function", phase_function, PHASE_FUNCTIONS)
-        if phase_function == "rayleigh":
-            return make_rayleigh(self.depolarization)
-        return make_henyey_greenstein(self.asymmetry)
 
     def __repr__(self) -> str:
         """Return the call that constructs the layer, on one line."""
@@ -267,8 +254,8 @@ class ParticleLayer(ContentEquality, ParticleMedium):
         """Return the rough surface in the form the kernels take, or None for a smooth surface."""
         if self.surface is None or self.surface.rms_height_m == 0.0:
             return None
-        height_fields: HeightFields = self.surface.make_height_fields()
-        return height_fields
+        surface: RoughSurface = self.surface
+        return surface.make_height_fields()
 
     def list_materials(self) -> tuple[str, ...]:
         """Return the names of the materials: that above the layer, and the matrix."""
@@ -307,19 +294,11 @@ class ParticleLayer(ContentEquality, ParticleMedium):
 
 def _make_tabulated_phase(table: Mapping[str, Any]) -> PhaseFunction:
     """Return the validated tabulated phase function."""
-    allowed = "a mapping with equally long lists cosine and density"
-    if set(table) != {"cosine", "density"}:
-        raise invalid("phase_function", [str(key) for key in table], allowed)
-    table = {key: table[key] for key in ("cosine", "density")}
-    cosine, density = read_columns("phase_function", table)
-    if cosine.shape != density.shape:
-        raise invalid("phase_function", (cosine.shape, density.shape), allowed)
-    if cosine.size < 2 or not np.allclose(
-        cosine[[0, -1]], (-1.0, 1.0), rtol=ROUNDING_TOLERANCE, atol=0.0
-    ):
-        raise invalid("phase_function.cosine", cosine.tolist(), "increasing from -1 to 1")
+    key = "phase_function"
+    (cosine, density), _ = read_tabulated_function(key, table, ("cosine", "density"))
+    if not np.allclose(cosine[[0, -1]], (-1.0, 1.0), rtol=ROUNDING_TOLERANCE, atol=0.0):
+        raise invalid(f"{key}.cosine", cosine.tolist(), "increasing from -1 to 1")
     cosine[[0, -1]] = -1.0, 1.0
-    if (np.diff(cosine) <= 0.0).any():
-        raise invalid("phase_function.cosine", cosine.tolist(), "increasing from -1 to 1")
+    check_increasing(f"{key}.cosine", cosine)
     density = snap_to_limits(density, 0.0, MAX_DENSITY)
-    return make_tabulated(cosine, check_density("phase_function.density", density))
+    return make_tabulated(cosine, check_density(f"{key}.density", density))

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cached_property, partial
 from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.core.arrays import as_float_array, read_columns
+from splits.core.arrays import as_float_array, check_increasing
 from splits.core.equality import ContentEquality
 from splits.core.keywords import reject_unknown_keywords
 from splits.core.optional import import_optional
@@ -26,6 +26,7 @@ from splits.core.validation import (
 )
 from splits.kernels.rng import make_table_probabilities, start_stream
 from splits.kernels.rough_surface import realization as kernels
+from splits.materials.csv_table import read_tabulated_function
 from splits.media.formatting import format_call, format_input
 
 # --------------------------------------------------------------------------------------------------
@@ -109,6 +110,8 @@ HEIGHT_SPECTRA = {
     ),
 }
 CORRELATIONS = (*HEIGHT_SPECTRA, "spectrum")
+MAX_WAVES = 100_000
+SPECTRUM_COLUMNS = ("wave_number_per_m", "density")
 
 
 def compute_quantiles(wave_number: np.ndarray, density: np.ndarray) -> np.ndarray:
@@ -224,9 +227,7 @@ class RandomHeightField(ContentEquality):
     spectrum: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
-        def put(name: str, value: Any) -> None:
-            object.__setattr__(self, name, value)
-
+        put = partial(object.__setattr__, self)
         put("rms_height_m", check_range("rms_height_m", self.rms_height_m, 0.0, 1e6, "m"))
         check_choice("correlation", self.correlation, CORRELATIONS)
         put("waves", check_integer("waves", self.waves, 1, MAX_WAVES))
@@ -234,35 +235,52 @@ class RandomHeightField(ContentEquality):
             for key in ("wave_number_per_m", "band_limit_per_m"):
                 if getattr(self, key) is not None:
                     raise invalid(key, getattr(self, key), "left out", "the spectrum has its own")
-            put("spectrum", _read_spectrum(self.spectrum))
+            if not isinstance(self.spectrum, Mapping):
+                allowed = "a mapping of lists of the same length: " + ", ".join(SPECTRUM_COLUMNS)
+                raise invalid("spectrum", self.spectrum, allowed)
+            (k, density), _ = read_tabulated_function("spectrum", self.spectrum, SPECTRUM_COLUMNS)
+            k = check_increasing("spectrum.wave_number_per_m", snap_to_limits(k, 0.0, math.inf))
+            if k[0] < 0.0:
+                raise invalid("spectrum.wave_number_per_m", k.tolist(), "0 or more and increasing")
+            density = snap_to_limits(density, 0.0, math.inf)
+            if (density < 0.0).any() or not density[k > 0.0].any():
+                allowed = "0 or more, and positive somewhere"
+                raise invalid("spectrum.density", density.tolist(), allowed)
+            columns = (tuple(k.tolist()), tuple(density.tolist()))
+            put("spectrum", dict(zip(SPECTRUM_COLUMNS, columns, strict=True)))
             return
         if self.spectrum is not None:
             raise invalid("spectrum", self.spectrum, 'left out unless correlation is "spectrum"')
-        key, k0 = "wave_number_per_m", self.wave_number_per_m
+        k0, limit = self.wave_number_per_m, self.band_limit_per_m
         if k0 is None:
-            raise invalid(key, None, "given (1/m)", "the inverse of the correlation length")
-        put(key, k0 := check_range(key, k0, 1e-9, 1e9, "1/m"))
-        key, limit = "band_limit_per_m", self.band_limit_per_m
+            hint = "the inverse of the correlation length"
+            raise invalid("wave_number_per_m", None, "given (1/m)", hint)
+        k0 = check_range("wave_number_per_m", k0, 1e-9, 1e9, "1/m")
+        put("wave_number_per_m", k0)
         if limit is None and self.correlation == "exponential":
             raise invalid(
-                key, None, "given (1/m)",
+                "band_limit_per_m", None, "given (1/m)",
                 "slopes, about rms_height_m √(k0 limit), grow without bound with it and change "
                 "reflectance; give the largest wave number of the surface, or infinity; only the "
                 'default correlation "exponential" needs it, "gaussian" does not',
             )  # fmt: skip
         if limit is None or limit == math.inf:
-            put(key, math.inf)
+            limit = math.inf
         else:
-            put(key, check_range(key, limit, 1e-3 * k0, math.inf, "1/m"))
+            limit = check_range("band_limit_per_m", limit, 1e-3 * k0, math.inf, "1/m")
+        put("band_limit_per_m", limit)
 
     def as_input(self) -> dict[str, Any]:
         """Return the keywords that differ from their defaults."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        values = {
+            field.name: getattr(self, field.name)
+            for field in fields(self)
+            if getattr(self, field.name) != field.default
+        }
         # Only the exponential correlation requires a limit, so an infinite one is shown.
         if self.band_limit_per_m == math.inf and self.correlation != "exponential":
             del values["band_limit_per_m"]
-        defaults = {field.name: field.default for field in fields(self)}
-        return {name: value for name, value in values.items() if value != defaults[name]}
+        return values
 
     def __repr__(self) -> str:
         """Return the call that constructs the field, on one line."""
@@ -307,26 +325,6 @@ class RandomHeightField(ContentEquality):
         )
 
 
-MAX_WAVES = 100_000
-SPECTRUM_COLUMNS = ("wave_number_per_m", "density")
-
-
-def _read_spectrum(given: Any) -> dict[str, tuple[float, ...]]:
-    """Return the validated columns of a spectrum."""
-    allowed = "a mapping of equally many numbers " + " and ".join(SPECTRUM_COLUMNS)
-    if not isinstance(given, Mapping) or set(given) != set(SPECTRUM_COLUMNS):
-        raise invalid("spectrum", given, allowed)
-    k, density = read_columns("spectrum", {key: given[key] for key in SPECTRUM_COLUMNS})
-    if k.shape != density.shape or k.size < 2:
-        raise invalid("spectrum", dict(given), allowed, "two rows at least")
-    k, density = (snap_to_limits(row, 0.0, math.inf) for row in (k, density))
-    if k[0] < 0.0 or (np.diff(k) <= 0.0).any():
-        raise invalid("spectrum.wave_number_per_m", k.tolist(), "0 or more and increasing")
-    if (density < 0.0).any() or not density[k > 0.0].any():
-        raise invalid("spectrum.density", density.tolist(), "0 or more, and positive somewhere")
-    return dict(zip(SPECTRUM_COLUMNS, (tuple(k.tolist()), tuple(density.tolist())), strict=True))
-
-
 # --------------------------------------------------------------------------------------------------
 # Randomly rough surfaces: heights, correlation and number of waves.
 
@@ -357,9 +355,23 @@ class RoughSurface:
             given = [given]
         if isinstance(given, (str, bytes)) or not isinstance(given, Sequence) or not given:
             raise invalid("surface", given, "one field, or a list of fields, of keys and values")
-        keys = [f"surface[{i}]" for i in range(len(given))] if len(given) > 1 else ["surface"]
-        height_fields = tuple(_make_height_field(*pair) for pair in zip(keys, given, strict=True))
-        object.__setattr__(self, "fields", height_fields)
+        names = [f.name for f in fields(RandomHeightField)]
+        allowed = "one of " + ", ".join(names)
+        height_fields = []
+        for number, value in enumerate(given):
+            key = f"surface[{number}]" if len(given) > 1 else "surface"
+            if not isinstance(value, RandomHeightField):
+                if not isinstance(value, Mapping):
+                    raise invalid(key, value, "a mapping of keys, each " + allowed)
+                for name in value:
+                    if name not in names:
+                        raise invalid(key, name, allowed, suggest_name(name, names))
+                if "rms_height_m" not in value:
+                    raise invalid(f"{key}.rms_height_m", None, "given (m)")
+                with key_prefix(key):
+                    value = RandomHeightField(**value)
+            height_fields.append(value)
+        object.__setattr__(self, "fields", tuple(height_fields))
 
     @classmethod
     def from_input(cls, value: Any) -> RoughSurface:
@@ -383,15 +395,12 @@ class RoughSurface:
     def correlation(self, r_m: Any) -> np.ndarray:
         """Return the expected correlation of heights at distances (m); 1 for a plane."""
         r = as_float_array("r_m", r_m, "numbers in metres")
-        if self.rms_height_m == 0.0:
+        total = self.rms_height_m
+        if total == 0.0:
             return np.ones_like(r)
-        variance_fractions = (
-            (field.rms_height_m / self.rms_height_m) ** 2 for field in self.fields
-        )
-        terms = zip(variance_fractions, self.fields, strict=True)
-        return np.sum(
-            [fraction * field.compute_correlation(r) for fraction, field in terms], axis=0
-        )
+        # The correlations of the fields add, weighted by their fractions of the variance.
+        terms = [(f.rms_height_m / total) ** 2 * f.compute_correlation(r) for f in self.fields]
+        return np.sum(terms, axis=0)
 
     def rms_slope(self) -> float:
         """Return the rms slope √⟨|∇Ψ|²⟩; it may be infinite without a band limit."""
@@ -426,12 +435,9 @@ class RoughSurface:
 
         The rows are those of `splits.kernels.rough_surface.realization`, which evaluates them.
         """
-        seed, ray_number = (
-            check_integer("seed", seed, 0),
-            check_integer("number", ray_number, 0),
-        )
         state = np.zeros(1, dtype=np.uint64)
-        start_stream(state, seed, 0, ray_number)
+        ray = check_integer("number", ray_number, 0)
+        start_stream(state, check_integer("seed", seed, 0), 0, ray)
         height_fields = self.make_height_fields()
         waves: np.ndarray = kernels.sample_realization(
             state, height_fields, kernels.allocate_realization(height_fields)
@@ -451,20 +457,3 @@ class RoughSurface:
         for key in SPECTRUM_COLUMNS if tables else ():
             inputs[f"spectrum_{key}"] = [x for table in tables for x in table[key]]
         return inputs | {"rms_slope": self.rms_slope()}
-
-
-def _make_height_field(key: str, value: Any) -> RandomHeightField:
-    """Return a height field; errors carry `key`."""
-    if isinstance(value, RandomHeightField):
-        return value
-    names = [f.name for f in fields(RandomHeightField)]
-    allowed = "one of " + ", ".join(names)
-    if not isinstance(value, Mapping):
-        raise invalid(key, value, "a mapping of keys, each " + allowed)
-    for name in value:
-        if name not in names:
-            raise invalid(key, name, allowed, suggest_name(name, names))
-    if "rms_height_m" not in value:
-        raise invalid(f"{key}.rms_height_m", None, "given (m)")
-    with key_prefix(key):
-        return RandomHeightField(**value)

@@ -177,22 +177,39 @@ class ScatteringMatrix(ContentEquality):
         """
         if isinstance(value, cls):
             return value
-        columns = _read_columns(value)
+        if isinstance(value, str | Path):
+            path = expand_path(value, KEY)
+            if path.suffix.lower() in MATRIX_NETCDF_SUFFIXES:
+                with open_foreign(KEY, path) as dataset:
+                    columns = _select_variables(dataset.load())
+            else:
+                table = read_csv(KEY, path)
+                columns = {name: table.get_numbers(name) for name in table.column_names}
+        else:
+            is_dataset = isinstance(value, xr.Dataset)
+            columns = _select_variables(value) if is_dataset else to_columns(value)
+        if not isinstance(columns, Mapping):
+            raise invalid(KEY, value, ALLOWED)
+        errors = np.zeros(1)
         if set(COEFFICIENTS) & set(columns):
-            matrix = cls(*sum_expansion(_read_coefficients(columns)))
-            matrix._check_physical(np.zeros_like(matrix.angle_deg))
-            return matrix
-        stderr = {name.removesuffix(STDERR): columns[name] for name in columns if STDERR in name}
-        matrix = cls(*_read_elements({n: c for n, c in columns.items() if STDERR not in n}))
-        errors = _read_elements({ANGLE: columns[ANGLE], **stderr})[1] if stderr else 0.0
-        matrix._check_physical(N_STDERR * np.max(errors, axis=-1))
-        return matrix
-
-    def _check_physical(self, error: np.ndarray) -> None:
-        """Reject a matrix that is no sum of matrices of single particles, within an error."""
-        p11, p12, p33, p34, p22, p44 = self.elements.T
+            if set(columns) != set(COEFFICIENTS):
+                raise invalid(KEY, sorted(map(str, columns)), join_names(COEFFICIENTS))
+            rows = [as_1d_array(f"{KEY}.{name}", columns[name]) for name in COEFFICIENTS]
+            if len({row.size for row in rows}) != 1 or not rows[0].size or rows[0][0] <= 0.0:
+                found = dict(zip(COEFFICIENTS, [row.size for row in rows], strict=True))
+                allowed = "lists of the same length from order 0 on, with alpha1 above 0"
+                raise invalid(KEY, found, allowed)
+            for name, row in zip(COEFFICIENTS, rows, strict=True):
+                check_array_range(f"{KEY}.{name}", row, -MAX_DENSITY, MAX_DENSITY)
+            matrix = cls(*sum_expansion(np.stack(rows)))
+        else:
+            stderr = {n.removesuffix(STDERR): columns[n] for n in columns if STDERR in n}
+            matrix = cls(*_read_elements({n: c for n, c in columns.items() if STDERR not in n}))
+            if stderr:
+                errors = _read_elements({ANGLE: columns[ANGLE], **stderr})[1]
+        p11, p12, p33, p34, p22, p44 = matrix.elements.T
         check_density(f"{KEY}.P11", p11)
-        allowance = PHYSICAL_TOLERANCE * p11 + error
+        allowance = PHYSICAL_TOLERANCE * p11 + N_STDERR * np.max(errors, axis=-1)
         # A matrix is a sum of matrices of single particles if its coherency matrix has no negative
         # eigenvalue (Cloude 1986, Optik 75, 26); these are its three blocks.
         is_physical = (
@@ -201,11 +218,12 @@ class ScatteringMatrix(ContentEquality):
         )  # fmt: skip
         if not is_physical.all():
             first = int(np.argmin(is_physical))
-            found = dict(zip(ELEMENTS, self.elements[first].tolist(), strict=True))
+            found = dict(zip(ELEMENTS, matrix.elements[first].tolist(), strict=True))
             raise invalid(
                 KEY, found, "a sum of matrices of single particles",
-                f"at {self.angle_deg[first]:g}°; elements are not divided by P11",
+                f"at {matrix.angle_deg[first]:g}°; elements are not divided by P11",
             )  # fmt: skip
+        return matrix
 
     def as_input(self) -> dict[str, np.ndarray]:
         """Return the input of `from_input` for this matrix, as columns."""
@@ -235,23 +253,6 @@ def check_density(key: str, values: np.ndarray) -> np.ndarray:
         found = highest if lowest >= 0.0 else lowest
         raise invalid(key, found, allowed, "their unit is arbitrary")
     return values
-
-
-def _read_columns(value: Any) -> Mapping[str, Any]:
-    """Return the columns of an input by name."""
-    if isinstance(value, str | Path):
-        path = expand_path(value, KEY)
-        if path.suffix.lower() in MATRIX_NETCDF_SUFFIXES:
-            with open_foreign(KEY, path) as dataset:
-                return _select_variables(dataset.load())
-        table = read_csv(KEY, path)
-        return {name: table.get_numbers(name) for name in table.column_names}
-    if isinstance(value, xr.Dataset):
-        return _select_variables(value)
-    columns = to_columns(value)
-    if not isinstance(columns, Mapping):
-        raise invalid(KEY, value, ALLOWED)
-    return columns
 
 
 def _select_variables(dataset: xr.Dataset) -> Mapping[str, Any]:
@@ -298,20 +299,6 @@ def _select_variables(dataset: xr.Dataset) -> Mapping[str, Any]:
         values = np.interp(grid, angles[:size][order], row[:size][order])
         elements[name] = -values if name == "P34" else values
     return elements
-
-
-def _read_coefficients(columns: Mapping[str, Any]) -> np.ndarray:
-    """Return the coefficients of an expansion, shape (6, orders)."""
-    if set(columns) != set(COEFFICIENTS):
-        raise invalid(KEY, sorted(map(str, columns)), join_names(COEFFICIENTS))
-    rows = [as_1d_array(f"{KEY}.{name}", columns[name]) for name in COEFFICIENTS]
-    sizes = {row.size for row in rows}
-    if len(sizes) != 1 or not rows[0].size or rows[0][0] <= 0.0:
-        found = dict(zip(COEFFICIENTS, [row.size for row in rows], strict=True))
-        raise invalid(KEY, found, "lists of the same length from order 0 on, with alpha1 above 0")
-    for name, row in zip(COEFFICIENTS, rows, strict=True):
-        check_array_range(f"{KEY}.{name}", row, -MAX_DENSITY, MAX_DENSITY)
-    return np.stack(rows)
 
 
 def _read_elements(columns: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:

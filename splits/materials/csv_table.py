@@ -243,7 +243,7 @@ def read_tabulated_function(
     elif not isinstance(value, Mapping) or set(value) != {*column_names}:
         given = sorted(map(str, value)) if isinstance(value, Mapping) else value
         names = ", ".join(column_names)
-        raise invalid(key, given, f"{alternative}a mapping of lists of the same length: {names}")
+        raise invalid(key, given, f"{alternative}a mapping of {names}, lists of the same length")
     arrays = read_columns(key, {name: columns[name] for name in column_names})
     check_increasing(f"{key}.{column_names[0]}", arrays[0])
     sizes = [array.size for array in arrays]

@@ -236,7 +236,7 @@ class RandomHeightField(ContentEquality):
                 if getattr(self, key) is not None:
                     raise invalid(key, getattr(self, key), "left out", "the spectrum has its own")
             if not isinstance(self.spectrum, Mapping):
-                allowed = "a mapping of lists of the same length: " + ", ".join(SPECTRUM_COLUMNS)
+                allowed = f"a mapping of {', '.join(SPECTRUM_COLUMNS)}, lists of the same length"
                 raise invalid("spectrum", self.spectrum, allowed)
             (k, density), _ = read_tabulated_function("spectrum", self.spectrum, SPECTRUM_COLUMNS)
             k = check_increasing("spectrum.wave_number_per_m", snap_to_limits(k, 0.0, math.inf))

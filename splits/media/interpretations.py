@@ -205,10 +205,6 @@ class TransportInterpretation:
         """Return all choices by name."""
         return asdict(self)
 
-    def to_transport_dict(self) -> dict[str, str]:
-        """Return the choices of the transport model common to SPLITS and SPLITSnow."""
-        return {field.name: getattr(self, field.name) for field in fields(TransportInterpretation)}
-
     def as_input(self) -> str | dict[str, str]:
         """Return the name of the matching set, or the choices that differ from the defaults."""
         for name, choices in INTERPRETATION_SETS.items():

@@ -53,7 +53,11 @@ def check_medium(
         Key in error messages.
     """
     if isinstance(medium, kind):
-        check_thickness(medium)
+        largest = medium.largest_grain_m
+        if medium.depth_m <= largest:
+            hint = "such a grain must fit between the boundaries"
+            allowed = f"more than the largest grain, {format_limit(largest, medium.depth_m)} m"
+            raise invalid("depth_m", medium.depth_m, allowed, hint)
         is_traceable = not (medium.is_semi_infinite and medium.lowest_layer.has_grains)
         if not (is_traceable or allow_semi_infinite):
             raise invalid("depth_m", math.inf, "finite", INFINITE_DEPTH_HINT)
@@ -66,15 +70,6 @@ def check_medium(
     kind_name = medium if callable(medium) else getattr(medium, "kind", medium)
     allowed = " or ".join(f"splits.{name}(...)" for name in names)
     raise invalid(key, kind_name, allowed, suggest_medium(medium, names))
-
-
-def check_thickness(medium: Any) -> None:
-    """Check that a medium is thicker than its largest grain."""
-    largest = medium.largest_grain_m
-    if medium.depth_m <= largest:
-        hint = "such a grain must fit between the boundaries"
-        limit = format_limit(largest, medium.depth_m)
-        raise invalid("depth_m", medium.depth_m, f"more than the largest grain, {limit} m", hint)
 
 
 # --------------------------------------------------------------------------------------------------
@@ -109,10 +104,21 @@ def make_medium(kind: str, keywords: Mapping[str, Any]) -> Medium:
         For an unknown keyword.
     """
     check_choice("kind", kind, MEDIUM_CLASSES)
-    medium: Medium = (
-        _make_stack(keywords) if kind == "stack" else MEDIUM_FACTORIES[kind](**keywords)
-    )
-    return medium
+    if kind != "stack":
+        medium: Medium = MEDIUM_FACTORIES[kind](**keywords)
+        return medium
+    media = []
+    for key, layer in iter_layers(LAYERS_KEY, keywords.get(LAYERS_KEY)):
+        with key_prefix(key):
+            kind = check_choice("kind", get_kind(layer), LAYER_CLASSES)
+            settings = {name: value for name, value in layer.items() if name != "kind"}
+            if "bottom_albedo" in settings:
+                given, hint = settings["bottom_albedo"], "give ground to the stack"
+                raise invalid("bottom_albedo", given, "left out in a stack", hint)
+            # Below all layers is the stack's ground.
+            bottom = {"bottom_albedo": None} if kind == "particle_layer" else {}
+            media.append(make_medium(kind, {**settings, **bottom}))
+    return Stack(**{**keywords, LAYERS_KEY: tuple(media)})
 
 
 def iter_layers(key: str, layers: Any) -> Iterator[tuple[str, Mapping[str, Any]]]:
@@ -131,21 +137,6 @@ def iter_layers(key: str, layers: Any) -> Iterator[tuple[str, Mapping[str, Any]]
         if not isinstance(layer, Mapping):
             raise invalid(layer_key, layer, "a mapping of a medium's keywords")
         yield layer_key, layer
-
-
-def _make_stack(keywords: Mapping[str, Any]) -> Stack:
-    media = []
-    for key, layer in iter_layers(LAYERS_KEY, keywords.get(LAYERS_KEY)):
-        with key_prefix(key):
-            kind = check_choice("kind", get_kind(layer), LAYER_CLASSES)
-            settings = {name: value for name, value in layer.items() if name != "kind"}
-            if "bottom_albedo" in settings:
-                given, hint = settings["bottom_albedo"], "give ground to the stack"
-                raise invalid("bottom_albedo", given, "left out in a stack", hint)
-            # Below all layers is the stack's ground.
-            bottom = {"bottom_albedo": None} if kind == "particle_layer" else {}
-            media.append(MEDIUM_FACTORIES[kind](**settings, **bottom))
-    return Stack(**{**keywords, LAYERS_KEY: tuple(media)})
 
 
 # --------------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from statistics import NormalDist
@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.core.arrays import check_named_numbers
 from splits.core.equality import ContentEquality
 from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid
 from splits.kernels.rng import make_table_probabilities
@@ -141,7 +140,7 @@ def _tabulate_hit_inverse_sizes(distribution: SoilSizeDistribution) -> np.ndarra
 
 
 def make_size_distribution(
-    texture: object, tail_mass: float = 1e-4, size_model: str = "separates"
+    texture: tuple[float, ...], tail_mass: float = 1e-4, size_model: str = "separates"
 ) -> SoilSizeDistribution:
     """Return the particle size distribution of a sand of given texture.
 
@@ -162,24 +161,33 @@ def make_size_distribution(
     ValueError
         For a texture that is not that of a sand.
     """
-    clay, silt, sand = check_named_numbers("texture", texture, SOIL_SEPARATES, (0.0, 1.0))
+    clay, silt, sand = texture
     if min(clay, silt, sand) < 0.0 or abs(clay + silt + sand - 1.0) > 1e-9:
         raise invalid("texture", texture, "three fractions (clay, silt, sand) that add up to 1")
     if silt + 1.5 * clay > MAX_FINES_FRACTION + 1e-9:
-        raise invalid(
-            "texture",
-            texture,
-            f"silt + 1.5 clay at most {MAX_FINES_FRACTION:g}",
-            "more is not a sand",
-        )
+        allowed = f"silt + 1.5 clay at most {MAX_FINES_FRACTION:g}"
+        raise invalid("texture", texture, allowed, "more is not a sand")
     tail_mass = check_range("size_tail", tail_mass, 1e-6, 0.01)
     cumulative = np.clip(
         [tail_mass, clay, clay + silt, 1.0 - tail_mass], tail_mass, 1.0 - tail_mass
     )
+    if size_model == "single":
+        # The moments are those of the midpoints of the separates.
+        mass = np.array([clay, silt, sand])
+        log_midpoint = np.log([0.5 * (a + b) for a, b in pairwise((0.0, *SEPARATE_LIMITS_M[1:]))])
+        mean = float(mass @ log_midpoint)
+        sd = float(np.sqrt(max(mass @ log_midpoint**2 - mean**2, 0.0)))
+        present = np.flatnonzero(mass)
+        low, high = SEPARATE_LIMITS_M[present[0]], SEPARATE_LIMITS_M[present[-1] + 1]
+        if present.size == 1:
+            raise invalid(
+                "interpretation.size_distribution", "single",
+                "'separates' for a texture of one separate alone",
+                "its standard deviation would be zero",
+            )  # fmt: skip
+        return SoilSizeDistribution((TruncatedLogNormal(low, high, 1.0, mean, sd),))
     score = [NormalDist().inv_cdf(c) for c in cumulative]
     x = np.log(SEPARATE_LIMITS_M)
-    if size_model == "single":
-        return SoilSizeDistribution((_make_single_log_normal((clay, silt, sand)),))
     separates = []
     for i, mass in enumerate((clay, silt, sand)):
         if mass > 0.0 and score[i + 1] > score[i]:
@@ -192,30 +200,8 @@ def make_size_distribution(
             )
     total = sum(s.mass_fraction for s in separates)
     return SoilSizeDistribution(
-        tuple(
-            TruncatedLogNormal(
-                s.min_size_m, s.max_size_m, s.mass_fraction / total, s.log_mean, s.log_sd
-            )
-            for s in separates
-        )
+        tuple(replace(s, mass_fraction=s.mass_fraction / total) for s in separates)
     )
-
-
-def _make_single_log_normal(texture: tuple[float, float, float]) -> TruncatedLogNormal:
-    """Return a single log-normal distribution, from the midpoints of the separates."""
-    mass = np.array(texture)
-    log_midpoint = np.log([0.5 * (a + b) for a, b in pairwise((0.0, *SEPARATE_LIMITS_M[1:]))])
-    mean = float(mass @ log_midpoint)
-    sd = float(np.sqrt(max(mass @ log_midpoint**2 - mean**2, 0.0)))
-    present = np.flatnonzero(mass)
-    low, high = SEPARATE_LIMITS_M[present[0]], SEPARATE_LIMITS_M[present[-1] + 1]
-    if present.size == 1:
-        raise invalid(
-            "interpretation.size_distribution", "single",
-            "'separates' for a texture of one separate alone",
-            "its standard deviation would be zero",
-        )  # fmt: skip
-    return TruncatedLogNormal(low, high, 1.0, mean, sd)
 
 
 # --------------------------------------------------------------------------------------------------
@@ -499,7 +485,7 @@ def make_composition(
     iron_oxide: float,
     hematite_ratio: float,
     magnetite: float,
-    partition: tuple[float, float, float],
+    partition: tuple[float, ...],
     coating_fraction: float,
     excess_magnetite: str = "first",
 ) -> SandComposition:
@@ -527,21 +513,15 @@ def make_composition(
     Raises
     ------
     ValueError
-        For a value outside its range.
+        For a partition that does not add up to 1, or too much iron oxide for coatings.
     """
-    iron_oxide = check_range("iron_oxide", iron_oxide, 0.0, 1.0)
-    ratio = check_range("hematite_ratio", hematite_ratio, 0.0, 1.0)
-    magnetite = check_range(
-        "magnetite", magnetite, 0.0, 1.0 - iron_oxide, hint="the sum of all mass fractions is 1"
-    )
-    kinds = ("pure", "mixed", "coated")
-    pure, mixed, coated = check_named_numbers("partition", partition, kinds, (0.0, 1.0))
+    pure, mixed, coated = partition
     if min(pure, mixed, coated) < 0.0 or abs(pure + mixed + coated - 1.0) > 2e-9:
         raise invalid(
             "partition", partition, "three numbers of at least 0 that add up to 1",
             f"these make {pure + mixed + coated:.10g}; YAML has no 1/3, write 0.3333333333",
         )  # fmt: skip
-    oxide_fractions = {"hematite": ratio, "goethite": 1.0 - ratio}
+    oxide_fractions = {"hematite": hematite_ratio, "goethite": 1.0 - hematite_ratio}
     iron = iron_oxide * pure  # Eq 8
     quartz = pure - magnetite - iron  # Eq 9
     scale = 1.0

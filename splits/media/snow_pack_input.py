@@ -22,7 +22,7 @@ from splits.core.arrays import (
 from splits.core.labels import check_direction, normalize_attributes, normalize_labels
 from splits.core.parameter_names import describe_parameter, parse_impurity_parameter
 from splits.core.units import check_nanometres, convert_units
-from splits.core.validation import invalid, join_names, suggest_name, unknown_key
+from splits.core.validation import as_scalar, invalid, join_names, suggest_name, unknown_key
 from splits.materials.impurities import list_impurities
 from splits.materials.refractive_index import check_wavelength_range
 from splits.media.ground import (
@@ -76,22 +76,16 @@ class PackGround(NamedTuple):
         labels : pandas.Index
             Labels of the snowpacks.
         """
-        if is_ground_spectrum(value):
-            return cls(Ground.from_input(value))
-        if isinstance(value, xr.DataArray) and value.ndim:
-            return cls._from_array(value, label, labels)
+        is_array = isinstance(value, xr.DataArray) and bool(value.ndim)
         is_row = isinstance(value, np.ndarray | pd.Series | Sequence) and not isinstance(value, str)
-        if not is_row or not np.ndim(value):
+        if is_ground_spectrum(value) or not (is_array or (is_row and np.ndim(value))):
             return cls(Ground.from_input(value))
-        albedo = align_to_labels(GROUND_KEY, value, labels.tolist(), allow_gaps=True)
-        if albedo.shape != (labels.size,):
-            given = f"numbers of shape {albedo.shape}"
-            raise invalid(GROUND_KEY, given, f"one ground, or {labels.size} albedos")
-        return cls(albedo=albedo)
-
-    @classmethod
-    def _from_array(cls, value: xr.DataArray, label: str, labels: pd.Index) -> PackGround:
-        """Return the ground of an array over the label, or over the label and wavelength."""
+        if not is_array:
+            albedo = align_to_labels(GROUND_KEY, value, labels.tolist(), allow_gaps=True)
+            if albedo.shape != (labels.size,):
+                given = f"numbers of shape {albedo.shape}"
+                raise invalid(GROUND_KEY, given, f"one ground, or {labels.size} albedos")
+            return cls(albedo=albedo)
         if not {label} <= set(value.dims) <= {label, WAVELENGTH_DIM}:
             allowed = f"{label}, or {label} and {WAVELENGTH_DIM}, with coordinates"
             raise invalid(f"{GROUND_KEY} dimensions", value.dims, allowed)
@@ -338,7 +332,12 @@ def _normalize_coordinates(data: xr.Dataset, label: str) -> xr.Dataset:
     """Return a dataset whose labels, and other coordinates of snowpacks, files can hold."""
     index = data.get_index(label)
     labels = normalize_labels(label, index)
-    _check_labels(label, labels)
+    if labels.to_frame().isna().to_numpy().any():
+        raise invalid(label, "a gap", "a label for each snowpack", "masked, NaN or missing")
+    duplicates = labels[labels.duplicated()]
+    if duplicates.size:
+        hint = f"{duplicates.size} of {labels.size} labels repeat an earlier one"
+        raise invalid(label, str(duplicates[0]), "different for each snowpack", hint)
     if isinstance(labels, pd.MultiIndex):
         return data.assign_coords(xr.Coordinates.from_pandas_multiindex(labels, label))
     for name in map(str, data.coords):
@@ -411,16 +410,6 @@ def _find_label(data: xr.Dataset, label: str | None) -> str:
     return others[0]
 
 
-def _check_labels(label: str, index: pd.Index) -> None:
-    """Check that each snowpack has a label of its own."""
-    if index.to_frame().isna().to_numpy().any():
-        raise invalid(label, "a gap", "a label for each snowpack", "masked, NaN or missing")
-    duplicates = index[index.duplicated()]
-    if duplicates.size:
-        hint = f"{duplicates.size} of {index.size} labels repeat an earlier one"
-        raise invalid(label, str(duplicates[0]), "different for each snowpack", hint)
-
-
 def _read_variable(data: xr.Dataset, name: str, label: str) -> np.ndarray:
     """Return the numbers of a variable in its unit, over snowpacks and layers if it has layers."""
     variable = data[name]
@@ -480,37 +469,23 @@ def _pivot_frame(frame: pd.DataFrame, label: str | None) -> xr.Dataset:
     dataset = xr.Dataset(coords={label: index, LAYER_DIM: layers})
     for column in frame.columns.drop([label, LAYER_DIM]):
         if column == GROUND_ATTRIBUTE:
-            dataset[column] = (label, _find_ground_names(frame[column].to_numpy(), rows, index))
-            continue
-        numbers = as_float_array(str(column), frame[column], allow_gaps=True)
-        table = np.full((index.size, layers.size), np.nan)
-        table[rows, columns] = numbers
-        if column in (ZENITH_KEY, GROUND_KEY):
-            dataset[column] = (label, _reduce_to_snowpacks(str(column), table, index))
+            values = frame[column].to_numpy(dtype=object)
         else:
+            values = as_float_array(str(column), frame[column], allow_gaps=True)
+        if column in (GROUND_ATTRIBUTE, ZENITH_KEY, GROUND_KEY):
+            # Each snowpack has one value, whatever the number of its layers.
+            is_given = ~pd.isna(values)
+            found = np.full(index.size, np.nan, dtype=values.dtype)
+            found[rows[is_given]] = values[is_given]
+            different = np.flatnonzero(is_given & (found[rows] != values))
+            if different.size:
+                row = different[0]
+                pair = [as_scalar(one) for one in (values[row], found[rows[row]])]
+                allowed = "the same for all layers of a snowpack"
+                raise invalid(str(column), pair, allowed, f"at {index[rows[row]]}")
+            dataset[column] = (label, found)
+        else:
+            table = np.full((index.size, layers.size), np.nan)
+            table[rows, columns] = values
             dataset[str(column)] = ((label, LAYER_DIM), table)
     return dataset
-
-
-def _find_ground_names(names: np.ndarray, rows: np.ndarray, index: pd.Index) -> np.ndarray:
-    """Return the name of the ground below each snowpack from those in the rows of its layers."""
-    found = np.empty(index.size, dtype=object)
-    found[rows] = names
-    different = np.flatnonzero((found[rows] != names) & ~pd.isna(names))
-    if different.size:
-        row = different[0]
-        pair = [names[row], found[rows[row]]]
-        allowed = "the same for all layers of a snowpack"
-        raise invalid(GROUND_ATTRIBUTE, pair, allowed, f"at {index[rows[row]]}")
-    return found
-
-
-def _reduce_to_snowpacks(key: str, table: np.ndarray, index: pd.Index) -> np.ndarray:
-    """Return the only number of each row, NaN for rows without numbers."""
-    lowest, highest = np.fmin.reduce(table, axis=1), np.fmax.reduce(table, axis=1)
-    different = np.flatnonzero(lowest < highest)
-    if different.size:
-        row = different[0]
-        pair = [float(lowest[row]), float(highest[row])]
-        raise invalid(key, pair, "the same for all layers of a snowpack", f"at {index[row]}")
-    return lowest

@@ -149,6 +149,11 @@ class HomogeneousLayer(Medium):
     pores: Mapping[str, float] = MappingProxyType({})
 
     @property
+    def scene_layers(self) -> tuple[Any]:
+        """The layer itself."""
+        return (self,)
+
+    @property
     def is_semi_infinite(self) -> bool:
         """Whether the layer is infinite."""
         return math.isinf(self.depth_m)
@@ -212,11 +217,6 @@ class GranularMedium(HomogeneousLayer):
     interpretation: TransportInterpretation
 
     @property
-    def scene_layers(self) -> tuple[GranularMedium]:
-        """The layer itself."""
-        return (self,)
-
-    @property
     def has_grains(self) -> Literal[True]:
         """Whether the layer consists of grains."""
         return True
@@ -255,11 +255,9 @@ class GranularMedium(HomogeneousLayer):
         it is free path.  Between point grains the free path is the whole distance
         (see `pore_fraction`).
         """
-        interpretation = self.interpretation
-        whole_distance = (
-            interpretation.mean_free_path == "pore_only" or interpretation.grain_extent == "point"
-        )
-        return self.mean_grain_distance_m * (1.0 if whole_distance else self.porosity)
+        rules = self.interpretation
+        is_whole = rules.mean_free_path == "pore_only" or rules.grain_extent == "point"
+        return self.mean_grain_distance_m * (1.0 if is_whole else self.porosity)
 
     @property
     def pore_fraction(self) -> float:
@@ -269,11 +267,9 @@ class GranularMedium(HomogeneousLayer):
         1 − 𝓔, and the absorption coefficient per metre of path is that of radiative transfer,
         (1 − 𝓔) times that of the material.
         """
-        includes_grain = (
-            self.interpretation.mean_free_path == "including_grain"
-            and self.interpretation.grain_extent == "point"
-        )
-        return self.porosity if includes_grain else 1.0
+        rules = self.interpretation
+        is_part = rules.mean_free_path == "including_grain" and rules.grain_extent == "point"
+        return self.porosity if is_part else 1.0
 
     @abstractmethod
     def make_grain_population(self) -> GrainPopulation:
@@ -296,11 +292,6 @@ class ParticleMedium(HomogeneousLayer):
     """
 
     refractive_index: float
-
-    @property
-    def scene_layers(self) -> tuple[ParticleMedium]:
-        """The layer itself."""
-        return (self,)
 
     @property
     def has_grains(self) -> Literal[False]:

@@ -68,34 +68,23 @@ class TruncatedLogNormal:
         return np.exp(-0.5 * score**2 + power * (x - np.log(self.min_size_m)))
 
     @property
+    @lru_cache(maxsize=1024)  # noqa: B019 - by value, few
     def mean_inverse_size_per_m(self) -> float:
         """Mass-weighted mean of 1/s (1/m): the quotient of integrals in Eq 23."""
-        return _compute_mean_inverse_size(self)
+        # The closed form is not used: its error functions cancel when the limits of a separate lie
+        # close together in probability, while this integrand is always smooth.
+        low, high = float(np.log(self.min_size_m)), float(np.log(self.max_size_m))
+        weighted, _ = integrate_with_quantiles(lambda x: self._relative_density(x, -1.0), low, high)
+        norm, _ = integrate_with_quantiles(self._relative_density, low, high)
+        return weighted / norm / self.min_size_m
 
     def compute_hit_sizes(self, probability: np.ndarray) -> np.ndarray:
         """Return quantiles of the size of hit particles (m): density ∝ s⁻² f_g(s), Eq 25."""
         low, high = float(np.log(self.min_size_m)), float(np.log(self.max_size_m))
-        return np.exp(
-            integrate_with_quantiles(
-                lambda x: self._relative_density(x, -1.0), low, high, probability
-            )[1]
+        _, log_size = integrate_with_quantiles(
+            lambda x: self._relative_density(x, -1.0), low, high, probability
         )
-
-
-@lru_cache(maxsize=1024)
-def _compute_mean_inverse_size(distribution: TruncatedLogNormal) -> float:
-    """Return `TruncatedLogNormal.mean_inverse_size_per_m`, cached for repeated use in fits."""
-    # The closed form is not used: its error functions cancel when the limits of a separate lie
-    # close together in probability, while this integrand is always smooth.
-    low, high = float(np.log(distribution.min_size_m)), float(np.log(distribution.max_size_m))
-    weighted, _ = integrate_with_quantiles(
-        lambda x: distribution._relative_density(x, -1.0), low, high
-    )
-    return (
-        weighted
-        / integrate_with_quantiles(distribution._relative_density, low, high)[0]
-        / distribution.min_size_m
-    )
+        return np.exp(log_size)
 
 
 @dataclass(frozen=True)
@@ -114,29 +103,23 @@ class SoilSizeDistribution:
         """Volume-weighted mean of 1/s (1/m): K1 of Eq 23 without v_j."""
         return sum(s.mass_fraction * s.mean_inverse_size_per_m for s in self.separates)
 
+    @lru_cache(maxsize=64)  # noqa: B019 - by value, few
     def tabulate_hit_inverse_sizes(self) -> np.ndarray:
         """Return the quantile function of 1/s of hit particles, shape (N_TABLE_POINTS,).
 
         The table is linear between the outermost quantiles of two separates, as within one.  For
         clay and sand without silt, about 0.1 % of the particles that are hit fall in the gap.
         """
-        return _tabulate_hit_inverse_sizes(self).copy()
-
-
-@lru_cache(maxsize=64)
-def _tabulate_hit_inverse_sizes(distribution: SoilSizeDistribution) -> np.ndarray:
-    u = make_table_probabilities(N_TABLE_POINTS)
-    weights = np.array(
-        [s.mass_fraction * s.mean_inverse_size_per_m for s in distribution.separates]
-    )[::-1]
-    edges = np.concatenate([[0.0], np.cumsum(weights) / weights.sum()])
-    edges[-1] = 1.0
-    inverse_size = np.empty(u.shape)
-    for i, separate in enumerate(reversed(distribution.separates)):
-        inside = (u >= edges[i]) & (u <= edges[i + 1])
-        fraction = (u[inside] - edges[i]) / (edges[i + 1] - edges[i])
-        inverse_size[inside] = 1.0 / separate.compute_hit_sizes(1.0 - fraction)
-    return inverse_size
+        u = make_table_probabilities(N_TABLE_POINTS)
+        weights = np.array([s.mass_fraction * s.mean_inverse_size_per_m for s in self.separates])
+        edges = np.concatenate([[0.0], np.cumsum(weights[::-1]) / weights[::-1].sum()])
+        edges[-1] = 1.0
+        inverse_size = np.empty(u.shape)
+        for i, separate in enumerate(reversed(self.separates)):
+            inside = (u >= edges[i]) & (u <= edges[i + 1])
+            fraction = (u[inside] - edges[i]) / (edges[i + 1] - edges[i])
+            inverse_size[inside] = 1.0 / separate.compute_hit_sizes(1.0 - fraction)
+        return inverse_size
 
 
 def make_size_distribution(

@@ -299,7 +299,17 @@ def read_input(data: Any, label: str | None, ground: Any) -> SnowPackInput:
     own_names = (*KNOWN_NAMES, GROUND_ATTRIBUTE)
     data = data.reset_coords([name for name in own_names if name in data.coords])
     check_names(name for name in data.data_vars if name != GROUND_ATTRIBUTE)
-    label = _find_label(data, label)
+    dims = [str(dim) for dim in data[THICKNESS_KEY].dims]
+    others = [dim for dim in dims if dim != LAYER_DIM]
+    if LAYER_DIM not in dims or len(others) != 1 or label not in (None, *others):
+        hint = "stack other dimensions: dataset.stack(snowpack=('time', 'point'))"
+        allowed = f"over {label or 'time, or another label,'} and {LAYER_DIM}"
+        raise invalid(f"{THICKNESS_KEY} dimensions", tuple(dims), allowed, hint)
+    for name, size in data[THICKNESS_KEY].sizes.items():
+        if size == 0:
+            raise invalid(str(name), "no values", "at least one")
+    label = others[0]
+    _check_label_name(label)
     data = _normalize_coordinates(data, label)
     pack_ground, data = _read_ground(data, label, ground)
     if LAYER_DIM in data.coords:
@@ -308,14 +318,35 @@ def read_input(data: Any, label: str | None, ground: Any) -> SnowPackInput:
         number = data[LAYER_DIM].values.astype(float)
         check_increasing(LAYER_DIM, number)
         check_direction(data[LAYER_DIM], "down")
-    names = [str(name) for name in data.data_vars]
-    layered = {name for name in names if LAYER_DIM in data[name].dims}
-    values = {name: _read_variable(data, name, label) for name in names}
+    layered: set[str] = set()
+    values = {}
+    for name in map(str, data.data_vars):
+        variable = data[name]
+        expected = (label,) if name == ZENITH_KEY else (label, LAYER_DIM)
+        if not set(variable.dims) <= set(expected):
+            raise invalid(f"{name} dimensions", variable.dims, f"among {', '.join(expected)}")
+        if LAYER_DIM in variable.dims:
+            layered.add(name)
+        numbers = as_float_array(name, variable, allow_gaps=True)
+        numbers[~np.isfinite(numbers)] = np.nan
+        unit = variable.attrs.get("units")
+        numbers = convert_units(name, numbers, unit, describe_variable(name)[1])
+        sizes = {dim: data.sizes[dim] for dim in expected}
+        full = xr.Variable(variable.dims, numbers).set_dims(sizes).transpose(*expected)
+        values[name] = np.array(full.values)
     zenith = values.pop(ZENITH_KEY, None)
-    if DEPTH_KEY in values:
-        _check_depths(values.pop(DEPTH_KEY), data.get_index(label))
-    others = [name for name, v in data.coords.items() if not set(v.dims) <= {label}]
-    coordinates = data.drop_vars([*data.data_vars, *others])
+    depths_m = values.pop(DEPTH_KEY, np.empty((0, 1)))
+    # The depths of each snowpack increase; absent layers may have none.
+    deepest = np.fmax.accumulate(depths_m, axis=1)
+    rows, layers = np.nonzero(depths_m[:, 1:] <= deepest[:, :-1])
+    if rows.size:
+        row, layer = rows[0], layers[0]
+        pair = [float(deepest[row, layer]), float(depths_m[row, layer + 1])]
+        place = f"layer {layer + 1} of the snowpack at {data.get_index(label)[row]}"
+        allowed = "strictly increasing from the surface down"
+        raise invalid(DEPTH_KEY, pair, allowed, f"{place}; {LAYER_DIM} 0 is at the top")
+    elsewhere = [name for name, v in data.coords.items() if not set(v.dims) <= {label}]
+    coordinates = data.drop_vars([*data.data_vars, *elsewhere])
     return SnowPackInput(label, coordinates, values, layered - {DEPTH_KEY}, zenith, pack_ground)
 
 
@@ -393,46 +424,6 @@ def check_names(given: Iterable[Hashable]) -> None:
         raise invalid(SURFACE_AREA_KEY, None, f"given, or {OPTICAL_RADIUS_KEY}")
     if len(sizes) == 2:
         raise invalid(OPTICAL_RADIUS_KEY, "given", f"left out where {SURFACE_AREA_KEY} is given")
-
-
-def _find_label(data: xr.Dataset, label: str | None) -> str:
-    """Return the dimension of the snowpacks."""
-    dims = [str(dim) for dim in data[THICKNESS_KEY].dims]
-    others = [dim for dim in dims if dim != LAYER_DIM]
-    if LAYER_DIM not in dims or len(others) != 1 or label not in (None, *others):
-        hint = "stack other dimensions: dataset.stack(snowpack=('time', 'point'))"
-        allowed = f"over {label or 'time, or another label,'} and {LAYER_DIM}"
-        raise invalid(f"{THICKNESS_KEY} dimensions", tuple(dims), allowed, hint)
-    for name, size in data[THICKNESS_KEY].sizes.items():
-        if size == 0:
-            raise invalid(str(name), "no values", "at least one")
-    _check_label_name(others[0])
-    return others[0]
-
-
-def _read_variable(data: xr.Dataset, name: str, label: str) -> np.ndarray:
-    """Return the numbers of a variable in its unit, over snowpacks and layers if it has layers."""
-    variable = data[name]
-    expected = (label,) if name == ZENITH_KEY else (label, LAYER_DIM)
-    if not set(variable.dims) <= set(expected):
-        raise invalid(f"{name} dimensions", variable.dims, f"among {', '.join(expected)}")
-    numbers = as_float_array(name, variable, allow_gaps=True)
-    numbers[~np.isfinite(numbers)] = np.nan
-    numbers = convert_units(name, numbers, variable.attrs.get("units"), describe_variable(name)[1])
-    sizes = {dim: data.sizes[dim] for dim in expected}
-    full = xr.Variable(variable.dims, numbers).set_dims(sizes).transpose(*expected)
-    return np.array(full.values)
-
-
-def _check_depths(depths_m: np.ndarray, index: pd.Index) -> None:
-    """Check that the depths of each snowpack increase; absent layers may have none."""
-    deepest = np.fmax.accumulate(depths_m, axis=1)
-    rows, layers = np.nonzero(depths_m[:, 1:] <= deepest[:, :-1])
-    if rows.size:
-        row, layer = rows[0], layers[0]
-        pair = [float(deepest[row, layer]), float(depths_m[row, layer + 1])]
-        hint = f"layer {layer + 1} of the snowpack at {index[row]}; {LAYER_DIM} 0 is at the top"
-        raise invalid(DEPTH_KEY, pair, "strictly increasing from the surface down", hint)
 
 
 def _pivot_frame(frame: pd.DataFrame, label: str | None) -> xr.Dataset:

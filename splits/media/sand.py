@@ -18,16 +18,8 @@ from splits.kernels.scene import WET_PORE, GrainPopulation, GrainTypes
 from splits.materials import MINERAL_DENSITY_KG_M3, MIXING_RULES
 from splits.media import grain_statistics as statistics
 from splits.media.formatting import find_differences, format_call
-from splits.media.ground import (
-    Ground,
-    check_ground_reached,
-    check_sample_depth,
-    check_truncated_normal,
-    describe_inputs,
-    make_refractive_indices,
-)
 from splits.media.interpretations import SandInterpretation
-from splits.media.medium import WATER, GranularMedium, Interface, PoreFluids, check_other_fluids
+from splits.media.medium import WATER, GranularMedium, Interface
 from splits.media.sand_composition import (
     SOIL_SEPARATES,
     SandComposition,
@@ -134,13 +126,11 @@ class Sand(ContentEquality, GranularMedium):
     def __post_init__(self) -> None:
         put = partial(object.__setattr__, self)
         put("interpretation", SandInterpretation.from_input(self.interpretation))
-        put("saturation", check_range("saturation", self.saturation, 0.0, 1.0))
         porosity = check_range("porosity", self.porosity, 0.0, 1.0, open_low=True, open_high=True)
         put("porosity", porosity)
         mean, sd = check_named_numbers("roundness", self.roundness, ("mean", "sd"))
         mean = check_range("roundness (mean)", mean, 0.0, 1.0)
         put("roundness", (mean, check_range("roundness (sd)", sd, 0.0, 1.0)))
-        put("sphericity", check_truncated_normal("sphericity", self.sphericity, 0.1))
         thickness = check_range(
             "relative_coating_thickness",
             self.relative_coating_thickness,
@@ -155,23 +145,16 @@ class Sand(ContentEquality, GranularMedium):
             ("texture", SOIL_SEPARATES),
         ):
             put(name, check_named_numbers(name, getattr(self, name), parts, (0.0, 1.0)))
-        put("ground", Ground.from_input(self.ground))
-        put("depth_m", check_sample_depth(self.depth_m))
-        check_ground_reached(self.ground, self.is_semi_infinite)
         for name in ("iron_oxide", "hematite_ratio"):
             put(name, check_range(name, getattr(self, name), 0.0, 1.0))
         hint = "the sum of all mass fractions is 1"
         magnetite = check_range("magnetite", self.magnetite, 0.0, 1.0 - self.iron_oxide, hint=hint)
         put("magnetite", magnetite)
-        indices = self.refractive_index
-        fluids = check_other_fluids(self.pores, self.saturation, indices, MINERAL_DENSITY_KG_M3)
-        put("pores", fluids)
+        self._check_inputs(MINERAL_DENSITY_KG_M3)
         if self.pores and self.interpretation.water != "whole_pores":
             hint = "which pores these fluids fill is not known: leave interpretation.water out"
             allowed = f"empty with interpretation.water {self.interpretation.water}"
             raise invalid("pores", dict(self.pores), allowed, hint)
-        materials = [*MINERAL_DENSITY_KG_M3, "water"]
-        put("refractive_index", make_refractive_indices(materials, indices, self.pores))
         # Validates the size distribution and the composition.
         _ = self.size_distribution, self.composition
 
@@ -248,11 +231,6 @@ class Sand(ContentEquality, GranularMedium):
         minerals = dict.fromkeys(m for layers in self._shell_materials for m in layers)
         return (*self.pore_fluids.names, *minerals)
 
-    @cached_property
-    def pore_fluids(self) -> PoreFluids:
-        """Fluids in the pore space, weighted by the probability of path segments in each."""
-        return PoreFluids.from_saturation(self.wet_fraction, self.pores)
-
     def make_grain_population(self) -> GrainPopulation:
         """Return the grain population; all types have the same sizes and shapes."""
         names = self.list_materials()
@@ -324,7 +302,7 @@ class Sand(ContentEquality, GranularMedium):
 
     def describe(self) -> dict[str, Any]:
         """Return the inputs and derived quantities as dataset attributes."""
-        return describe_inputs(self) | {
+        return super().describe() | {
             "particle_types": ", ".join(t.name for t in self.composition.particle_types),
             "particle_volume_fractions": self.composition.volume_fractions,
             "particle_density_kg_m3": self.density_kg_m3,

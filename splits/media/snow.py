@@ -27,16 +27,8 @@ from splits.materials import ice_density
 from splits.materials.impurities import Impurity, describe_impurities, make_impurities
 from splits.media import grain_statistics as statistics
 from splits.media.formatting import count_digits, find_differences, format_call
-from splits.media.ground import (
-    Ground,
-    check_ground_reached,
-    check_sample_depth,
-    check_truncated_normal,
-    describe_inputs,
-    make_refractive_indices,
-)
 from splits.media.interpretations import Interpretation, merge_interpretations
-from splits.media.medium import GranularMedium, Interface, PoreFluids, check_other_fluids
+from splits.media.medium import GranularMedium, Interface, check_truncated_normal
 
 # --------------------------------------------------------------------------------------------------
 # Measured quantities that replace model parameters: surface area, optical radius, water content.
@@ -423,18 +415,11 @@ class Snow(ContentEquality, GranularMedium):
             raise invalid("grain_size_um", self.grain_size_um, "max <= 1000 min")
         put("grain_size_um", (smallest, largest))
         put("facetness", check_truncated_normal("facetness", self.facetness, 0.0))
-        put("sphericity", check_truncated_normal("sphericity", self.sphericity, 0.1))
-        put("saturation", check_range("saturation", self.saturation, 0.0, 1.0))
         put("temperature_c", check_range("temperature_c", self.temperature_c, -40.0, 0.0, "°C"))
         density = _check_density(self.density_kg_m3, MIN_DENSITY_KG_M3, self.temperature_c)
         put("density_kg_m3", density)
-        put("ground", Ground.from_input(self.ground))
-        put("depth_m", check_sample_depth(self.depth_m))
-        check_ground_reached(self.ground, self.is_semi_infinite)
         put("interpretation", Interpretation.from_input(self.interpretation))
-        indices = self.refractive_index
-        put("pores", check_other_fluids(self.pores, self.saturation, indices, ("ice",)))
-        put("refractive_index", make_refractive_indices(("ice", "water"), indices, self.pores))
+        self._check_inputs(["ice"])
         check_choice("impurities_in", self.impurities_in, ("ice", "pores"))
         # Validates the impurities.
         _ = self._impurities
@@ -522,11 +507,6 @@ class Snow(ContentEquality, GranularMedium):
         """Return the names of the materials, in the order of the columns of index arrays."""
         return (*self.pore_fluids.names, "ice")
 
-    @cached_property
-    def pore_fluids(self) -> PoreFluids:
-        """Fluids in the pore space."""
-        return PoreFluids.from_saturation(self.saturation, self.pores)
-
     @property
     def _ice_column(self) -> int:
         """Column of ice in index arrays."""
@@ -566,7 +546,7 @@ class Snow(ContentEquality, GranularMedium):
 
     def describe(self) -> dict[str, Any]:
         """Return the inputs and derived quantities as dataset attributes."""
-        attrs = describe_inputs(self) | describe_impurities(self._impurities, self.impurities_in)
+        attrs = super().describe() | describe_impurities(self._impurities, self.impurities_in)
         attrs |= {
             "mean_grain_distance_m": self.mean_grain_distance_m,
             "specific_surface_area_m2_kg": self.specific_surface_area_m2_kg,

@@ -16,7 +16,7 @@ from splits.kernels.scene import MATRIX, WET_PORE
 from splits.media.formatting import format_input, suggest_medium
 from splits.media.ground import Ground, check_ground_reached, describe_ground
 from splits.media.interpretations import INTERPRETATION_SETS, TransportInterpretation
-from splits.media.medium import GranularMedium, Interface, Layer, Medium, PoreFluids
+from splits.media.medium import GranularMedium, Interface, Layer, Medium
 from splits.media.particle_layer import ParticleLayer
 
 MAX_LAYERS = 200
@@ -210,7 +210,7 @@ class Stack(Medium):
         layer, neighbour = self.scene_layers[number], self.scene_layers[neighbour_number]
         if not layer.has_grains:
             return []
-        fractions = PoreFluids.from_saturation(layer.wet_fraction, layer.pores).fractions
+        fractions = layer.pore_fluids.fractions
         faces_matrix = not neighbour.has_grains
         if not faces_matrix and not layer.interpretation.to_sampling_rules().boundary_fresnel:
             return []

@@ -276,7 +276,8 @@ def sky(
     if isinstance(spectrum, Mapping | Path) or is_csv_path(name):
         columns, digest = read_tabulated_function("sky", spectrum, SKY_COLUMNS)
         name = "table" if isinstance(spectrum, Mapping) else Path(spectrum).name
-        user_sky = Sky(name, "given by the user", polar_angle, *columns)
+        wavelengths, direct, diffuse = columns
+        user_sky = Sky(name, "given by the user", polar_angle, wavelengths, direct, diffuse)
         if zenith is None and user_sky.direct.any():
             hint = "splits.sky(…, zenith_deg=50): this sky has direct light"
             raise invalid("zenith_deg", None, ZENITH_REQUIREMENT, hint)

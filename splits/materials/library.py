@@ -290,8 +290,8 @@ def parse_refractive_index(
             raise invalid(key, dict(spec), allowed)
         columns = {name: spec.get(name, 0.0) for name in ("wavelength_nm", "n", "k")}
         if "wavelength_nm" not in spec:
-            n, k = (check_number(f"{key}.{name}", columns[name]) for name in ("n", "k"))
-            return ConstantIndex(complex(n, k))
+            parts = (check_number(f"{key}.{name}", columns[name]) for name in ("n", "k"))
+            return ConstantIndex(complex(*parts))
         w, n, k = read_columns(key, columns)
         k = np.broadcast_to(k, w.shape) if k.size == 1 else k
         return TabulatedIndex(f"user table for {material}", "given by the user", w, n, k)

@@ -114,35 +114,6 @@ MAX_WAVES = 100_000
 SPECTRUM_COLUMNS = ("wave_number_per_m", "density")
 
 
-def compute_quantiles(wave_number: np.ndarray, density: np.ndarray) -> np.ndarray:
-    """Return the quantile function of the density p(λ) λ, with p linear between nodes."""
-    slope = np.diff(density) / np.diff(wave_number)
-
-    def mass(interval: np.ndarray, upper: np.ndarray) -> np.ndarray:
-        """Return ∫ p λ dλ from the start of an interval, exact for linear p."""
-        step = upper - wave_number[interval]
-        p, a = density[interval], wave_number[interval]
-        return step * (
-            p * a + step * (0.5 * (p + slope[interval] * a) + step * slope[interval] / 3.0)
-        )
-
-    intervals = np.arange(wave_number.size - 1)
-    cumulative = np.concatenate([[0.0], np.cumsum(mass(intervals, wave_number[1:]))])
-    target = make_table_probabilities(N_QUANTILES) * cumulative[-1]
-    # Intervals without mass hold no quantiles except those at 0 and 1.
-    interval = np.clip(
-        np.searchsorted(cumulative, target, side="left") - 1, 0, wave_number.size - 2
-    )
-    first = np.flatnonzero(np.diff(cumulative) > 0.0)[0]
-    interval = np.maximum(interval, first)
-    low, high = wave_number[interval], wave_number[interval + 1]
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        below = cumulative[interval] + mass(interval, middle) < target
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
-    return 0.5 * (low + high)
-
-
 def average_over_quantiles(
     table: np.ndarray, function: Callable[[np.ndarray], np.ndarray], pieces: int = 1
 ) -> float:
@@ -287,16 +258,45 @@ class RandomHeightField(ContentEquality):
         return format_call("RandomHeightField", self.as_input())
 
     @property
-    def _relative_band_limit(self) -> float:
-        """Band limit in units of k0."""
+    def _height_spectrum(self) -> tuple[HeightSpectrum, float, float]:
+        """Distribution of wave numbers, k0 (1/m), and the band limit in units of k0."""
         assert self.band_limit_per_m is not None and self.wave_number_per_m is not None
-        return self.band_limit_per_m / self.wave_number_per_m
+        k0 = self.wave_number_per_m
+        return HEIGHT_SPECTRA[self.correlation], k0, self.band_limit_per_m / k0
 
     @cached_property
     def wave_number_quantiles(self) -> np.ndarray:
-        """Quantile function of the wave numbers (1/m) at `rng.make_table_probabilities`."""
+        """Quantile function of the wave numbers (1/m) at `rng.make_table_probabilities`.
+
+        It is that of the density p(λ) λ, with p linear between the nodes of the spectrum.
+        """
         assert self.spectrum is not None
-        return compute_quantiles(*(np.array(self.spectrum[key]) for key in SPECTRUM_COLUMNS))
+        wave_number, density = (np.array(self.spectrum[key]) for key in SPECTRUM_COLUMNS)
+        slope = np.diff(density) / np.diff(wave_number)
+
+        def mass(interval: np.ndarray, upper: np.ndarray) -> np.ndarray:
+            """Return ∫ p λ dλ from the start of an interval, exact for linear p."""
+            step = upper - wave_number[interval]
+            p, a = density[interval], wave_number[interval]
+            return step * (
+                p * a + step * (0.5 * (p + slope[interval] * a) + step * slope[interval] / 3.0)
+            )
+
+        intervals = np.arange(wave_number.size - 1)
+        cumulative = np.concatenate([[0.0], np.cumsum(mass(intervals, wave_number[1:]))])
+        target = make_table_probabilities(N_QUANTILES) * cumulative[-1]
+        # Intervals without mass hold no quantiles except those at 0 and 1.
+        interval = np.clip(
+            np.searchsorted(cumulative, target, side="left") - 1, 0, wave_number.size - 2
+        )
+        first = np.flatnonzero(np.diff(cumulative) > 0.0)[0]
+        interval = np.maximum(interval, first)
+        low, high = wave_number[interval], wave_number[interval + 1]
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            below = cumulative[interval] + mass(interval, middle) < target
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        return 0.5 * (low + high)
 
     def compute_correlation(self, r_m: np.ndarray) -> np.ndarray:
         """Return the expected correlation of heights at distances (m) for sampled waves."""
@@ -305,24 +305,19 @@ class RandomHeightField(ContentEquality):
             return np.array(
                 [average_bessel_j0(self.wave_number_quantiles, x) for x in r.ravel()]
             ).reshape(r.shape)
-        spectrum = HEIGHT_SPECTRA[self.correlation]
-        assert self.wave_number_per_m is not None
-        r = self.wave_number_per_m * r
-        if spectrum.cdf(self._relative_band_limit) == 1.0:
+        spectrum, k0, limit = self._height_spectrum
+        r = k0 * r
+        if spectrum.cdf(limit) == 1.0:
             return spectrum.correlation(r)
-        integrals = [
-            integrate_bessel_j0(spectrum.density, self._relative_band_limit, x) for x in r.ravel()
-        ]
-        return np.array(integrals).reshape(r.shape) / spectrum.cdf(self._relative_band_limit)
+        integrals = [integrate_bessel_j0(spectrum.density, limit, x) for x in r.ravel()]
+        return np.array(integrals).reshape(r.shape) / spectrum.cdf(limit)
 
     def mean_square_wave_number(self) -> float:
         """Return the mean λ² of a wave (1/m²)."""
         if self.correlation == "spectrum":
             return average_over_quantiles(self.wave_number_quantiles, lambda k: k * k)
-        assert self.wave_number_per_m is not None
-        return self.wave_number_per_m**2 * HEIGHT_SPECTRA[self.correlation].mean_square(
-            self._relative_band_limit
-        )
+        spectrum, k0, limit = self._height_spectrum
+        return k0**2 * spectrum.mean_square(limit)
 
 
 # --------------------------------------------------------------------------------------------------
@@ -418,9 +413,8 @@ class RoughSurface:
             if field.spectrum is not None:
                 quantiles[i] = field.wave_number_quantiles
                 continue
-            spectrum = HEIGHT_SPECTRA[field.correlation]
-            law[i], wave_numbers[i] = spectrum.kernel_code, field.wave_number_per_m
-            band_fraction[i] = spectrum.cdf(field._relative_band_limit)
+            spectrum, wave_numbers[i], limit = field._height_spectrum
+            law[i], band_fraction[i] = spectrum.kernel_code, spectrum.cdf(limit)
         return kernels.HeightFields(
             rms_height=np.array([field.rms_height_m for field in self.fields]),
             n_waves=np.array([field.waves for field in self.fields], dtype=np.int64),

@@ -156,11 +156,11 @@ def make_size_distribution(
     )
     if size_model == "single":
         # The moments are those of the midpoints of the separates.
-        mass = np.array([clay, silt, sand])
+        masses = np.array([clay, silt, sand])
         log_midpoint = np.log([0.5 * (a + b) for a, b in pairwise((0.0, *SEPARATE_LIMITS_M[1:]))])
-        mean = float(mass @ log_midpoint)
-        sd = float(np.sqrt(max(mass @ log_midpoint**2 - mean**2, 0.0)))
-        present = np.flatnonzero(mass)
+        mean = float(masses @ log_midpoint)
+        sd = float(np.sqrt(max(masses @ log_midpoint**2 - mean**2, 0.0)))
+        present = np.flatnonzero(masses)
         low, high = SEPARATE_LIMITS_M[present[0]], SEPARATE_LIMITS_M[present[-1] + 1]
         if present.size == 1:
             raise invalid(

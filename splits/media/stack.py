@@ -89,11 +89,11 @@ class Stack(Medium):
         for number, layer in enumerate(layers):
             key = f"layers[{number}]"
             if isinstance(layer, ParticleLayer):
-                for name, (allowed, reason) in UNSUPPORTED_IN_STACK.items():
+                for name, (required, reason) in UNSUPPORTED_IN_STACK.items():
                     value = getattr(layer, name)
-                    if value != allowed and not (name == "surface" and number == 0):
-                        expected = "left out" if allowed is None else "false"
-                        raise invalid(f"{key}.{name}", value, expected, reason)
+                    if value != required and not (name == "surface" and number == 0):
+                        allowed = "left out" if required is None else "false"
+                        raise invalid(f"{key}.{name}", value, allowed, reason)
             elif not isinstance(layer, GranularMedium):
                 kind = layer if callable(layer) else getattr(layer, "kind", layer)
                 hint = suggest_medium(layer, ["Snow", "Sand", "ParticleLayer"])
@@ -198,39 +198,21 @@ class Stack(Medium):
                 )
                 for interface in layer.list_interfaces()
             ]
-        for upper, lower in pairwise(range(len(self.scene_layers))):
-            for number_a, number_b in ((upper, lower), (lower, upper)):
-                interfaces += self._list_boundary_interfaces(number_a, number_b, first_columns)
+        layers = enumerate(self.scene_layers)
+        pairs = [pair for one, two in pairwise(layers) for pair in ((one, two), (two, one))]
+        for (number, layer), (other_number, neighbour) in pairs:
+            if not layer.has_grains:
+                continue
+            faces_matrix = not neighbour.has_grains
+            if not faces_matrix and not layer.interpretation.to_sampling_rules().boundary_fresnel:
+                continue
+            for row, fraction in enumerate(layer.pore_fluids.fractions):
+                # Air and water of two granular layers may have different tables.
+                if fraction > 0.0 and (faces_matrix or row <= WET_PORE):
+                    outer = first_columns[other_number] + (MATRIX if faces_matrix else row)
+                    inner = first_columns[number] + row
+                    interfaces.append(Interface(fraction, outer, inner, "boundary", number))
         return interfaces
-
-    def _list_boundary_interfaces(
-        self, number: int, neighbour_number: int, first_columns: list[int]
-    ) -> list[Interface]:
-        """Return the interfaces between the pores of a granular layer and its neighbour."""
-        layer, neighbour = self.scene_layers[number], self.scene_layers[neighbour_number]
-        if not layer.has_grains:
-            return []
-        fractions = layer.pore_fluids.fractions
-        faces_matrix = not neighbour.has_grains
-        if not faces_matrix and not layer.interpretation.to_sampling_rules().boundary_fresnel:
-            return []
-        # Air and water of two granular layers may have different tables.
-        rows = [
-            (r, MATRIX if faces_matrix else r)
-            for r in range(len(fractions))
-            if faces_matrix or r <= WET_PORE
-        ]
-        return [
-            Interface(
-                fractions[row],
-                first_columns[neighbour_number] + neighbour_row,
-                first_columns[number] + row,
-                "boundary",
-                number,
-            )
-            for row, neighbour_row in rows
-            if fractions[row] > 0.0
-        ]
 
     def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, materials)."""
@@ -268,17 +250,6 @@ class AbsorbingMatrixLayer(ParticleLayer):
 
     absorption_per_m: float = 0.0
 
-    @classmethod
-    def from_particle_layer(cls, layer: ParticleLayer) -> AbsorbingMatrixLayer:
-        """Return the layer that is equivalent to one of absorbing particles."""
-        albedo = layer.single_scattering_albedo
-        inputs: dict[str, Any] = {f.name: getattr(layer, f.name) for f in fields(layer)}
-        inputs |= {
-            "optical_thickness": albedo * layer.optical_thickness,
-            "single_scattering_albedo": 1.0,
-        }
-        return cls(**inputs, absorption_per_m=(1.0 - albedo) * layer.extinction_per_m)
-
     @property
     def ground(self) -> Ground | None:
         """The bottom, whose hits are counted along the paths."""
@@ -294,7 +265,12 @@ class AbsorbingMatrixLayer(ParticleLayer):
 def absorb_along_path(medium: Medium) -> Medium:
     """Return a medium that is equivalent, but whose particles absorb along the path."""
     if isinstance(medium, ParticleLayer):
-        return AbsorbingMatrixLayer.from_particle_layer(medium)
+        albedo = medium.single_scattering_albedo
+        inputs: dict[str, Any] = {f.name: getattr(medium, f.name) for f in fields(medium)}
+        inputs["optical_thickness"] = albedo * medium.optical_thickness
+        inputs["single_scattering_albedo"] = 1.0
+        absorption_per_m = (1.0 - albedo) * medium.extinction_per_m
+        return AbsorbingMatrixLayer(**inputs, absorption_per_m=absorption_per_m)
     if isinstance(medium, Stack) and not all(layer.has_grains for layer in medium.layers):
         layers = (one if one.has_grains else absorb_along_path(one) for one in medium.layers)
         return Stack(tuple(layers), medium.ground)

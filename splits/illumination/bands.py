@@ -45,7 +45,6 @@ SENSORS = tuple(sorted((*PYRSR_SENSORS, *GAUSSIAN_SENSORS)))
 HALF_RANGE_WIDTHS = 1.5
 """Range of a Gaussian response on either side of its centre, in widths; it is 1/512 at the ends."""
 N_RESPONSE_POINTS = 37
-_SENSORS_CSV = Path(__file__).with_name("sensors.csv")
 
 
 @reject_unknown_arguments
@@ -125,7 +124,7 @@ def sensor_bands(name: str) -> dict[str, dict[str, np.ndarray]]:
 @cache
 def load_band_centres() -> pd.DataFrame:
     """Return the table of Gaussian bands: sensor, band, centre_nm and width_nm (nm)."""
-    table = read_csv("sensors", _SENSORS_CSV)
+    table = read_csv("sensors", Path(__file__).with_name("sensors.csv"))
     columns: dict[str, Any] = {name: table.get_texts(name) for name in ("sensor", "band")}
     columns |= {name: table.get_numbers(name) for name in ("centre_nm", "width_nm")}
     return pd.DataFrame(columns)

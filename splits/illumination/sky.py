@@ -178,7 +178,6 @@ class Sky(ContentEquality):
 # --------------------------------------------------------------------------------------------------
 # Spectra of skies: tables of SNICAR, clear skies, the ASTM standard, and those of users.
 
-_SNICAR_CSV = Path(__file__).with_name("skies.csv")
 CLOUDY_SUFFIX = "_cloudy"
 """Suffix of the names of skies whose light is all diffuse."""
 CLEAR_SKY = "clear"
@@ -200,7 +199,7 @@ ATMOSPHERE_PARAMETERS: dict[str, tuple[float, tuple[float, float]]] = {
 
 @cache
 def _load_snicar_skies() -> pd.DataFrame:
-    return read_numeric_csv("skies", _SNICAR_CSV)
+    return read_numeric_csv("skies", Path(__file__).with_name("skies.csv"))
 
 
 def list_sky_names() -> tuple[str, ...]:

@@ -29,10 +29,8 @@ CELLS_PER_KG_PER_CELL_ML = 1e3
 """Cells per kg of ice of 1 cell per ml of meltwater, with 1 g of meltwater per ml."""
 MAX_NG_G = 1e8
 MAX_CELLS_ML = 1e9
-USER_IMPURITY_KEYS = ({"ng_g", "table"}, {"ng_g", "wavelength_nm", "absorption_m2_kg"})
 USER_IMPURITY_NAME_PATTERN = re.compile(r"(?!ground$|refractive_index)[^/]{1,80}")
 HALF_BAND_WIDTH_NM = 5.0
-_TABLE_FILE = Path(__file__).with_suffix(".csv")
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +68,8 @@ class Impurity(ContentEquality):
 @cache
 def _load_known_impurities() -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Return the wavelengths (nm) and the absorption of the tabulated impurities by name."""
-    table = read_numeric_csv("impurities", _TABLE_FILE).set_index("wavelength_nm")
+    file = Path(__file__).with_suffix(".csv")
+    table = read_numeric_csv("impurities", file).set_index("wavelength_nm")
     w = table.index.to_numpy()
     # The outermost bands extend half a band width past their centres.
     w = np.concatenate([[w[0] - HALF_BAND_WIDTH_NM], w, [w[-1] + HALF_BAND_WIDTH_NM]])
@@ -137,7 +136,7 @@ def _make_mass_impurity(name: Any, value: Any) -> Impurity:
     if not isinstance(value, Mapping):
         amount = MASS_RATIO_PER_NG_G * check_range(key, value, 0.0, MAX_NG_G)
         return _make_tabulated_impurity("impurities_ng_g", name, amount, list_impurities())
-    if set(value) not in USER_IMPURITY_KEYS:
+    if set(value) not in ({"ng_g", "table"}, {"ng_g", "wavelength_nm", "absorption_m2_kg"}):
         allowed = "ng_g and table, or ng_g, wavelength_nm and absorption_m2_kg"
         raise invalid(key, sorted(map(str, value)), allowed)
     amount = MASS_RATIO_PER_NG_G * check_range(f"{key}.ng_g", value["ng_g"], 0.0, MAX_NG_G)

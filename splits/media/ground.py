@@ -33,7 +33,6 @@ WAVELENGTH_DIM = "wavelength"
 """Name of the wavelengths (nm) of arrays with labels."""
 BLACK_OPTICAL_DEPTH = 1e4
 """Optical depth of a reflection from a black ground; exp(−1e4) underflows to 0."""
-_SOILS_FILE = Path(__file__).with_name("soils.csv")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -171,8 +170,8 @@ _ALLOWED_INPUT = (
 @cache
 def load_soils() -> dict[str, Ground]:
     """Return the soils by name, with their measured directional reflectance at 10 degrees."""
-    table = read_numeric_csv("soils", _SOILS_FILE)
-    lines = _SOILS_FILE.read_text(encoding="utf-8").splitlines()
+    file = Path(__file__).with_name("soils.csv")
+    table, lines = read_numeric_csv("soils", file), file.read_text(encoding="utf-8").splitlines()
     source = " ".join(line.lstrip("# ") for line in lines if line.startswith("#"))
     w = table["wavelength_nm"].to_numpy(dtype=float)
     return {

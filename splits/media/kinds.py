@@ -29,11 +29,6 @@ MEDIUM_NAMES: dict[type, tuple[str, ...]] = {
     ParticleLayer: ("ParticleLayer",),
 }
 """Names of the media of each class, for messages."""
-INFINITE_DEPTH_HINT = (
-    "give depth_m; infinite depth is for estimator spectral, albedos, profiles and delays, and "
-    "with solver discrete_ordinates (natural snow, point grains) for BRDFs and HDRFs"
-)
-"""Where a semi-infinite medium is allowed."""
 
 
 def check_medium(
@@ -60,7 +55,12 @@ def check_medium(
             raise invalid("depth_m", medium.depth_m, allowed, hint)
         is_traceable = not (medium.is_semi_infinite and medium.lowest_layer.has_grains)
         if not (is_traceable or allow_semi_infinite):
-            raise invalid("depth_m", math.inf, "finite", INFINITE_DEPTH_HINT)
+            hint = (
+                "give depth_m; infinite depth is for estimator spectral, albedos, profiles and "
+                "delays, and with solver discrete_ordinates (natural snow, point grains) for BRDFs "
+                "and HDRFs"
+            )
+            raise invalid("depth_m", math.inf, "finite", hint)
         return
     names = MEDIUM_NAMES[kind]
     if isinstance(medium, SnowPacks):
@@ -142,9 +142,6 @@ def iter_layers(key: str, layers: Any) -> Iterator[tuple[str, Mapping[str, Any]]
 # --------------------------------------------------------------------------------------------------
 # Named media of the package, in the files ``named/NAME.toml``, and media in files of users.
 
-DOCUMENTATION_KEYS = ("description", "source")
-"""Keys of the files of named media that are not keywords of a medium."""
-
 
 def list_media() -> dict[str, str]:
     """Return the named media with a description of each.
@@ -207,7 +204,8 @@ def read_named_medium(name: Any) -> dict[str, Any]:
         For an unknown name.
     """
     content = _read_named_file(check_choice("name", name, NAMED_MEDIA))
-    return {key: value for key, value in content.items() if key not in DOCUMENTATION_KEYS}
+    # The others are not keywords of a medium.
+    return {key: value for key, value in content.items() if key not in ("description", "source")}
 
 
 def _read_named_file(name: str) -> dict[str, Any]:

@@ -29,7 +29,7 @@ from splits.core.validation import (
 from splits.kernels.phase_function import PhaseFunction
 from splits.kernels.rough_surface.realization import HeightFields
 from splits.kernels.scene import DRY_PORE, GrainPopulation
-from splits.materials import RefractiveIndex, make_refractive_index, parse_refractive_index
+from splits.materials import make_refractive_index, parse_refractive_index
 from splits.media.ground import Ground, check_ground_reached, describe_ground
 from splits.media.interpretations import TransportInterpretation
 
@@ -359,6 +359,18 @@ class GranularMedium(HomogeneousLayer):
     def make_grain_population(self) -> GrainPopulation:
         """Return the grains."""
 
+    def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
+        """Return complex refractive indices, shape (wavelengths, materials); 1 where not given.
+
+        Those of grains are 1.
+        """
+        index = np.ones((np.size(wavelength_nm), len(self.list_materials())), dtype=complex)
+        fluids = zip(self.pore_fluids.names, self.pore_fluids.fractions, strict=True)
+        for column, (name, fraction) in enumerate(fluids):
+            if name in self.refractive_index and (fraction > 0.0 or column == DRY_PORE):
+                index[:, column] = self.refractive_index[name](wavelength_nm)
+        return index
+
     def describe(self) -> dict[str, Any]:
         """Return the inputs of all media of grains as dataset attributes."""
         layer: Any = self
@@ -458,14 +470,3 @@ class PoreFluids(NamedTuple):
             for column, fraction in enumerate(self.fractions)
             if with_fresnel and column != DRY_PORE and fraction > 0.0
         ]
-
-    def fill_refractive_indices(
-        self,
-        index: np.ndarray,
-        refractive_index: Mapping[str, RefractiveIndex],
-        wavelength_nm: np.ndarray,
-    ) -> None:
-        """Write the refractive indices of the fluids present into their columns."""
-        for column, (name, fraction) in enumerate(zip(self.names, self.fractions, strict=True)):
-            if name in refractive_index and (fraction > 0.0 or column == DRY_PORE):
-                index[:, column] = refractive_index[name](wavelength_nm)

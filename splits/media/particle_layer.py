@@ -162,7 +162,6 @@ ALLOWED_MATRIX = (
     f"columns {ANGLE}, {', '.join(REQUIRED_ELEMENTS)} and perhaps P22, P44, or expansion "
     f"coefficients {', '.join(COEFFICIENTS)}, as a mapping, table or file (.csv, .nc)"
 )
-MATRIX_NETCDF_SUFFIXES = (*NETCDF_SUFFIXES, ".cdf")
 NETCDF_DIMS = ("nphamat", "nthetamax")
 NETCDF_NAMES = ("theta", "phase", "ntheta")
 """Variables of the netCDF files of libRadtran, whose matrix elements have the order `ELEMENTS`."""
@@ -205,7 +204,7 @@ class ScatteringMatrix(ContentEquality):
             return value
         if isinstance(value, str | Path):
             path = expand_path(value, MATRIX_KEY)
-            if path.suffix.lower() in MATRIX_NETCDF_SUFFIXES:
+            if path.suffix.lower() in (*NETCDF_SUFFIXES, ".cdf"):
                 with open_foreign(MATRIX_KEY, path) as dataset:
                     columns = _select_variables(dataset.load())
             else:

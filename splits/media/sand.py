@@ -277,10 +277,8 @@ class Sand(ContentEquality, GranularMedium):
 
     def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, materials)."""
-        wavelength_nm = np.asarray(wavelength_nm, dtype=float)
         mix = MIXING_RULES[self.interpretation.mixing]
-        index = np.ones((wavelength_nm.size, len(self.list_materials())), dtype=complex)
-        self.pore_fluids.fill_refractive_indices(index, self.refractive_index, wavelength_nm)
+        index = super().compute_refractive_indices(wavelength_nm)
         # Only the filled fraction of a wet path segment absorbs.
         index[:, WET_PORE].imag *= self._water.filled_fraction
 

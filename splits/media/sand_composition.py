@@ -202,8 +202,6 @@ MAX_RELATIVE_FILM_THICKNESS = 0.05
 """Relative thickness up to which a film is treated as a flat slab."""
 MAX_SERIES_SATURATION = 1e-6
 """Saturation up to which a series gives the wet fraction."""
-N_NEWTON_STEPS = 40
-"""Number of Newton steps; about ten suffice close to full saturation."""
 
 
 class WaterDistribution(NamedTuple):
@@ -285,7 +283,8 @@ def narrow_pore_fraction(saturation: float) -> float:
     x = math.sqrt(2.0 * saturation) + 2.0 * saturation / 3.0
     if saturation > MAX_SERIES_SATURATION:
         x = max(x, -math.log1p(-saturation))
-        for _ in range(N_NEWTON_STEPS):
+        # About ten steps suffice close to full saturation.
+        for _ in range(40):
             dry_fraction = math.exp(-x)
             x += (saturation - 1.0 + (1.0 + x) * dry_fraction) / (x * dry_fraction)
     return -math.expm1(-x)

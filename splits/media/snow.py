@@ -521,9 +521,7 @@ class Snow(ContentEquality, GranularMedium):
 
     def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, materials); 1 where not given."""
-        wavelength_nm = np.asarray(wavelength_nm, dtype=float)
-        index = np.ones((wavelength_nm.size, self._ice_column + 1), dtype=complex)
-        self.pore_fluids.fill_refractive_indices(index, self.refractive_index, wavelength_nm)
+        index = super().compute_refractive_indices(wavelength_nm)
         index[:, self._ice_column] = self.refractive_index["ice"](wavelength_nm)
         return index
 

@@ -248,10 +248,6 @@ KNOWN_NAMES = (
     THICKNESS_KEY, DENSITY_KEY, SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY, *DEFAULTS, DEPTH_KEY,
     ZENITH_KEY, GROUND_KEY,
 )  # fmt: skip
-OTHER_NAMES = (
-    *KNOWN_NAMES, LAYER_DIM, WAVELENGTH_DIM, FLAG_NAME, LAYER_FLAG_NAME, GROUND_ATTRIBUTE,
-)  # fmt: skip
-"""Names that the dimension of the snowpacks cannot have."""
 
 
 class SnowPackInput(NamedTuple):
@@ -354,7 +350,8 @@ def _check_label_name(label: Any) -> None:
     """Check that a label is a text, and no name of another dimension or of a variable."""
     if not isinstance(label, str):
         raise invalid("label", label, "a text, the name of a dimension or column")
-    if label in OTHER_NAMES or label.startswith(f"{IMPURITIES_KEY}."):
+    others = (LAYER_DIM, WAVELENGTH_DIM, FLAG_NAME, LAYER_FLAG_NAME, GROUND_ATTRIBUTE)
+    if label in (*KNOWN_NAMES, *others) or label.startswith(f"{IMPURITIES_KEY}."):
         hint = f"rename it: data.rename({{{label!r}: 'time'}})"
         raise invalid("label", label, "a name that no variable of snowpacks has", hint)
 
@@ -447,8 +444,8 @@ def _pivot_frame(frame: pd.DataFrame, label: str | None) -> xr.Dataset:
     repeated = table.duplicated().to_numpy()
     if repeated.any():
         position = int(np.flatnonzero(repeated)[0])
-        pair = f"{labels[rows[position]]}, {number[position]:g}"
-        raise invalid(f"{label}, {LAYER_DIM}", pair, "different in each row", "rows repeat")
+        place = f"{labels[rows[position]]}, {number[position]:g}"
+        raise invalid(f"{label}, {LAYER_DIM}", place, "different in each row", "rows repeat")
     if len(labels) > 1 and len(table) > len(labels) and table.number.is_unique:
         hint = "frame.groupby(label).cumcount() counts the layers of each snowpack"
         allowed = "numbers that begin again in each snowpack, 0 at the top"

@@ -252,9 +252,6 @@ class SnowPackArrays(NamedTuple):
 # --------------------------------------------------------------------------------------------------
 # Snowpacks of a season or of several sites: layers over time, with a quality flag for each.
 
-MAX_LISTED_LABELS = 3
-"""Number of labels of an example in messages."""
-
 
 class SnowPacks:
     """Snowpacks over time, or over another label, and layers; layer 0 is at the top.
@@ -470,7 +467,7 @@ class SnowPacks:
         except (KeyError, TypeError, pd.errors.InvalidIndexError):
             position = None
         if not isinstance(position, int):
-            examples = [str(name) for name in index[:MAX_LISTED_LABELS]]
+            examples = [str(name) for name in index[:3]]
             allowed = f"the label of a snowpack, such as {join_names(examples)}"
             raise invalid(self.label, str(label), allowed)
         if not self.is_good[position]:

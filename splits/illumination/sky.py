@@ -171,8 +171,7 @@ class Sky(ContentEquality):
             simpson[points] += coefficient * step / 6.0
         integrand = simpson * np.interp(nodes, self.wavelength_nm, self.total)
         integrand *= np.interp(nodes, band.wavelength_nm, band.response)
-        weights: np.ndarray = integrand @ interpolate_locally(wavelength_nm, nodes, n_nodes)
-        return weights
+        return np.asarray(integrand @ interpolate_locally(wavelength_nm, nodes, n_nodes))
 
 
 # --------------------------------------------------------------------------------------------------
@@ -265,12 +264,48 @@ def sky(
             raise invalid(
                 "zenith_deg", None, ZENITH_REQUIREMENT, f'splits.sky("{CLEAR_SKY}", zenith_deg=50)'
             )
-        return _make_clear_sky(zenith, atmosphere)
+        # After Bird & Riordan (1986).
+        parameters = {
+            name: check_range(name, atmosphere.get(name, default), *limits)
+            for name, (default, limits) in ATMOSPHERE_PARAMETERS.items()
+        }
+        compute_air_mass = import_optional(
+            "pvlib.atmosphere", "sky", "clear skies need"
+        ).get_relative_airmass
+        spectra = import_optional("pvlib.spectrum", "sky", "clear skies need").spectrl2(
+            apparent_zenith=zenith,
+            aoi=zenith,
+            surface_tilt=0.0,
+            ground_albedo=parameters["ground_albedo"],
+            surface_pressure=parameters["pressure_pa"],
+            relative_airmass=compute_air_mass(zenith, model="kasten1966"),
+            precipitable_water=parameters["precipitable_water_cm"],
+            ozone=parameters["ozone_atm_cm"],
+            aerosol_turbidity_500nm=parameters["turbidity_500nm"],
+            dayofyear=80,
+        )
+        direct, diffuse = (np.ravel(spectra[key]) for key in ("dni", "dhi"))
+        direct = np.maximum(direct, 0.0) * np.cos(np.radians(zenith))
+        description = ", ".join(f"{name} {value:g}" for name, value in parameters.items())
+        source = f"Bird & Riordan (1986), by pvlib: {description}"
+        wavelengths = np.ravel(spectra["wavelength"])
+        return Sky(CLEAR_SKY, source, zenith, wavelengths, direct, np.maximum(diffuse, 0.0))
     if atmosphere:
         first, value = next(iter(atmosphere.items()))
         raise invalid(first, value, "left out", f"it applies to the sky {CLEAR_SKY} only")
     if name == ASTM_G173:
-        return _make_astm_sky()
+        # The standard gives the beam, and the light on a surface tilted towards the sun; the
+        # difference is taken as diffuse.
+        spectrum = import_optional("pvlib.spectrum", "sky", "the standard sky needs")
+        table = spectrum.get_reference_spectra(standard="ASTM G173-03")
+        beam, tilted = table["direct"].to_numpy(), table["global"].to_numpy()
+        cos_tilted = np.cos(np.radians(ASTM_ZENITH_DEG - ASTM_TILT_DEG))
+        diffuse = np.maximum(tilted - beam * cos_tilted, 0.0)
+        direct = beam * np.cos(np.radians(ASTM_ZENITH_DEG))
+        wavelengths = table.index.to_numpy(dtype=float)
+        return Sky(
+            ASTM_G173, "ASTM G173-03, by pvlib", ASTM_ZENITH_DEG, wavelengths, direct, diffuse
+        )
     polar_angle = SNICAR_ZENITH_DEG if zenith is None else zenith
     if isinstance(spectrum, Mapping | Path) or is_csv_path(name):
         columns, digest = read_tabulated_function("sky", spectrum, SKY_COLUMNS)
@@ -297,48 +332,3 @@ def sky(
         *(light[::-1] if name.endswith(CLOUDY_SUFFIX) else light),
         relative=True,
     )
-
-
-def _make_clear_sky(zenith: float, atmosphere: Mapping[str, float]) -> Sky:
-    """Return a clear sky after Bird & Riordan (1986) from pvlib, after checking its parameters."""
-    parameters = {
-        name: check_range(name, atmosphere.get(name, default), *limits)
-        for name, (default, limits) in ATMOSPHERE_PARAMETERS.items()
-    }
-    compute_air_mass = import_optional(
-        "pvlib.atmosphere", "sky", "clear skies need"
-    ).get_relative_airmass
-    spectra = import_optional("pvlib.spectrum", "sky", "clear skies need").spectrl2(
-        apparent_zenith=zenith,
-        aoi=zenith,
-        surface_tilt=0.0,
-        ground_albedo=parameters["ground_albedo"],
-        surface_pressure=parameters["pressure_pa"],
-        relative_airmass=compute_air_mass(zenith, model="kasten1966"),
-        precipitable_water=parameters["precipitable_water_cm"],
-        ozone=parameters["ozone_atm_cm"],
-        aerosol_turbidity_500nm=parameters["turbidity_500nm"],
-        dayofyear=80,
-    )
-    direct, diffuse = (np.ravel(spectra[key]) for key in ("dni", "dhi"))
-    direct = np.maximum(direct, 0.0) * np.cos(np.radians(zenith))
-    description = ", ".join(f"{name} {value:g}" for name, value in parameters.items())
-    source = f"Bird & Riordan (1986), by pvlib: {description}"
-    wavelengths = np.ravel(spectra["wavelength"])
-    return Sky(CLEAR_SKY, source, zenith, wavelengths, direct, np.maximum(diffuse, 0.0))
-
-
-def _make_astm_sky() -> Sky:
-    """Return ASTM G173 for a horizontal surface.
-
-    The standard gives the beam, and the light on a surface tilted towards the sun; the difference
-    is taken as diffuse.
-    """
-    spectrum = import_optional("pvlib.spectrum", "sky", "the standard sky needs")
-    table = spectrum.get_reference_spectra(standard="ASTM G173-03")
-    beam, tilted = table["direct"].to_numpy(), table["global"].to_numpy()
-    cos_tilted = np.cos(np.radians(ASTM_ZENITH_DEG - ASTM_TILT_DEG))
-    diffuse = np.maximum(tilted - beam * cos_tilted, 0.0)
-    direct = beam * np.cos(np.radians(ASTM_ZENITH_DEG))
-    wavelengths = table.index.to_numpy(dtype=float)
-    return Sky(ASTM_G173, "ASTM G173-03, by pvlib", ASTM_ZENITH_DEG, wavelengths, direct, diffuse)

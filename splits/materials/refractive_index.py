@@ -538,5 +538,4 @@ def _compute_iapws(wavelength_nm: np.ndarray, temperature_k: float, density: flo
     )
     slope = 2.0 * d * (a3 * x**2 * t - a4 / x**2 - a5 * x**2 / below**2 - a6 * x**2 / above**2)
     index = np.sqrt((1.0 + 2.0 * lorentz) / (1.0 - lorentz))
-    group: np.ndarray = index - 1.5 * slope / (index * (1.0 - lorentz) ** 2)
-    return group
+    return np.asarray(index - 1.5 * slope / (index * (1.0 - lorentz) ** 2))

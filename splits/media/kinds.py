@@ -64,8 +64,8 @@ def check_medium(
         return
     names = MEDIUM_NAMES[kind]
     if isinstance(medium, SnowPacks):
-        hint = "packs.make_stack(label) returns one of the snowpacks"
-        hint += "" if kind is Medium else ", and its layers are media"
+        more = "" if kind is Medium else ", and its layers are media"
+        hint = f"packs.make_stack(label) returns one of the snowpacks{more}"
         raise invalid(key, medium, "one medium", hint)
     kind_name = medium if callable(medium) else getattr(medium, "kind", medium)
     allowed = " or ".join(f"splits.{name}(...)" for name in names)
@@ -84,7 +84,7 @@ LAYER_CLASSES: dict[str, Any] = {
 }
 """Media that a stack may hold."""
 MEDIUM_CLASSES: dict[str, Any] = {**LAYER_CLASSES, "stack": Stack}
-MEDIUM_FACTORIES: dict[str, Callable[..., Any]] = LAYER_CLASSES | {"natural_snow": Snow.natural}
+MEDIUM_FACTORIES: dict[str, Callable[..., Medium]] = LAYER_CLASSES | {"natural_snow": Snow.natural}
 """Functions that make a layer from its keywords, by kind."""
 
 
@@ -105,8 +105,7 @@ def make_medium(kind: str, keywords: Mapping[str, Any]) -> Medium:
     """
     check_choice("kind", kind, MEDIUM_CLASSES)
     if kind != "stack":
-        medium: Medium = MEDIUM_FACTORIES[kind](**keywords)
-        return medium
+        return MEDIUM_FACTORIES[kind](**keywords)
     media = []
     for key, layer in iter_layers(LAYERS_KEY, keywords.get(LAYERS_KEY)):
         with key_prefix(key):

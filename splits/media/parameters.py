@@ -64,7 +64,7 @@ class _ParameterLocation(NamedTuple):
 def list_parameters(medium: Any) -> list[str]:
     """Return the names of the parameters of a medium, with one example for each amount."""
     if isinstance(medium, Stack):
-        names = ["ground"] if _get_constant_albedo(medium) is not None else []
+        names = ["ground"] if _has_constant_albedo(medium) else []
         return names + [
             f"layers.{i}.{n}"
             for i, layer in enumerate(medium.layers)
@@ -77,7 +77,7 @@ def list_parameters(medium: Any) -> list[str]:
     for key, components in FRACTION_PARAMETERS.items():
         if hasattr(medium, key):
             parameters += [f"{key}.{component}" for component in components]
-    if _get_constant_albedo(medium) is not None:
+    if _has_constant_albedo(medium):
         parameters.append("ground")
     examples = {"impurities_ng_g": "black_carbon", "algae_cells_ml": "snow_algae"}
     return parameters + [
@@ -218,7 +218,7 @@ def _locate_parameter(
     match = _LAYER_PATTERN.fullmatch(name)
     owner, own_name, layer = medium, name, None
     if isinstance(medium, Stack):
-        if name == "ground" and _get_constant_albedo(medium) is not None:
+        if name == "ground" and _has_constant_albedo(medium):
             return _ParameterLocation(None, "ground", "")
         if not match or int(match[1]) >= len(medium.layers):
             last = len(medium.layers) - 1
@@ -245,9 +245,7 @@ def _locate_parameter(
     return _ParameterLocation(layer, own_name, "")
 
 
-def _get_constant_albedo(medium: Any) -> float | None:
-    """Return the albedo of a spectrally constant ground, or None."""
+def _has_constant_albedo(medium: Any) -> bool:
+    """Return whether a medium lies over a ground that is the same at all wavelengths."""
     ground = getattr(medium, "ground", None)
-    if not isinstance(ground, Ground) or ground.wavelength_nm is not None:
-        return None
-    return float(ground.albedo_values[0])
+    return isinstance(ground, Ground) and ground.wavelength_nm is None

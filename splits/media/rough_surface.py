@@ -235,11 +235,9 @@ class RandomHeightField(ContentEquality):
                 "reflectance; give the largest wave number of the surface, or infinity; only the "
                 'default correlation "exponential" needs it, "gaussian" does not',
             )  # fmt: skip
-        if limit is None or limit == math.inf:
-            limit = math.inf
-        else:
+        if limit not in (None, math.inf):
             limit = check_range("band_limit_per_m", limit, 1e-3 * k0, math.inf, "1/m")
-        put("band_limit_per_m", limit)
+        put("band_limit_per_m", math.inf if limit is None else limit)
 
     def as_input(self) -> dict[str, Any]:
         """Return the keywords that differ from their defaults."""
@@ -433,10 +431,8 @@ class RoughSurface:
         ray = check_integer("number", ray_number, 0)
         start_stream(state, check_integer("seed", seed, 0), 0, ray)
         height_fields = self.make_height_fields()
-        waves: np.ndarray = kernels.sample_realization(
-            state, height_fields, kernels.allocate_realization(height_fields)
-        ).waves
-        return waves
+        realization = kernels.allocate_realization(height_fields)
+        return np.asarray(kernels.sample_realization(state, height_fields, realization).waves)
 
     def describe(self) -> dict[str, Any]:
         """Return the inputs, a list each, and the rms slope as dataset attributes."""

@@ -284,8 +284,7 @@ class Sand(ContentEquality, GranularMedium):
 
         @cache
         def pure(mineral: str) -> np.ndarray:
-            values: np.ndarray = self.refractive_index[mineral](wavelength_nm)
-            return values
+            return np.asarray(self.refractive_index[mineral](wavelength_nm))
 
         if self._water.relative_film_thickness:
             index[:, self.list_materials().index(WATER_FILM)] = pure(WATER)

@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property, partial, wraps
-from inspect import Parameter, signature
+from inspect import Parameter, Signature, signature
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -70,11 +70,10 @@ def accepts_measured_inputs(kind: type[Kind]) -> type[Kind]:
             keywords = to_model_keywords(kind, keywords)
         construct(self, *values, **keywords)
 
-    own_signature = signature(construct)
     extras = [Parameter(n, Parameter.KEYWORD_ONLY, default=None, annotation="float | None")
               for n in REPLACED_FIELDS]  # fmt: skip
-    full_signature = own_signature.replace(parameters=[*own_signature.parameters.values(), *extras])
-    construct_measured.__signature__ = full_signature  # type: ignore[attr-defined]
+    full = Signature([*signature(construct).parameters.values(), *extras], return_annotation=None)
+    construct_measured.__signature__ = full  # type: ignore[attr-defined]
     kind.__init__ = construct_measured  # type: ignore[method-assign,misc]
     kind.OTHER_KEYWORDS = tuple(REPLACED_FIELDS)  # type: ignore[attr-defined]
     return kind

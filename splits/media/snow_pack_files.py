@@ -253,8 +253,7 @@ def _compute_sun_zenith(packs: SnowPacks, latitude_deg: Any, longitude_deg: Any)
         raise invalid("latitude_deg", latitude_deg, "left out for snowpacks without times", hint)
     positions = import_optional("pvlib.solarposition", "sky", "positions of the sun need")
     sun = positions.get_solarposition(labels.tz_localize("UTC"), latitude_deg, longitude_deg)
-    zenith: np.ndarray = sun["apparent_zenith"].to_numpy()
-    return zenith
+    return np.asarray(sun["apparent_zenith"])
 
 
 def _read_csv(path: Path) -> pd.DataFrame:

@@ -205,9 +205,8 @@ class PackGround(NamedTuple):
         """
         shape = (positions.size, wavelength_nm.size)
         if self.albedo is None:
-            is_open = self.common is None or not self.common.is_reflecting
-            common = 0.0 if is_open or self.common is None else self.common.albedo(wavelength_nm)
-            return np.broadcast_to(common, shape)
+            ground = self.common if self.common and self.common.is_reflecting else None
+            return np.broadcast_to(ground.albedo(wavelength_nm) if ground else 0.0, shape)
         if self.wavelength_nm is None:
             return np.broadcast_to(self.albedo[positions, np.newaxis], shape)
         first, last = self.wavelength_nm[[0, -1]]

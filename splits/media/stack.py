@@ -189,12 +189,10 @@ class Stack(Medium):
         ).tolist()
         for number, layer in enumerate(self.scene_layers):
             interfaces += [
-                Interface(
-                    interface.fraction,
-                    interface.outer_material + first_columns[number],
-                    interface.inner_material + first_columns[number],
-                    interface.location,
-                    number,
+                interface._replace(
+                    outer_material=interface.outer_material + first_columns[number],
+                    inner_material=interface.inner_material + first_columns[number],
+                    layer=number,
                 )
                 for interface in layer.list_interfaces()
             ]

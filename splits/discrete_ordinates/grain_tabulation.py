@@ -18,8 +18,7 @@ from splits.discrete_ordinates.homogeneous_layer import LayerOptics, Streams, so
 from splits.kernels.grains.single_grain import N_SCATTERING_BATCHES
 from splits.kernels.scene import WET_PORE
 from splits.materials.library import load_dataset
-from splits.media.natural_snow import NATURAL_REFRACTIVE_INDICES
-from splits.media.snow import Snow
+from splits.media.snow import NATURAL_REFRACTIVE_INDICES, Snow
 from splits.simulation.engine import simulate
 from splits.simulation.grain_optics import (
     GRAIN_RAYS_PER_CHUNK,

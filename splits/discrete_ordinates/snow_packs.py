@@ -24,8 +24,7 @@ from splits.discrete_ordinates.granular_stack import (
 )
 from splits.materials.impurities import make_impurities
 from splits.materials.library import absorption_coefficient, interpolate_ice_density
-from splits.media.natural_snow import MAX_SURFACE_AREA_M2_KG
-from splits.media.snow import Snow
+from splits.media.snow import MAX_SURFACE_AREA_M2_KG, Snow
 from splits.media.snow_packs import SnowPackArrays
 
 # --------------------------------------------------------------------------------------------------

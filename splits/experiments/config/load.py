@@ -17,7 +17,7 @@ from splits.experiments.config.sections import check_path
 from splits.experiments.config.settings import Settings
 from splits.experiments.config.simulation import SimulationConfig
 from splits.media.kinds import LAYERS_KEY, NAMED_MEDIA, get_kind, iter_layers, read_named_medium
-from splits.media.natural_snow import REPLACED_FIELDS, override_keywords
+from splits.media.snow import REPLACED_FIELDS, override_keywords
 
 MAX_MESSAGE_CHARS = 450
 """Largest number of characters of a message, without the name of its file."""

@@ -31,7 +31,7 @@ from splits.experiments.config.sections import MAX_LABEL_CHARS, check_text
 from splits.materials.csv_table import is_csv_path
 from splits.media.interpretations import merge_interpretations
 from splits.media.kinds import LAYERS_KEY, iter_layers
-from splits.media.natural_snow import override_keywords
+from splits.media.snow import override_keywords
 from splits.media.snow_pack_files import read_snow_packs
 from splits.media.snow_packs import SnowPacks
 

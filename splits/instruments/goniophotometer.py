@@ -37,7 +37,7 @@ from splits.instruments.solver import (
     find_angular_obstacle,
     solve_angular_results,
 )
-from splits.instruments.spectral_run import MAX_ATTEMPTS, SpectralRequest
+from splits.instruments.spectrophotometer import MAX_ATTEMPTS, SpectralRequest
 from splits.kernels.scene import Scene
 from splits.kernels.tallies.distributions import make_basis
 from splits.media.kinds import check_medium

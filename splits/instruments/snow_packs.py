@@ -34,7 +34,6 @@ from splits.instruments.sky_mixing import (
     make_sky_attributes,
 )
 from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO, SOLVERS
-from splits.instruments.spectral_run import QUANTITY_LABELS
 from splits.io.netcdf import ANCILLARY_ATTRIBUTE
 from splits.media.snow_pack_input import FLAG_NAME, LAYER_DIM, ZENITH_KEY
 from splits.media.snow_packs import FLAGS, HORIZON_DEG, SnowPacks
@@ -44,6 +43,7 @@ from splits.simulation.run_options import (
     check_wavelengths,
     make_wavelength_coordinate,
 )
+from splits.simulation.spectral_tally import QUANTITY_LABELS
 from splits.simulation.threads import DaemonThreadPool, limit_blas_threads
 
 # --------------------------------------------------------------------------------------------------

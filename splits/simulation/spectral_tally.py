@@ -40,6 +40,13 @@ from splits.simulation.strata import (
 )
 from splits.simulation.tally import ExitTally, allow_for_unseen_rays, find_required_rays
 
+SIDE_QUANTITIES = ("reflectance", "transmittance")
+QUANTITY_LABELS = {
+    "reflectance": "hemispherical reflectance",
+    "transmittance": "hemispherical transmittance",
+    "absorptance": "absorptance",
+}
+"""Labels of the quantities of an estimate, in their order."""
 PILOT_RAYS = 256
 ANALOG_PILOT_RAYS = 2048
 """Rays of the first round per stratum, and with analog absorption.  The number of rays still needed

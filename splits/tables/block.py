@@ -11,10 +11,11 @@ import xarray as xr
 
 from splits.core.progress import ProgressCallback
 from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO
-from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest
+from splits.instruments.spectrophotometer import SpectralRequest
 from splits.io.netcdf import load, make_provenance, save
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.simulation.deep_medium import TruncatedMedium
+from splits.simulation.spectral_tally import SIDE_QUANTITIES
 from splits.tables.block_directions import (
     make_view_variables,
     solve_directions,

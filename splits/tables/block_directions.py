@@ -11,7 +11,7 @@ from splits.core.error_target import ErrorTarget
 from splits.instruments.angular_estimate import AngularEstimate, join_wavelengths
 from splits.instruments.goniophotometer import make_direction_mask, simulate_directions
 from splits.instruments.solver import AngularRequest, AngularResult, solve_angular_results
-from splits.instruments.spectral_run import SpectralRequest
+from splits.instruments.spectrophotometer import SpectralRequest
 from splits.simulation.deep_medium import TruncatedMedium
 from splits.tables.media_cache import MediaCache
 from splits.tables.plan import DIFFUSE, PathGroup

@@ -13,7 +13,7 @@ from splits.discrete_ordinates.granular_stack import (
     solve_with_exponent_error,
 )
 from splits.instruments.solver import make_estimate
-from splits.instruments.spectral_run import SpectralRequest
+from splits.instruments.spectrophotometer import SpectralRequest
 from splits.media.medium import Medium
 from splits.simulation.spectral_tally import SpectralEstimate
 from splits.simulation.threads import DaemonThreadPool, limit_blas_threads

@@ -9,8 +9,8 @@ import numpy as np
 
 from splits.core.arrays import as_1d_array, check_increasing
 from splits.core.validation import invalid
-from splits.instruments.spectral_run import SIDE_QUANTITIES
 from splits.simulation.run_options import check_direction_angles
+from splits.simulation.spectral_tally import SIDE_QUANTITIES
 from splits.tables.axes import INCIDENCE, ParameterGrid
 
 POLAR, AZIMUTH = "polar_deg", "azimuth_deg"

@@ -20,7 +20,6 @@ from splits.discrete_ordinates.granular_stack import GranularStack
 from splits.discrete_ordinates.profiles import (
     IntervalProfile,
     LayerDivision,
-    ProfileSolution,
     solve_profile,
 )
 from splits.instruments.flux_media import (
@@ -127,7 +126,12 @@ def _make_path_variables(result: FluxResult, traced_medium: TracedMedium) -> dic
     steps = compute_absorption_steps(traced_medium.medium, absorption, edges)
     thickness = np.diff(edges)[:, np.newaxis]
     absorptance = estimate.split_quantities(estimate.quantities.mean(axis=0))[2]
-    fluxes = [_compute_actinic_flux(one, traced_medium) for one in estimates]
+    # The mean over a semi-infinite interval is 0 where anything absorbs; where nothing does, it is
+    # the value far from the top.
+    fluxes = [one.path_length / np.diff(traced_medium.planes_m)[:, np.newaxis] for one in estimates]
+    if traced_medium.semi_infinite:
+        for flux in fluxes:
+            flux[:, -1] *= ~traced_medium.is_absorbing()
     ratio_error = traced_medium.path_ratio.find_largest_error(traced_medium.medium, edges)
     ratio_error *= np.abs(fluxes[0].mean(axis=0))
     # Light that no ray carries is absorbed, and has a path per absorbed light.
@@ -183,18 +187,6 @@ def _combine_errors(
     errors = [compute_batch_stderr(batch_means), nonstatistical_error, step_error]
     errors += [(batch_means - one).mean(axis=0) for one in perturbed]
     return np.sqrt(np.sum(np.square(errors), axis=0))
-
-
-def _compute_actinic_flux(estimate: FluxEstimate, traced_medium: TracedMedium) -> np.ndarray:
-    """Return actinic fluxes by batch.
-
-    The mean over a semi-infinite interval is 0 where anything absorbs; where nothing does, it is
-    the value far from the top.
-    """
-    flux: np.ndarray = estimate.path_length / np.diff(traced_medium.planes_m)[:, np.newaxis]
-    if traced_medium.semi_infinite:
-        flux[:, -1] *= ~traced_medium.is_absorbing()
-    return flux
 
 
 def compute_absorbed_fractions(estimate: FluxEstimate, columns: Sequence[int]) -> np.ndarray:
@@ -258,10 +250,43 @@ def solve_flux(
     cosine = None if incidence == "diffuse" else float(np.cos(np.radians(float(incidence))))
     with limit_blas_threads():
         solution = solve_profile(parts, geometry, cosine, max_stderr, limit_irradiance)
-    variables = _make_variables(solution, edges)
-    materials = list(medium.material_columns)
-    coordinates = make_flux_coordinates(wavelengths, edges, materials)
-    attributes = describe_solution(solution, max_stderr, limit_irradiance)
+    profile, error = solution.profile, solution.compute_error()
+    variables: dict[str, Variable] = {}
+    for (name, (dim, label)), values, stderr in zip(
+        QUANTITIES.items(), profile[:3], error[:3], strict=True
+    ):
+        dims = ("wavelength", dim)
+        variables |= make_variable(name, dims, values.T, stderr.T, label)
+        none = np.zeros((N_BATCHES, *values.T.shape))
+        variables |= make_deviation_variable(name, dims, none, label)
+    thickness, intervals = np.diff(edges), ("wavelength", "interval")
+    path, path_error = (one.path_length.T / thickness for one in (profile, error))
+    variables |= make_variable("actinic_flux", intervals, path, path_error, ACTINIC_LABEL)
+    by_material, material_error = (np.moveaxis(one.by_material, -1, 0) for one in (profile, error))
+    variables |= make_variable(
+        "absorptance_of_material",
+        (*intervals, "material"),
+        by_material,
+        material_error,
+        MATERIAL_LABEL,
+    )
+
+    def find_largest(errors: IntervalProfile) -> float:
+        limited = [errors.upward[:1], errors.absorptance]
+        limited += [errors.downward, errors.upward] if limit_irradiance else []
+        return float(max(one.max() for one in limited))
+
+    reached = find_largest(error)
+    attributes = {
+        "solver": DISCRETE_ORDINATES,
+        "max_stderr_reached": reached,
+        "stop_reason": "converged" if reached <= max_stderr else "solver_error",
+        "rays": 0,
+        "streams": solution.n_streams,
+        "truncation_error": find_largest(solution.truncation),
+        "optics_error": find_largest(solution.optics_error),
+    }
+    coordinates = make_flux_coordinates(wavelengths, edges, list(medium.material_columns))
     return xr.Dataset(variables, coordinates, attributes)
 
 
@@ -283,46 +308,3 @@ def divide_medium(
         for name in ("pore_fraction", "attenuation_per_m")
     )
     return parts, LayerDivision(fractions, attenuation, owners, np.searchsorted(starts, begin))
-
-
-def describe_solution(
-    solution: ProfileSolution, max_stderr: float, limit_irradiance: bool
-) -> dict[str, Any]:
-    """Return the attributes of a solution."""
-
-    def reduce(errors: IntervalProfile) -> float:
-        limited = [errors.upward[:1], errors.absorptance]
-        limited += [errors.downward, errors.upward] if limit_irradiance else []
-        return float(max(one.max() for one in limited))
-
-    reached = reduce(solution.compute_error())
-    return {
-        "solver": DISCRETE_ORDINATES,
-        "max_stderr_reached": reached,
-        "stop_reason": "converged" if reached <= max_stderr else "solver_error",
-        "rays": 0,
-        "streams": solution.n_streams,
-        "truncation_error": reduce(solution.truncation),
-        "optics_error": reduce(solution.optics_error),
-    }
-
-
-def _make_variables(solution: ProfileSolution, edges: np.ndarray) -> dict[str, Variable]:
-    profile, error = solution.profile, solution.compute_error()
-    variables: dict[str, Variable] = {}
-    for (name, (dim, label)), values, stderr in zip(
-        QUANTITIES.items(), profile[:3], error[:3], strict=True
-    ):
-        dims = ("wavelength", dim)
-        variables |= make_variable(name, dims, values.T, stderr.T, label)
-        none = np.zeros((N_BATCHES, *values.T.shape))
-        variables |= make_deviation_variable(name, dims, none, label)
-    thickness = np.diff(edges)
-    path, path_error = (one.path_length.T / thickness for one in (profile, error))
-    parts, parts_error = (np.moveaxis(one.by_material, -1, 0) for one in (profile, error))
-    intervals = ("wavelength", "interval")
-    variables |= make_variable("actinic_flux", intervals, path, path_error, ACTINIC_LABEL)
-    variables |= make_variable(
-        "absorptance_of_material", (*intervals, "material"), parts, parts_error, MATERIAL_LABEL
-    )
-    return variables

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from splits.core.uncertainty import compute_batch_stderr
 from splits.core.validation import invalid
 from splits.kernels import vectorized
 from splits.kernels.rough_surface.realization import allocate_realization
@@ -28,7 +29,7 @@ from splits.kernels.tallies.exits import (
 )
 from splits.kernels.transport import history
 from splits.kernels.vectorized.trace import select_features
-from splits.simulation.spectral_nodes import IndexNodes
+from splits.simulation.spectral_nodes import IndexNodes, bound_fraction_error
 from splits.simulation.strata import (
     INITIAL_SEGMENTS,
     STRATUM_BOUNDS,
@@ -345,6 +346,31 @@ class Tally(ABC):
             rows = self.select_node(node)
             total[..., self.rows[rows]] += self.weights[rows] ** power * values[..., rows]
         return total
+
+    def average_batches(self, batch_sums: np.ndarray) -> np.ndarray:
+        """Return means by batch and row, from sums whose first axis is the batch.
+
+        Their third axis is the node row, and that of the result the row.
+        """
+        per_batch = np.moveaxis(batch_sums, 2, -1) / (self.count_rays() / len(batch_sums))
+        return np.moveaxis(self.combine_nodes(per_batch), -1, 2)
+
+    def compute_fraction_error(
+        self, by_batch: np.ndarray, interpolation_bound: np.ndarray
+    ) -> np.ndarray:
+        """Return the errors of mean fractions of the light, with the allowance for unseen rays.
+
+        Parameters
+        ----------
+        by_batch : float, shape (batches, ...)
+        interpolation_bound : float, shape (...)
+        """
+        mean = by_batch.mean(axis=0)
+        single_ray = 1.0 / self.stratum_rays.min()
+        variance = allow_for_unseen_rays(
+            compute_batch_stderr(by_batch) ** 2, (single_ray * (1.0 - mean)) ** 2
+        )
+        return np.hypot(np.sqrt(variance), bound_fraction_error(interpolation_bound, mean))
 
     def combine_moments(
         self, total: np.ndarray, square: np.ndarray, largest: np.ndarray | float = 1.0

@@ -318,7 +318,10 @@ def goniophotometer(
     if isinstance(incidence, str) and estimator != "expansion":
         allowed = "an angle for this estimator"
         raise invalid("incidence_deg", incidence, allowed, "expansion allows it")
-    check_polarized_estimator(stokes, estimator, medium)
+    if requests_polarization(stokes) and estimator == "expansion":
+        has_grains = any(layer.has_grains for layer in medium.scene_layers)
+        allowed = "bins with stokes" if has_grains else "bins or next_event with stokes"
+        raise invalid("estimator", estimator, allowed)
     bins = check_n_bins(n_bins) if estimator == "bins" else None
     if bins is not None:
         polar, azimuth = compute_bin_centres(bins)
@@ -397,14 +400,6 @@ def make_direction_mask(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
     """Return the directions of the stopping rule: all if only steeper ones are requested."""
     low = polar <= MAX_CONVERGED_POLAR_DEG
     return np.repeat(low if low.any() else ~low, len(azimuth))
-
-
-def check_polarized_estimator(stokes: Any, estimator: str, medium: Medium) -> None:
-    """Reject an estimator without Stokes parameters for a run with `stokes`."""
-    if requests_polarization(stokes) and estimator == "expansion":
-        has_grains = any(layer.has_grains for layer in medium.scene_layers)
-        allowed = "bins with stokes" if has_grains else "bins or next_event with stokes"
-        raise invalid("estimator", estimator, allowed)
 
 
 # --------------------------------------------------------------------------------------------------

@@ -195,11 +195,12 @@ def lens(
     rays = check_integer("rays", rays, 3, max_value)
     realizations = check_integer("realizations", realizations, 1, max_value)
     run = RunOptions.from_arguments(seed, threads=1)
-    if waves is None and medium.surface is None:
+    if waves is not None:
+        surface_waves = check_plane_waves(waves)
+        if realizations > 1:
+            raise invalid("realizations", realizations, "1 for given waves")
+    elif medium.surface is None:
         raise invalid("surface", None, "given: a lens needs waves")
-    surface_waves = None if waves is None else check_plane_waves(waves)
-    if waves is not None and realizations > 1:
-        raise invalid("realizations", realizations, "1 for given waves")
     angles = 2.0 * np.pi * np.arange(rays) / rays
     contraction = np.empty((realizations, depths.size))
     detected_fraction = np.empty_like(contraction)

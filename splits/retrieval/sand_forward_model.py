@@ -10,7 +10,7 @@ import numpy as np
 
 from splits.core.validation import invalid
 from splits.retrieval.sand_parameters import UnitCube
-from splits.simulation.fixed_budget import choose_node_rows, estimate_fixed_budget
+from splits.simulation.spectral_tally import choose_node_rows, estimate_fixed_budget
 
 
 @dataclass(frozen=True)

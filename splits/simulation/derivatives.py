@@ -261,25 +261,16 @@ def compute_finite_difference(
             break
     if best is None:
         raise last_error
-    _check_convergence(parameter, value, best, one_sided)
+    if len(one_sided) > 2:
+        # The derivative must not grow each time the step is halved.
+        sizes = [float(np.sqrt((one.mean**2).sum())) for one in one_sided[-3:]]
+        noise = float(np.sqrt((best.batch_deviations**2).sum()))
+        slowest = min(sizes[1] / sizes[0], sizes[2] / sizes[1])
+        if slowest > MIN_CONVERGENCE_RATIO and sizes[2] - sizes[0] > 4.0 * noise:
+            hint = "reflectance has a square-root singularity there: choose a nearby value"
+            raise invalid(f"jacobian ({parameter})", value, "where the derivative is finite", hint)
     n_rays = sum(one.rays["rays"] for one in estimates.values())
     return coordinate.to_value_derivatives(best), n_rays
-
-
-def _check_convergence(
-    parameter: str, value: float, derivatives: Derivatives, one_sided_derivatives: list[Derivatives]
-) -> None:
-    """Check that a derivative does not grow each time the step is halved."""
-    if len(one_sided_derivatives) < 3:
-        return
-    sizes = [float(np.sqrt((one.mean**2).sum())) for one in one_sided_derivatives[-3:]]
-    noise = float(np.sqrt((derivatives.batch_deviations**2).sum()))
-    if (
-        min(sizes[1] / sizes[0], sizes[2] / sizes[1]) > MIN_CONVERGENCE_RATIO
-        and sizes[2] - sizes[0] > 4.0 * noise
-    ):
-        hint = "reflectance has a square-root singularity there: choose a nearby value"
-        raise invalid(f"jacobian ({parameter})", value, "where the derivative is finite", hint)
 
 
 class _Coordinate(NamedTuple):

@@ -451,8 +451,21 @@ class ExitTally(Tally):
             ]
         else:
             optics = Optics(*map(np.stack, zip(*(one.optics for one in strata), strict=True)))
-            result = vectorized.trace_rays(seed, work, scene, optics, exits, strata[0].features)
-            results = _split_by_item(result, end_rays)
+            n_segments, lost, crossings = vectorized.trace_rays(
+                seed, work, scene, optics, exits, strata[0].features
+            )
+            # Stable, so that the crossings of each ray remain in order of time.
+            crossings = crossings[np.argsort(crossings[:, CROSSING_RAY], kind="stable")]
+            rows = np.searchsorted(crossings[:, CROSSING_RAY], end_rays[:-1])
+            crossings_by_item = np.split(crossings, rows)
+            for item_crossings, first_ray in zip(crossings_by_item[1:], end_rays[:-1], strict=True):
+                item_crossings[:, CROSSING_RAY] -= first_ray
+            results = [
+                TraceResult(count, lost, item_crossings)
+                for count, item_crossings in zip(
+                    np.split(n_segments, len(job)), crossings_by_item, strict=True
+                )
+            ]
         if any(result.lost for result in results):
             raise RuntimeError(LOST_MESSAGE)
         return [
@@ -473,17 +486,3 @@ class ExitTally(Tally):
             chunk_exits = exits[start : start + self.rays_per_chunk]
             scores.append(self.score(stratum, chunk_exits, chunk_crossings))
         return scores
-
-
-def _split_by_item(result: TraceResult, end_rays: np.ndarray) -> list[TraceResult]:
-    """Return the results of work items, whose rays end at `end_rays`."""
-    n_segments, lost, crossings = result
-    # Stable, so that the crossings of each ray remain in order of time.
-    crossings = crossings[np.argsort(crossings[:, CROSSING_RAY], kind="stable")]
-    by_item = np.split(crossings, np.searchsorted(crossings[:, CROSSING_RAY], end_rays[:-1]))
-    for item_crossings, first_ray in zip(by_item[1:], end_rays[:-1], strict=True):
-        item_crossings[:, CROSSING_RAY] -= first_ray
-    return [
-        TraceResult(count, lost, item_crossings)
-        for count, item_crossings in zip(np.split(n_segments, len(by_item)), by_item, strict=True)
-    ]

@@ -189,7 +189,7 @@ def divide_or_zero(numerator: np.ndarray, denominator: np.ndarray) -> np.ndarray
 # --------------------------------------------------------------------------------------------------
 # Spatial spread of a thin beam, the dependence on position of a BSSRDF.
 
-_INTERPOLATION_TOLERANCE = 0.001
+NODE_TOLERANCE = 0.001
 """Bound on the error of a reflectance from interpolation between refractive indices."""
 
 
@@ -260,7 +260,7 @@ def beam_spread(
     if half_width_m is not None:
         check_half_width("beam_spread", half_width_m)
     index, absorption = compute_optical_constants(medium, wavelengths)
-    nodes = choose_nodes(index, medium.list_interfaces(), _INTERPOLATION_TOLERANCE)
+    nodes = choose_nodes(index, medium.list_interfaces(), NODE_TOLERANCE)
     scene = build_scene(medium, incidence, False)
     if half_width_m is None:
         pilot = BeamSpreadTally(nodes, absorption, 0.0, 0, first_node=len(nodes.index))

@@ -40,13 +40,13 @@ from splits.simulation.run_options import make_wavelength_coordinate
 from splits.simulation.threads import limit_blas_threads
 
 QUANTITIES = {
-    "downward_irradiance": ("depth", "downward irradiance"),
-    "upward_irradiance": ("depth", "upward irradiance"),
-    "absorptance": ("interval", "absorptance of the interval"),
+    "downward_irradiance": (("depth",), "downward irradiance"),
+    "upward_irradiance": (("depth",), "upward irradiance"),
+    "absorptance": (("interval",), "absorptance of the interval"),
+    "actinic_flux": (("interval",), "mean path over thickness"),
+    "absorptance_of_material": (("interval", "material"), "absorptance of a material"),
 }
-"""Dimensions and labels of the quantities of an estimate, in their order."""
-ACTINIC_LABEL = "mean path over thickness"
-MATERIAL_LABEL = "absorptance of a material"
+"""Dimensions and labels of the quantities of a dataset, in their order."""
 
 
 def make_flux_dataset(
@@ -67,60 +67,17 @@ def make_flux_dataset(
         Attributes of the dataset.
     """
     estimate, edges = result.estimate, traced_medium.edges_m
-    variables: dict[str, Variable] = {}
-    for (name, (dim, label)), batch_means, systematic_error in zip(
-        QUANTITIES.items(),
+    results: list[tuple[np.ndarray, ...]] = []
+    for batch_means, systematic_error in zip(
         estimate.split_quantities(estimate.quantities),
         estimate.split_quantities(result.systematic_error),
         strict=True,
     ):
-        dims = ("wavelength", dim)
+        mean = batch_means.mean(axis=0)
         error = np.hypot(compute_batch_stderr(batch_means), systematic_error)
-        variables |= _make_flux_variable(name, dims, batch_means, error, label)
-        deviations = np.moveaxis(batch_means - batch_means.mean(axis=0), -1, 1)
-        deviations /= np.sqrt(len(deviations) * (len(deviations) - 1))
-        variables |= make_deviation_variable(name, dims, deviations, label)
-    variables |= _make_path_variables(result, traced_medium)
-    coordinates = make_flux_coordinates(wavelengths, edges, list(traced_medium.material_columns))
-    return xr.Dataset(variables, coordinates, attributes)
-
-
-def make_flux_coordinates(
-    wavelengths: np.ndarray, edges: np.ndarray, materials: Sequence[str]
-) -> dict[str, Any]:
-    """Return the coordinates of the dataset.
-
-    Parameters
-    ----------
-    wavelengths : float, shape (wavelengths,)
-        nm.
-    edges : float, shape (intervals + 1,)
-        Edges of the intervals (m).
-    materials : sequence of str
-    """
-    depth_attributes = {
-        "long_name": "depth", "units": "m", "positive": "down", "standard_name": "depth",
-    }  # fmt: skip
-    return {
-        "wavelength": make_wavelength_coordinate(wavelengths),
-        "depth": ("depth", edges[np.isfinite(edges)], depth_attributes),
-        "interval_top": ("interval", edges[:-1], {"long_name": "top", "units": "m"}),
-        "interval_bottom": ("interval", edges[1:], {"long_name": "bottom", "units": "m"}),
-        "material": ("material", np.array(materials), {"long_name": "material"}),
-    }
-
-
-def _make_flux_variable(
-    name: str, dims: tuple[str, ...], batch_means: np.ndarray, stderr: np.ndarray, label: str
-) -> dict[str, Variable]:
-    """Return a variable and its error, from arrays whose last axis is the wavelength."""
-    mean, error = (np.moveaxis(array, -1, 0) for array in (batch_means.mean(axis=0), stderr))
-    return make_variable(name, dims, mean, error, label)
-
-
-def _make_path_variables(result: FluxResult, traced_medium: TracedMedium) -> dict[str, Variable]:
-    """Return actinic fluxes and absorptances of materials, from path lengths."""
-    estimate, edges = result.estimate, traced_medium.edges_m
+        deviations = (batch_means - mean) / np.sqrt(N_BATCHES * (N_BATCHES - 1))
+        results.append((mean, error, deviations))
+    # Actinic fluxes and absorptances of materials follow from path lengths.
     estimates = [one for one in (estimate, result.perturbed_estimate) if one is not None]
     absorption = traced_medium.constants.absorption[: traced_medium.n_wavelengths]
     steps = compute_absorption_steps(traced_medium.medium, absorption, edges)
@@ -152,13 +109,48 @@ def _make_path_variables(result: FluxResult, traced_medium: TracedMedium) -> dic
     )
     unsampled_light = result.unsampled_light[:, np.newaxis]
     material_error = _combine_errors(by_material, result, unsampled_light, material_bound)
-    dims = ("wavelength", "interval")
-    return _make_flux_variable(
-        "actinic_flux", dims, fluxes[0], flux_error, ACTINIC_LABEL
-    ) | _make_flux_variable(
-        "absorptance_of_material", (*dims, "material"), by_material[0], material_error,
-        MATERIAL_LABEL,
-    )  # fmt: skip
+    results += [(fluxes[0].mean(axis=0), flux_error), (by_material[0].mean(axis=0), material_error)]
+    materials = list(traced_medium.material_columns)
+    return _make_dataset(results, wavelengths, edges, materials, attributes)
+
+
+def _make_dataset(
+    results: Sequence[tuple[np.ndarray, ...]], wavelengths: np.ndarray, edges: np.ndarray,
+    materials: Sequence[str], attributes: dict[str, Any],
+) -> xr.Dataset:  # fmt: skip
+    """Return the dataset of results.
+
+    Parameters
+    ----------
+    results : sequence of tuple of float, shape (..., wavelengths)
+        Values of the `QUANTITIES`, their errors, and deviations by batch of the first three.
+    wavelengths : float, shape (wavelengths,)
+        nm.
+    edges : float, shape (intervals + 1,)
+        Edges of the intervals (m).
+    materials : sequence of str
+    attributes : dict
+    """
+    variables: dict[str, Variable] = {}
+    for (name, (axes, label)), (mean, error, *deviations) in zip(
+        QUANTITIES.items(), results, strict=True
+    ):
+        dims = ("wavelength", *axes)
+        values = (np.moveaxis(one, -1, 0) for one in (mean, error))
+        variables |= make_variable(name, dims, *values, label)
+        for by_batch in deviations:
+            variables |= make_deviation_variable(name, dims, np.moveaxis(by_batch, -1, 1), label)
+    depth_attributes = {
+        "long_name": "depth", "units": "m", "positive": "down", "standard_name": "depth",
+    }  # fmt: skip
+    coordinates = {
+        "wavelength": make_wavelength_coordinate(wavelengths),
+        "depth": ("depth", edges[np.isfinite(edges)], depth_attributes),
+        "interval_top": ("interval", edges[:-1], {"long_name": "top", "units": "m"}),
+        "interval_bottom": ("interval", edges[1:], {"long_name": "bottom", "units": "m"}),
+        "material": ("material", np.array(materials), {"long_name": "material"}),
+    }
+    return xr.Dataset(variables, coordinates, attributes)
 
 
 def _combine_errors(
@@ -251,25 +243,15 @@ def solve_flux(
     with limit_blas_threads():
         solution = solve_profile(parts, geometry, cosine, max_stderr, limit_irradiance)
     profile, error = solution.profile, solution.compute_error()
-    variables: dict[str, Variable] = {}
-    for (name, (dim, label)), values, stderr in zip(
-        QUANTITIES.items(), profile[:3], error[:3], strict=True
-    ):
-        dims = ("wavelength", dim)
-        variables |= make_variable(name, dims, values.T, stderr.T, label)
-        none = np.zeros((N_BATCHES, *values.T.shape))
-        variables |= make_deviation_variable(name, dims, none, label)
-    thickness, intervals = np.diff(edges), ("wavelength", "interval")
-    path, path_error = (one.path_length.T / thickness for one in (profile, error))
-    variables |= make_variable("actinic_flux", intervals, path, path_error, ACTINIC_LABEL)
-    by_material, material_error = (np.moveaxis(one.by_material, -1, 0) for one in (profile, error))
-    variables |= make_variable(
-        "absorptance_of_material",
-        (*intervals, "material"),
-        by_material,
-        material_error,
-        MATERIAL_LABEL,
-    )
+    thickness = np.diff(edges)[:, np.newaxis]
+    results: list[tuple[np.ndarray, ...]] = [
+        (values, stderr, np.zeros((N_BATCHES, *values.shape)))
+        for values, stderr in zip(profile[:3], error[:3], strict=True)
+    ]
+    results += [
+        (profile.path_length / thickness, error.path_length / thickness),
+        (profile.by_material, error.by_material),
+    ]
 
     def find_largest(errors: IntervalProfile) -> float:
         limited = [errors.upward[:1], errors.absorptance]
@@ -286,8 +268,7 @@ def solve_flux(
         "truncation_error": find_largest(solution.truncation),
         "optics_error": find_largest(solution.optics_error),
     }
-    coordinates = make_flux_coordinates(wavelengths, edges, list(medium.material_columns))
-    return xr.Dataset(variables, coordinates, attributes)
+    return _make_dataset(results, wavelengths, edges, list(medium.material_columns), attributes)
 
 
 def divide_medium(

@@ -33,6 +33,7 @@ from splits.simulation.scene import (
     OpticalConstants,
     compute_material_constants,
     compute_optical_constants,
+    compute_path_fractions,
     make_height_fields,
 )
 from splits.simulation.shared_paths import PathSharingMedia
@@ -318,6 +319,13 @@ class TracedMedium(NamedTuple):
     def edges_m(self) -> np.ndarray:
         """Edges of the intervals (m)."""
         return np.append(self.planes_m[:-1], np.inf) if self.semi_infinite else self.planes_m
+
+    @property
+    def path_fractions(self) -> np.ndarray:
+        """Path over recorded length, see `splits.simulation.scene.compute_path_fractions`."""
+        fractions = compute_path_fractions(self.medium)
+        n_grounds = self.constants.absorption.shape[1] - fractions.size
+        return np.pad(fractions, (0, n_grounds), constant_values=1.0)
 
     def is_absorbing(self) -> np.ndarray:
         """Return at which wavelengths the lowest layer absorbs, shape (wavelengths,)."""

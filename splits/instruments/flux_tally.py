@@ -14,7 +14,6 @@ from splits.kernels.scene import Scene
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.kernels.tallies.flux import DOWNWELLING, UPWELLING, FluxSums, tally_flux
 from splits.simulation.engine import MIN_ROUND_GROWTH
-from splits.simulation.scene import compute_path_fractions
 from splits.simulation.spectral_nodes import MAX_LOG_SLOPE, IndexNodes
 from splits.simulation.strata import (
     Evaluation,
@@ -352,19 +351,17 @@ class FluxTally(ExitTally):
         absorption = traced_medium.constants.absorption
         super().__init__(nodes, absorption, compute_absorption_per_mfp(scene, absorption))
         self.traced_medium, self.target, self.scene = traced_medium, target, scene
-        fractions = compute_path_fractions(traced_medium.medium)
-        n_grounds = absorption.shape[1] - fractions.size
-        self.path_fractions = np.pad(fractions, (0, n_grounds), constant_values=1.0)
+        self.path_fractions = traced_medium.path_fractions
         # The boundary above a rough surface is above the depth 0.
         self.boundary_rows = np.append(
             0, np.searchsorted(-scene.layers.boundaries, traced_medium.planes_m[1:])
         )
         self.n_layers = len(scene.layers.boundaries) - 1
         n_rows, n_materials = len(self.rows), absorption.shape[1]
-        n_wavelengths = traced_medium.n_wavelengths
         self.values_per_row = self.n_layers * (3 + n_materials)
         n_values = N_BATCHES * self.values_per_row * n_rows
         if n_values > MAX_TALLY_VALUES:
+            n_wavelengths = traced_medium.n_wavelengths
             max_wavelengths = max(1, n_wavelengths * MAX_TALLY_VALUES // n_values)
             raise invalid(
                 "wavelength_nm", f"{n_wavelengths} wavelengths",

@@ -19,7 +19,7 @@ from splits.core.uncertainty import (
 )
 from splits.core.validation import InvalidValue, check_integer, invalid
 from splits.instruments.angular_estimate import N_ANGULAR_BATCHES
-from splits.instruments.beam_spread import SIDES, divide_or_zero
+from splits.instruments.beam_spread import NODE_TOLERANCE, SIDES, divide_or_zero
 from splits.instruments.delay_record import (
     SPEED_OF_LIGHT,
     Pulse,
@@ -65,8 +65,6 @@ MAX_DEPTH_M = 9_000.0
 """Largest depth that replaces an infinite one."""
 LATE_LIGHT_ERRORS = (1e-4, 0.05)
 """Limits of the requested error of all reflected light."""
-_INTERPOLATION_TOLERANCE = 0.001
-"""Bound on the error of a reflectance from interpolation between refractive indices."""
 
 NO_DEPTHS = np.zeros(0)
 """Depths of records that do not divide light by the largest depth reached."""
@@ -228,7 +226,7 @@ def simulate_delays(
     traced = _limit_depth(medium, last_s, float(depths_m.max(initial=0.0)))
     slowness = compute_slowness(traced, wavelengths)
     index, absorption = compute_optical_constants(traced, wavelengths)
-    nodes = choose_nodes(index, traced.list_interfaces(), _INTERPOLATION_TOLERANCE)
+    nodes = choose_nodes(index, traced.list_interfaces(), NODE_TOLERANCE)
     scene = build_scene(traced, request.incidence, False)
     max_order = compute_max_order(traced, scene.layers, request.receiver, last_s)
     if depths_m.size:

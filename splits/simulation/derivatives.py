@@ -338,25 +338,21 @@ def _make_stencil(
         points = [coordinate.start + offset * step for offset in offsets]
         if coordinate.sign and min(points) < 0.0:
             continue
-        values = map(coordinate.to_value, points)
+        inputs: dict[float, tuple[Medium, float | str]] = {}
         try:
-            inputs = [_perturb_input(medium, incidence, parameter, value) for value in values]
+            for point in points:
+                value = coordinate.to_value(point)
+                if parameter != INCIDENCE_KEY:
+                    inputs[point] = replace_parameter(medium, parameter, value), incidence
+                elif not 0.0 <= value < 90.0:
+                    raise invalid(INCIDENCE_KEY, value, "0 to below 90 degrees")
+                else:
+                    inputs[point] = medium, value
         except InvalidValue as error:
             last_error = error
         else:
-            return offsets, dict(zip(points, inputs, strict=True))
+            return offsets, inputs
     raise last_error
-
-
-def _perturb_input(
-    medium: Medium, incidence: float | str, parameter: str, value: float
-) -> tuple[Medium, float | str]:
-    """Return the medium and the incidence for a value of a parameter, after checking it."""
-    if parameter != INCIDENCE_KEY:
-        return replace_parameter(medium, parameter, value), incidence
-    if not 0.0 <= value < 90.0:
-        raise invalid(INCIDENCE_KEY, value, "0 to below 90 degrees")
-    return medium, value
 
 
 def _differentiate(

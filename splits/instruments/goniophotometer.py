@@ -45,8 +45,8 @@ from splits.media.medium import Medium
 from splits.simulation.deep_medium import ERROR_BUDGET_FRACTION, THEORY_UNCERTAINTY, TruncatedMedium
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import (
+    MAX_DATASET_VALUES,
     RunOptions,
-    check_dataset_size,
     check_direction_angles,
     check_incidence,
     check_n_bins,
@@ -328,7 +328,13 @@ def goniophotometer(
     else:
         polar = check_direction_angles("polar_deg", polar_deg, 90.0)
         azimuth = check_direction_angles("azimuth_deg", azimuth_deg, 360.0)
-    check_dataset_size(len(wavelengths), len(polar) * len(azimuth))
+    n_directions = len(polar) * len(azimuth)
+    if len(wavelengths) * n_directions > MAX_DATASET_VALUES:
+        raise invalid(
+            "wavelength_nm", f"{len(wavelengths)} wavelengths",
+            f"at most {MAX_DATASET_VALUES // n_directions}",
+            f"{n_directions} directions each; {MAX_DATASET_VALUES} values fit into memory",
+        )  # fmt: skip
     direction_mask = make_direction_mask(polar, azimuth) | (estimator == "next_event")
     request = AngularRequest(
         wavelengths, polar, azimuth, relative_stderr, ErrorTarget(side, direction_mask)

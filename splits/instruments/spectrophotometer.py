@@ -33,10 +33,9 @@ from splits.simulation.deep_medium import (
 from splits.simulation.derivatives import (
     NO_PERTURBATIONS,
     Perturbations,
+    add_jacobian,
     check_jacobian,
     compute_finite_difference,
-    make_jacobian_variables,
-    make_parameter_coordinates,
 )
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import (
@@ -267,8 +266,7 @@ def spectrophotometer(
             )
     if not parameters:
         return dataset
-    dataset = dataset.assign_coords(make_parameter_coordinates(parameters, methods))
-    return dataset.assign(make_jacobian_variables(derivatives, SIDE_QUANTITIES))
+    return add_jacobian(dataset, derivatives, parameters, methods)
 
 
 def find_path_obstacle(estimator: str, stokes: Any) -> str | None:

@@ -13,6 +13,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from splits.core.parameter_names import IMPURITY_KEYWORDS
 from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
@@ -27,7 +28,7 @@ from splits.media.parameters import (
 )
 from splits.simulation.shared_paths import PathSharingMedia, compute_path_signature
 from splits.simulation.spectral_nodes import bound_derivative_error
-from splits.simulation.spectral_tally import Derivatives, SpectralEstimate
+from splits.simulation.spectral_tally import SIDE_QUANTITIES, Derivatives, SpectralEstimate
 
 MAX_ABSORPTION_STEP = 1e-3
 """Largest relative change of the absorption at any wavelength: absorption is linear in amounts of
@@ -146,28 +147,29 @@ def _choose_step(medium: Medium, name: str, wavelengths: np.ndarray) -> float:
     return min(steps)
 
 
-def make_jacobian_variables(derivatives: Derivatives, names: Sequence[str]) -> dict[str, Variable]:
-    """Return derivatives of reflectance and transmittance over parameter and wavelength."""
+def add_jacobian(
+    dataset: xr.Dataset, derivatives: Derivatives, parameters: Sequence[str], methods: list[str]
+) -> xr.Dataset:
+    """Return a dataset with derivatives of reflectance and transmittance.
+
+    They are over parameter and wavelength; the methods are coordinates over the parameter.
+    """
     variables: dict[str, Variable] = {}
     dims = ("parameter", "wavelength")
-    for side, name in enumerate(names):
+    for side, name in enumerate(SIDE_QUANTITIES):
         label = f"derivative of {name} with respect to the parameter, in the inverse of its unit"
         key = f"{name}_jacobian"
         mean, stderr = derivatives.mean[side], derivatives.stderr[side]
         variables |= make_variable(key, dims, mean, stderr, label)
         deviations = derivatives.batch_deviations[:, side]
         variables |= make_deviation_variable(key, dims, deviations, label)
-    return variables
-
-
-def make_parameter_coordinates(parameters: Sequence[str], methods: list[str]) -> dict[str, object]:
-    """Return the coordinates of the parameters, with the methods of their derivatives."""
     units = [get_derivative_unit(parameter) for parameter in parameters]
-    return {
+    coordinates = {
         "parameter": ("parameter", list(parameters), {"long_name": "parameter of the medium"}),
         "parameter_unit": ("parameter", units, {"long_name": "unit of the parameter"}),
         "parameter_method": ("parameter", methods, {"long_name": "method of its derivatives"}),
     }
+    return dataset.assign_coords(coordinates).assign(variables)
 
 
 # --------------------------------------------------------------------------------------------------

@@ -136,8 +136,8 @@ def _make_dataset(
         QUANTITIES.items(), results, strict=True
     ):
         dims = ("wavelength", *axes)
-        values = (np.moveaxis(one, -1, 0) for one in (mean, error))
-        variables |= make_variable(name, dims, *values, label)
+        values, stderr = (np.moveaxis(one, -1, 0) for one in (mean, error))
+        variables |= make_variable(name, dims, values, stderr, label)
         for by_batch in deviations:
             variables |= make_deviation_variable(name, dims, np.moveaxis(by_batch, -1, 1), label)
     depth_attributes = {

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -162,10 +161,11 @@ def solve_packs(
     error = np.full(shape, np.nan)
     largest = {"streams": 0, "truncation_error": 0.0, "optics_error": 0.0}
     done, n_ahead = 0, 2 * run.threads
-    with ExitStack() as stack:
-        report = stack.enter_context(open_progress("snowpacks", run.progress))
-        stack.enter_context(limit_blas_threads())
-        pool = stack.enter_context(DaemonThreadPool(run.threads))
+    with (
+        open_progress("snowpacks", run.progress) as report,
+        limit_blas_threads(),
+        DaemonThreadPool(run.threads) as pool,
+    ):
         # Only a few parts are submitted in advance, so that few solutions wait in memory.
         jobs = [pool.submit(solve, rows) for rows in parts[:n_ahead]]
         for number, rows in enumerate(parts):

@@ -17,7 +17,6 @@ import numpy as np
 
 import splits
 from splits.simulation.engine import simulate
-from splits.simulation.fixed_budget import estimate_fixed_budget
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import build_scene
 from splits.simulation.shared_paths import PathSharingMedia, SpectralRows
@@ -27,7 +26,7 @@ from splits.simulation.spectral_nodes import (
     IndexNodes,
     choose_nodes,
 )
-from splits.simulation.spectral_tally import SpectralTally
+from splits.simulation.spectral_tally import SpectralTally, estimate_fixed_budget
 from splits.simulation.strata import STRATUM_BOUNDS, StoppingRule
 
 # Wider apart than in any spectrum, so that the curvature is larger than the noise.

@@ -24,7 +24,7 @@ from scipy.stats import binom
 
 import splits
 from splits.core.paths import expand_path
-from splits.instruments.spectral_run import SpectralRequest, simulate_spectra
+from splits.instruments.spectrophotometer import SpectralRequest, simulate_spectra
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.state_vector import StateVector

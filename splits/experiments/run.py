@@ -36,7 +36,7 @@ from splits.instruments import (
     time_of_flight,
 )
 from splits.instruments.solver import DISCRETE_ORDINATES
-from splits.instruments.spectral_run import SpectralRequest, simulate_spectra
+from splits.instruments.spectrophotometer import SpectralRequest, simulate_spectra
 from splits.io.cache import NO_CACHE, Cache
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
 from splits.media.kinds import check_medium

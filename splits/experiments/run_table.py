@@ -21,7 +21,7 @@ from splits.experiments.config.media import PACKS_PER_BLOCK, count_pack_parts
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.instruments import albedo, spectrophotometer
-from splits.instruments.spectral_run import SpectralRequest
+from splits.instruments.spectrophotometer import SpectralRequest
 from splits.io.cache import Cache, compute_digest
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
 from splits.media.snow_pack_input import FLAG_NAME

@@ -315,14 +315,11 @@ class AngularEstimate(NamedTuple):
     anisotropy: np.ndarray
     anisotropy_stderr: np.ndarray
 
-    def compute_scattered(self) -> np.ndarray:
-        """Return the reflectance and the transmittance of scattered light."""
-        return self.hemispherical - self.unscattered
-
     def compute_reference(self, target: ErrorTarget) -> np.ndarray:
         """Return the reference of errors, shape (wavelengths, directions of the target)."""
         values = self.mean[target.side][:, target.direction_mask]
-        return target.compute_reference(values, self.compute_scattered()[target.side])
+        scattered = (self.hemispherical - self.unscattered)[target.side]
+        return target.compute_reference(values, scattered)
 
     def compute_max_error(self, target: ErrorTarget, *, use_stopping_error: bool = False) -> float:
         """Return the largest error of a target, over wavelengths with light.
@@ -394,18 +391,31 @@ def estimate_row(
         noise, total, keep, directions, axisymmetric
     )
     scattered = total[..., 0].sum(axis=1) / directions.basis.norms[0]
-    totals, sparse, unsampled = _compute_hemispherical(scattered, unscattered, n_rays)
+    totals = scattered + unscattered
+    # If no light was recorded, the error is that of one more ray in an unknown direction.  The
+    # scatter of a few rays underestimates the error where the polynomials are 0, so that an
+    # allowance is made for them, too; only the former enters the stopping rule.
+    n_nonzero = scattered.astype(bool).sum(axis=0)
+    unsampled = np.where(n_nonzero == 0, 1.0 / n_rays[-1], 0.0)
+    few = np.where(n_nonzero <= MAX_SPARSE_BATCHES, scattered.mean(axis=0), 0.0)
+    sparse = unsampled + few
     detail = np.sqrt(np.maximum(stderr[0] ** 2 - noise[0] ** 2, 0.0) + (sparse[0] / np.pi) ** 2)
-    reflectance = scattered[:, 0] + unscattered[:, 0]
-    common = _compute_relative_noise(values[:, 0], reflectance)
+    # Noise that the BRDF has in common with the reflectance cancels in the anisotropy factor.
+    brdf, reflectance = values[:, 0], totals[:, 0]
+    mean_brdf, mean_reflectance = brdf.mean(axis=0), reflectance.mean()
+    ratio = mean_brdf / mean_reflectance if mean_reflectance > 0.0 else np.zeros_like(mean_brdf)
+    own_noise = compute_batch_stderr(brdf - ratio * reflectance[:, np.newaxis])
     anisotropy, anisotropy_stderr = compute_anisotropy(
-        values[:, 0].mean(axis=0), np.hypot(common, detail), reflectance.mean()
+        mean_brdf, np.hypot(own_noise, detail), mean_reflectance
     )
     estimate = AngularEstimate(
         values.mean(axis=0),
         np.hypot(stderr, sparse[:, np.newaxis] / np.pi),
         np.hypot(stopping_error, unsampled[:, np.newaxis] / np.pi),
-        *totals,
+        totals.mean(axis=0),
+        np.hypot(compute_batch_stderr(totals), unsampled),
+        unscattered.mean(axis=0),
+        np.hypot(compute_batch_stderr(unscattered), ~unscattered.any(axis=0) / n_rays[0]),
         np.where(keep, directions.basis.degrees, 0).max(axis=(0, -1)),
         truncation_error,
         anisotropy,
@@ -473,52 +483,3 @@ def compute_anisotropy(
     total = np.asarray(reflectance, dtype=float)[..., np.newaxis]
     scale = np.divide(np.pi, total, out=np.zeros_like(total), where=total > 0.0)
     return scale * brdf, scale * stderr
-
-
-def _compute_relative_noise(brdf: np.ndarray, reflectance: np.ndarray) -> np.ndarray:
-    """Return the statistical error of a BRDF relative to the reflectance, shape (directions,).
-
-    Parameters
-    ----------
-    brdf : float, shape (batches, directions)
-    reflectance : float, shape (batches,)
-    """
-    mean = reflectance.mean()
-    ratio = brdf.mean(axis=0) / mean if mean > 0.0 else np.zeros(brdf.shape[1])
-    noise: np.ndarray = compute_batch_stderr(brdf - ratio * reflectance[:, np.newaxis])
-    return noise
-
-
-def _compute_hemispherical(
-    scattered: np.ndarray, unscattered: np.ndarray, n_rays: np.ndarray
-) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray, np.ndarray]:
-    """Return hemispherical quantities at one wavelength, and allowances for sparse light.
-
-    If no light was recorded, the error is that of one more ray in an unknown direction.  The
-    scatter of a few rays underestimates the error where the polynomials are 0, so that an allowance
-    is made for them, too.
-
-    Parameters
-    ----------
-    scattered, unscattered : float, shape (batches, 2)
-        Scattered and unscattered light.
-    n_rays : int, shape (classes,)
-        Rays.
-
-    Returns
-    -------
-    totals : four arrays, shape (2,)
-        Reflectance and transmittance, their errors, and the same for their unscattered parts.
-    sparse, unsampled : float, shape (2,)
-        Light recorded in too few batches, or not at all; only the latter enters the stopping rule.
-    """
-    total = scattered + unscattered
-    n_nonzero = scattered.astype(bool).sum(axis=0)
-    unsampled = np.where(n_nonzero == 0, 1.0 / n_rays[-1], 0.0)
-    sparse = np.where(n_nonzero <= MAX_SPARSE_BATCHES, scattered.mean(axis=0), 0.0)
-    errors = np.hypot(compute_batch_stderr(total), unsampled)
-    unscattered_errors = np.hypot(
-        compute_batch_stderr(unscattered), ~unscattered.any(axis=0) / n_rays[0]
-    )
-    totals = (total.mean(axis=0), errors, unscattered.mean(axis=0), unscattered_errors)
-    return totals, unsampled + sparse, unsampled

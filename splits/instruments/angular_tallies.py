@@ -45,34 +45,29 @@ MAX_ANGLE_STDERR_DEG = 180.0 / np.sqrt(12.0)
 """Standard deviation of an unknown angle, which is uniform over 180 degrees."""
 
 
-class StokesEstimate(NamedTuple):
-    """Stokes parameters of the light in each direction.
+def make_stokes_variables(
+    mean: np.ndarray, stderr: np.ndarray, covariance: np.ndarray
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return Q, U, V, degree and angle of polarization of light with their errors, by name.
 
-    Attributes
+    Parameters
     ----------
     mean, stderr : float, shape (4, 2, wavelengths, directions)
         I, Q, U and V of the reflected and of the transmitted light (1/sr), and their errors.
     covariance : float, shape (3, 2, wavelengths, directions)
         Covariances of I and Q, I and U, and Q and U.
     """
-
-    mean: np.ndarray
-    stderr: np.ndarray
-    covariance: np.ndarray
-
-    def make_variables(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return Q, U, V, degree and angle of polarization with their errors, by name."""
-        variables = {
-            f"{function}_{name}": (self.mean[component, side], self.stderr[component, side])
-            for component, name in enumerate(STOKES_NAMES, start=1)
-            for side, function in enumerate(FUNCTIONS)
-        }
-        polarization = compute_linear_polarization(*self)
-        for side, function in enumerate(FUNCTIONS):
-            degree, degree_stderr, angle, angle_stderr = (one[side] for one in polarization)
-            variables[f"{function}_dolp"] = degree, degree_stderr
-            variables[f"{function}_aolp"] = angle, angle_stderr
-        return variables
+    variables = {
+        f"{function}_{name}": (mean[component, side], stderr[component, side])
+        for component, name in enumerate(STOKES_NAMES, start=1)
+        for side, function in enumerate(FUNCTIONS)
+    }
+    polarization = compute_linear_polarization(mean, stderr, covariance)
+    for side, function in enumerate(FUNCTIONS):
+        degree, degree_stderr, angle, angle_stderr = (one[side] for one in polarization)
+        variables[f"{function}_dolp"] = degree, degree_stderr
+        variables[f"{function}_aolp"] = angle, angle_stderr
+    return variables
 
 
 class PolarizationEstimate(NamedTuple):
@@ -219,7 +214,7 @@ class AngularBinTally(AngularTally, ExitTally):
         return add_interpolation_error(estimate, self.nodes.interpolation_bound)
 
     def make_stokes(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return the variables of polarized exits, see `StokesEstimate`."""
+        """Return the variables of polarized exits, see `make_stokes_variables`."""
         if not self.polarized:
             return {}
         intensity, square = self.bin_sums[:FIRST_STOKES]
@@ -240,15 +235,12 @@ class AngularBinTally(AngularTally, ExitTally):
         mean, stderr = (np.stack(one) for one in zip(*components, strict=True))
         bound = INTERPOLATION_FACTOR * self.nodes.interpolation_bound[:, np.newaxis]
         stderr = np.hypot(stderr, bound * mean[0])
-        return StokesEstimate(mean, stderr, self._compute_covariances()).make_variables()
-
-    def _compute_covariances(self) -> np.ndarray:
-        """Return the covariances of I and Q, I and U, and Q and U, see `StokesEstimate`."""
         n_rays = self.count_rays()[:, np.newaxis, np.newaxis]
-        intensity, q, u = self.bin_sums[[WEIGHT, FIRST_STOKES, FIRST_STOKES + 1]] / n_rays
-        products = np.stack([intensity * q, intensity * u, q * u])
+        i, q, u = self.bin_sums[[WEIGHT, FIRST_STOKES, FIRST_STOKES + 1]] / n_rays
+        products = np.stack([i * q, i * u, q * u])
         per_node = (self.bin_sums[FIRST_PRODUCT:] / n_rays - products) / n_rays
-        return self._arrange_bins(self.combine_nodes(np.moveaxis(per_node, 2, -1), power=2), 2)
+        covariance = self.combine_nodes(np.moveaxis(per_node, 2, -1), power=2)
+        return make_stokes_variables(mean, stderr, self._arrange_bins(covariance, 2))
 
     def _compute_bin_means(
         self, total: np.ndarray, square: np.ndarray, largest: np.ndarray | float = 1.0

@@ -12,7 +12,6 @@ from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import (
     Variable,
-    compute_batch_stderr,
     compute_jackknife_stderr,
     compute_leave_one_out_means,
     make_variable,
@@ -32,9 +31,9 @@ from splits.simulation.run_options import (
     make_wavelength_coordinate,
 )
 from splits.simulation.scene import build_scene, compute_optical_constants
-from splits.simulation.spectral_nodes import IndexNodes, bound_fraction_error, choose_nodes
+from splits.simulation.spectral_nodes import IndexNodes, choose_nodes
 from splits.simulation.strata import StoppingRule, Stratum
-from splits.simulation.tally import RAYS_PER_CHUNK, ExitTally, allow_for_unseen_rays
+from splits.simulation.tally import RAYS_PER_CHUNK, ExitTally
 
 # --------------------------------------------------------------------------------------------------
 # Tally of the spread of a thin beam, and its dataset.
@@ -107,18 +106,9 @@ class BeamSpreadTally(ExitTally):
         self.moment_sums[batch, :, rows] += score.first_moment
         self.map_sums[:, :, rows] += score.exit_map
 
-    def compute_radial_fractions(self) -> np.ndarray:
-        """Return the fraction of light by batch, side, wavelength and fine bin of distance."""
-        return self._combine_batches(self.radial_sums)
-
-    def _combine_batches(self, batch_sums: np.ndarray) -> np.ndarray:
-        """Return means by batch, from sums whose third axis is the node row."""
-        per_batch = np.moveaxis(batch_sums, 2, -1) / (self.count_rays() / N_ANGULAR_BATCHES)
-        return np.moveaxis(self.combine_nodes(per_batch), -1, 2)
-
     def to_dataset(self, wavelengths: np.ndarray, attributes: dict[str, Any]) -> xr.Dataset:
         """Return the labelled dataset of `splits.beam_spread`."""
-        radial, moment = self.compute_radial_fractions(), self._combine_batches(self.moment_sums)
+        radial, moment = map(self.average_batches, (self.radial_sums, self.moment_sums))
         binned = radial[..., 1:-1].reshape(*radial.shape[:-1], -1, _FINE_BINS_PER_BIN).sum(axis=-1)
         edges = MIN_RADIUS_M * 10.0 ** (
             np.arange(binned.shape[-1] + 1) * _FINE_BINS_PER_BIN / BINS_PER_DECADE
@@ -126,17 +116,9 @@ class BeamSpreadTally(ExitTally):
         annulus_area = np.pi * np.diff(edges**2)
         fraction = radial.sum(axis=-1)
         mean_fraction = fraction.mean(axis=0)
-        single_ray_error = 1.0 / self.stratum_rays.min()
-        fraction_variance, binned_variance = (
-            allow_for_unseen_rays(
-                compute_batch_stderr(one) ** 2, (single_ray_error * (1.0 - one.mean(axis=0))) ** 2
-            )
-            for one in (fraction, binned)
-        )
-        fraction_error = np.hypot(
-            np.sqrt(fraction_variance),
-            bound_fraction_error(self.nodes.interpolation_bound, mean_fraction),
-        )
+        fraction_error = self.compute_fraction_error(fraction, self.nodes.interpolation_bound)
+        # Without the error of interpolation, which the fraction includes.
+        binned_error = self.compute_fraction_error(binned, np.zeros(1))
         jackknife_radius = divide_or_zero(*map(compute_leave_one_out_means, (moment, fraction)))
         jackknife_quantile = compute_quantile_radii(
             compute_leave_one_out_means(radial), RADIUS_QUANTILES
@@ -160,7 +142,7 @@ class BeamSpreadTally(ExitTally):
             ),
             "profile": (
                 "light leaving per area", "m-2", ("radius",),
-                binned.mean(axis=0) / annulus_area, np.sqrt(binned_variance) / annulus_area,
+                binned.mean(axis=0) / annulus_area, binned_error / annulus_area,
             ),
             "profile_map": ("light leaving per area", "m-2", ("x", "y"), map_mean, map_error),
         }  # fmt: skip
@@ -169,7 +151,17 @@ class BeamSpreadTally(ExitTally):
             variable_dims = ("side", "wavelength", *dims)
             variables |= make_variable(name, variable_dims, values, stderr, long_name, units)
         radius = np.sqrt(edges[1:] * edges[:-1])
-        coordinates = _make_coordinates(wavelengths, radius, self.half_width)
+        pixels = (2.0 * np.arange(N_MAP_PIXELS) + 1.0) / N_MAP_PIXELS - 1.0
+        positions = self.half_width * pixels
+        quantile_attributes = {"long_name": "fraction of the light", "units": "1"}
+        coordinates = {
+            "side": ("side", list(SIDES), {"long_name": "side of the sample where light leaves"}),
+            "wavelength": make_wavelength_coordinate(wavelengths),
+            "quantile": ("quantile", list(RADIUS_QUANTILES), quantile_attributes),
+            "radius": ("radius", radius, {"long_name": "distance from the entry", "units": "m"}),
+            "x": ("x", positions, {"long_name": "distance along the beam's travel", "units": "m"}),
+            "y": ("y", positions, {"long_name": "distance across the beam's travel", "units": "m"}),
+        }
         return xr.Dataset(variables, coordinates, attributes)
 
 
@@ -188,22 +180,6 @@ def compute_quantile_radii(radial_fractions: np.ndarray, quantiles: Sequence[flo
     return radii
 
 
-def _make_coordinates(
-    wavelengths: np.ndarray, radius: np.ndarray, half_width: float
-) -> dict[str, Any]:
-    """Return the coordinates of the dataset."""
-    positions = half_width * ((2.0 * np.arange(N_MAP_PIXELS) + 1.0) / N_MAP_PIXELS - 1.0)
-    quantile_attributes = {"long_name": "fraction of the light", "units": "1"}
-    return {
-        "side": ("side", list(SIDES), {"long_name": "side of the sample where light leaves"}),
-        "wavelength": make_wavelength_coordinate(wavelengths),
-        "quantile": ("quantile", list(RADIUS_QUANTILES), quantile_attributes),
-        "radius": ("radius", radius, {"long_name": "distance from the entry", "units": "m"}),
-        "x": ("x", positions, {"long_name": "distance along the beam's travel", "units": "m"}),
-        "y": ("y", positions, {"long_name": "distance across the beam's travel", "units": "m"}),
-    }
-
-
 def divide_or_zero(numerator: np.ndarray, denominator: np.ndarray) -> np.ndarray:
     """Return quotients, 0 where the denominator is not above 0."""
     shape = np.broadcast_shapes(numerator.shape, denominator.shape)
@@ -213,7 +189,7 @@ def divide_or_zero(numerator: np.ndarray, denominator: np.ndarray) -> np.ndarray
 # --------------------------------------------------------------------------------------------------
 # Spatial spread of a thin beam, the dependence on position of a BSSRDF.
 
-_INTERPOLATION_TOLERANCE = 0.001
+NODE_TOLERANCE = 0.001
 """Bound on the error of a reflectance from interpolation between refractive indices."""
 
 
@@ -284,12 +260,14 @@ def beam_spread(
     if half_width_m is not None:
         check_half_width("beam_spread", half_width_m)
     index, absorption = compute_optical_constants(medium, wavelengths)
-    nodes = choose_nodes(index, medium.list_interfaces(), _INTERPOLATION_TOLERANCE)
+    nodes = choose_nodes(index, medium.list_interfaces(), NODE_TOLERANCE)
     scene = build_scene(medium, incidence, False)
     if half_width_m is None:
         pilot = BeamSpreadTally(nodes, absorption, 0.0, 0, first_node=len(nodes.index))
         simulate(scene, pilot, StoppingRule(0.0, 1, fixed=True), run)
-        radii = compute_quantile_radii(pilot.compute_radial_fractions().mean(axis=0), (0.75,))
+        radii = compute_quantile_radii(
+            pilot.average_batches(pilot.radial_sums).mean(axis=0), (0.75,)
+        )
         # One mean free path where no light leaves; the edge must be positive.
         radius = radii[0].max() or 1.0 / scene.layers.collision_coefficient.max()
         half_width_m = np.clip(radius, *HALF_WIDTH_RANGE_M["beam_spread"])

@@ -114,7 +114,11 @@ class Pulse(NamedTuple):
                 "pulse.delay_s", f"{delay[-1] - delay[0]:.4g} s long", allowed,
                 f"80 % of it is emitted within {width:.4g} s; leave out delays with little light",
             )  # fmt: skip
-        return cls(uniform - _compute_centroid(fine, fine_power), np.interp(uniform, fine, emitted))
+        # The mean delay of light whose power is linear between delays.
+        step, (begin, end) = np.diff(fine), (fine_power[:-1], fine_power[1:])
+        moment = step * (fine[:-1] * (begin + end) / 2.0 + step * (begin + 2.0 * end) / 6.0)
+        centroid = float(moment.sum() / (0.5 * (begin + end) * step).sum())
+        return cls(uniform - centroid, np.interp(uniform, fine, emitted))
 
 
 def describe_record(
@@ -140,13 +144,6 @@ def describe_record(
 def _check_seconds(key: str, delays: np.ndarray) -> None:
     """Check that delays are in seconds."""
     check_array_range(key, delays, -MAX_DELAY_S, MAX_DELAY_S, "s", hint=SECONDS_HINT)
-
-
-def _compute_centroid(delay: np.ndarray, power: np.ndarray) -> float:
-    """Return the mean delay of light whose power is linear between delays."""
-    step, (begin, end) = np.diff(delay), (power[:-1], power[1:])
-    moment = step * (delay[:-1] * (begin + end) / 2.0 + step * (begin + 2.0 * end) / 6.0)
-    return float(moment.sum() / (0.5 * (begin + end) * step).sum())
 
 
 def check_record(delay_s: Any, end_s: Any, pulse: Pulse) -> tuple[np.ndarray, float]:

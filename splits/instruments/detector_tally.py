@@ -10,7 +10,7 @@ import numpy as np
 from splits.core.error_target import ErrorTarget
 from splits.core.validation import invalid
 from splits.instruments.angular_estimate import AngularEstimate, AngularTally, compute_anisotropy
-from splits.instruments.angular_tallies import StokesEstimate
+from splits.instruments.angular_tallies import make_stokes_variables
 from splits.kernels.interface import compute_fresnel_mueller
 from splits.kernels.phase_function import separate_peak
 from splits.kernels.scene import Scene
@@ -289,20 +289,6 @@ class DetectorTally(AngularTally):
         self.sums_of_products += _multiply_pairs(detected)
         self.max_scores = np.where(np.abs(score) > np.abs(self.max_scores), score, self.max_scores)
 
-    def compute_errors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the standard errors of all values, and those for the stopping rule.
-
-        One more batch with the largest score so far is included; for the stopping rule, its scatter
-        is computed about the mean without it, so that no run stops on batches that agree by chance.
-        """
-        n_batches = self.n_rays // RAYS_PER_CHUNK
-        mean_square = (self.sums_of_squares + self.max_scores**2) / (n_batches + 1)
-        centres = (self.sums + self.max_scores) / (n_batches + 1), self.sums / n_batches
-        stderr, stopping_error = (
-            np.sqrt(np.maximum(mean_square - centre**2, 0.0) / n_batches) for centre in centres
-        )
-        return stderr, stopping_error
-
     def make_estimate(self) -> AngularEstimate:
         """Return BRDF and BTDF, the same at all wavelengths."""
         *detectors, totals, total_errors = self._estimate_detectors()
@@ -321,7 +307,7 @@ class DetectorTally(AngularTally):
         )  # fmt: skip
 
     def make_stokes(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return the variables of polarized light, see `StokesEstimate`."""
+        """Return the variables of polarized light, see `make_stokes_variables`."""
         if not self.polarized:
             return {}
         mean, stderr, *_ = self._estimate_detectors()
@@ -334,7 +320,7 @@ class DetectorTally(AngularTally):
             np.broadcast_to(np.moveaxis(one, -1, 0)[:, :, np.newaxis], (one.shape[-1], *shape[1:]))
             for one in (mean, stderr, covariance)
         ]
-        return StokesEstimate(*by_component).make_variables()
+        return make_stokes_variables(*by_component)
 
     def evaluate(self, stop: StoppingRule) -> Evaluation:
         """Return the largest relative error, infinite as long as no light reached the detectors."""
@@ -354,6 +340,8 @@ class DetectorTally(AngularTally):
     def _estimate_detectors(self) -> tuple[np.ndarray, ...]:
         """Return means, errors and errors for the stopping rule, and the hemispherical quantities.
 
+        One more batch with the largest score so far is included; for the stopping rule, its scatter
+        is computed about the mean without it, so that no run stops on batches that agree by chance.
         Where nothing was scored, the error is that of one ray, except where no signal is possible,
         or no light can be lost.
 
@@ -363,9 +351,15 @@ class DetectorTally(AngularTally):
         totals, total_errors : float, shape (2, 2)
             [all light, unscattered light][reflected, transmitted].
         """
-        batch_mean = self.sums / (self.n_rays // RAYS_PER_CHUNK)
+        n_batches = self.n_rays // RAYS_PER_CHUNK
+        batch_mean = self.sums / n_batches
+        mean_square = (self.sums_of_squares + self.max_scores**2) / (n_batches + 1)
+        centres = (self.sums + self.max_scores) / (n_batches + 1), batch_mean
+        errors = (
+            np.sqrt(np.maximum(mean_square - centre**2, 0.0) / n_batches) for centre in centres
+        )
         (mean, hemispherical_mean), (stderr, hemispherical_stderr), (stopping_error, _) = (
-            self._split(values) for values in (batch_mean, *self.compute_errors())
+            self._split(values) for values in (batch_mean, *errors)
         )
         if not self.no_signal:
             unscored = mean[..., 0] == 0.0

@@ -20,7 +20,6 @@ from splits.discrete_ordinates.granular_stack import GranularStack
 from splits.discrete_ordinates.profiles import (
     IntervalProfile,
     LayerDivision,
-    ProfileSolution,
     solve_profile,
 )
 from splits.instruments.flux_media import (
@@ -41,13 +40,13 @@ from splits.simulation.run_options import make_wavelength_coordinate
 from splits.simulation.threads import limit_blas_threads
 
 QUANTITIES = {
-    "downward_irradiance": ("depth", "downward irradiance"),
-    "upward_irradiance": ("depth", "upward irradiance"),
-    "absorptance": ("interval", "absorptance of the interval"),
+    "downward_irradiance": (("depth",), "downward irradiance"),
+    "upward_irradiance": (("depth",), "upward irradiance"),
+    "absorptance": (("interval",), "absorptance of the interval"),
+    "actinic_flux": (("interval",), "mean path over thickness"),
+    "absorptance_of_material": (("interval", "material"), "absorptance of a material"),
 }
-"""Dimensions and labels of the quantities of an estimate, in their order."""
-ACTINIC_LABEL = "mean path over thickness"
-MATERIAL_LABEL = "absorptance of a material"
+"""Dimensions and labels of the quantities of a dataset, in their order."""
 
 
 def make_flux_dataset(
@@ -68,66 +67,28 @@ def make_flux_dataset(
         Attributes of the dataset.
     """
     estimate, edges = result.estimate, traced_medium.edges_m
-    variables: dict[str, Variable] = {}
-    for (name, (dim, label)), batch_means, systematic_error in zip(
-        QUANTITIES.items(),
+    results: list[tuple[np.ndarray, ...]] = []
+    for batch_means, systematic_error in zip(
         estimate.split_quantities(estimate.quantities),
         estimate.split_quantities(result.systematic_error),
         strict=True,
     ):
-        dims = ("wavelength", dim)
+        mean = batch_means.mean(axis=0)
         error = np.hypot(compute_batch_stderr(batch_means), systematic_error)
-        variables |= _make_flux_variable(name, dims, batch_means, error, label)
-        deviations = np.moveaxis(batch_means - batch_means.mean(axis=0), -1, 1)
-        deviations /= np.sqrt(len(deviations) * (len(deviations) - 1))
-        variables |= make_deviation_variable(name, dims, deviations, label)
-    variables |= _make_path_variables(result, traced_medium)
-    coordinates = make_flux_coordinates(wavelengths, edges, list(traced_medium.material_columns))
-    return xr.Dataset(variables, coordinates, attributes)
-
-
-def make_flux_coordinates(
-    wavelengths: np.ndarray, edges: np.ndarray, materials: Sequence[str]
-) -> dict[str, Any]:
-    """Return the coordinates of the dataset.
-
-    Parameters
-    ----------
-    wavelengths : float, shape (wavelengths,)
-        nm.
-    edges : float, shape (intervals + 1,)
-        Edges of the intervals (m).
-    materials : sequence of str
-    """
-    depth_attributes = {
-        "long_name": "depth", "units": "m", "positive": "down", "standard_name": "depth",
-    }  # fmt: skip
-    return {
-        "wavelength": make_wavelength_coordinate(wavelengths),
-        "depth": ("depth", edges[np.isfinite(edges)], depth_attributes),
-        "interval_top": ("interval", edges[:-1], {"long_name": "top", "units": "m"}),
-        "interval_bottom": ("interval", edges[1:], {"long_name": "bottom", "units": "m"}),
-        "material": ("material", np.array(materials), {"long_name": "material"}),
-    }
-
-
-def _make_flux_variable(
-    name: str, dims: tuple[str, ...], batch_means: np.ndarray, stderr: np.ndarray, label: str
-) -> dict[str, Variable]:
-    """Return a variable and its error, from arrays whose last axis is the wavelength."""
-    mean, error = (np.moveaxis(array, -1, 0) for array in (batch_means.mean(axis=0), stderr))
-    return make_variable(name, dims, mean, error, label)
-
-
-def _make_path_variables(result: FluxResult, traced_medium: TracedMedium) -> dict[str, Variable]:
-    """Return actinic fluxes and absorptances of materials, from path lengths."""
-    estimate, edges = result.estimate, traced_medium.edges_m
+        deviations = (batch_means - mean) / np.sqrt(N_BATCHES * (N_BATCHES - 1))
+        results.append((mean, error, deviations))
+    # Actinic fluxes and absorptances of materials follow from path lengths.
     estimates = [one for one in (estimate, result.perturbed_estimate) if one is not None]
     absorption = traced_medium.constants.absorption[: traced_medium.n_wavelengths]
     steps = compute_absorption_steps(traced_medium.medium, absorption, edges)
     thickness = np.diff(edges)[:, np.newaxis]
     absorptance = estimate.split_quantities(estimate.quantities.mean(axis=0))[2]
-    fluxes = [_compute_actinic_flux(one, traced_medium) for one in estimates]
+    # The mean over a semi-infinite interval is 0 where anything absorbs; where nothing does, it is
+    # the value far from the top.
+    fluxes = [one.path_length / np.diff(traced_medium.planes_m)[:, np.newaxis] for one in estimates]
+    if traced_medium.semi_infinite:
+        for flux in fluxes:
+            flux[:, -1] *= ~traced_medium.is_absorbing()
     ratio_error = traced_medium.path_ratio.find_largest_error(traced_medium.medium, edges)
     ratio_error *= np.abs(fluxes[0].mean(axis=0))
     # Light that no ray carries is absorbed, and has a path per absorbed light.
@@ -148,13 +109,48 @@ def _make_path_variables(result: FluxResult, traced_medium: TracedMedium) -> dic
     )
     unsampled_light = result.unsampled_light[:, np.newaxis]
     material_error = _combine_errors(by_material, result, unsampled_light, material_bound)
-    dims = ("wavelength", "interval")
-    return _make_flux_variable(
-        "actinic_flux", dims, fluxes[0], flux_error, ACTINIC_LABEL
-    ) | _make_flux_variable(
-        "absorptance_of_material", (*dims, "material"), by_material[0], material_error,
-        MATERIAL_LABEL,
-    )  # fmt: skip
+    results += [(fluxes[0].mean(axis=0), flux_error), (by_material[0].mean(axis=0), material_error)]
+    materials = list(traced_medium.material_columns)
+    return _make_dataset(results, wavelengths, edges, materials, attributes)
+
+
+def _make_dataset(
+    results: Sequence[tuple[np.ndarray, ...]], wavelengths: np.ndarray, edges: np.ndarray,
+    materials: Sequence[str], attributes: dict[str, Any],
+) -> xr.Dataset:  # fmt: skip
+    """Return the dataset of results.
+
+    Parameters
+    ----------
+    results : sequence of tuple of float, shape (..., wavelengths)
+        Values of the `QUANTITIES`, their errors, and deviations by batch of the first three.
+    wavelengths : float, shape (wavelengths,)
+        nm.
+    edges : float, shape (intervals + 1,)
+        Edges of the intervals (m).
+    materials : sequence of str
+    attributes : dict
+    """
+    variables: dict[str, Variable] = {}
+    for (name, (axes, label)), (mean, error, *deviations) in zip(
+        QUANTITIES.items(), results, strict=True
+    ):
+        dims = ("wavelength", *axes)
+        values, stderr = (np.moveaxis(one, -1, 0) for one in (mean, error))
+        variables |= make_variable(name, dims, values, stderr, label)
+        for by_batch in deviations:
+            variables |= make_deviation_variable(name, dims, np.moveaxis(by_batch, -1, 1), label)
+    depth_attributes = {
+        "long_name": "depth", "units": "m", "positive": "down", "standard_name": "depth",
+    }  # fmt: skip
+    coordinates = {
+        "wavelength": make_wavelength_coordinate(wavelengths),
+        "depth": ("depth", edges[np.isfinite(edges)], depth_attributes),
+        "interval_top": ("interval", edges[:-1], {"long_name": "top", "units": "m"}),
+        "interval_bottom": ("interval", edges[1:], {"long_name": "bottom", "units": "m"}),
+        "material": ("material", np.array(materials), {"long_name": "material"}),
+    }
+    return xr.Dataset(variables, coordinates, attributes)
 
 
 def _combine_errors(
@@ -183,18 +179,6 @@ def _combine_errors(
     errors = [compute_batch_stderr(batch_means), nonstatistical_error, step_error]
     errors += [(batch_means - one).mean(axis=0) for one in perturbed]
     return np.sqrt(np.sum(np.square(errors), axis=0))
-
-
-def _compute_actinic_flux(estimate: FluxEstimate, traced_medium: TracedMedium) -> np.ndarray:
-    """Return actinic fluxes by batch.
-
-    The mean over a semi-infinite interval is 0 where anything absorbs; where nothing does, it is
-    the value far from the top.
-    """
-    flux: np.ndarray = estimate.path_length / np.diff(traced_medium.planes_m)[:, np.newaxis]
-    if traced_medium.semi_infinite:
-        flux[:, -1] *= ~traced_medium.is_absorbing()
-    return flux
 
 
 def compute_absorbed_fractions(estimate: FluxEstimate, columns: Sequence[int]) -> np.ndarray:
@@ -258,11 +242,33 @@ def solve_flux(
     cosine = None if incidence == "diffuse" else float(np.cos(np.radians(float(incidence))))
     with limit_blas_threads():
         solution = solve_profile(parts, geometry, cosine, max_stderr, limit_irradiance)
-    variables = _make_variables(solution, edges)
-    materials = list(medium.material_columns)
-    coordinates = make_flux_coordinates(wavelengths, edges, materials)
-    attributes = describe_solution(solution, max_stderr, limit_irradiance)
-    return xr.Dataset(variables, coordinates, attributes)
+    profile, error = solution.profile, solution.compute_error()
+    thickness = np.diff(edges)[:, np.newaxis]
+    results: list[tuple[np.ndarray, ...]] = [
+        (values, stderr, np.zeros((N_BATCHES, *values.shape)))
+        for values, stderr in zip(profile[:3], error[:3], strict=True)
+    ]
+    results += [
+        (profile.path_length / thickness, error.path_length / thickness),
+        (profile.by_material, error.by_material),
+    ]
+
+    def find_largest(errors: IntervalProfile) -> float:
+        limited = [errors.upward[:1], errors.absorptance]
+        limited += [errors.downward, errors.upward] if limit_irradiance else []
+        return float(max(one.max() for one in limited))
+
+    reached = find_largest(error)
+    attributes = {
+        "solver": DISCRETE_ORDINATES,
+        "max_stderr_reached": reached,
+        "stop_reason": "converged" if reached <= max_stderr else "solver_error",
+        "rays": 0,
+        "streams": solution.n_streams,
+        "truncation_error": find_largest(solution.truncation),
+        "optics_error": find_largest(solution.optics_error),
+    }
+    return _make_dataset(results, wavelengths, edges, list(medium.material_columns), attributes)
 
 
 def divide_medium(
@@ -283,46 +289,3 @@ def divide_medium(
         for name in ("pore_fraction", "attenuation_per_m")
     )
     return parts, LayerDivision(fractions, attenuation, owners, np.searchsorted(starts, begin))
-
-
-def describe_solution(
-    solution: ProfileSolution, max_stderr: float, limit_irradiance: bool
-) -> dict[str, Any]:
-    """Return the attributes of a solution."""
-
-    def reduce(errors: IntervalProfile) -> float:
-        limited = [errors.upward[:1], errors.absorptance]
-        limited += [errors.downward, errors.upward] if limit_irradiance else []
-        return float(max(one.max() for one in limited))
-
-    reached = reduce(solution.compute_error())
-    return {
-        "solver": DISCRETE_ORDINATES,
-        "max_stderr_reached": reached,
-        "stop_reason": "converged" if reached <= max_stderr else "solver_error",
-        "rays": 0,
-        "streams": solution.n_streams,
-        "truncation_error": reduce(solution.truncation),
-        "optics_error": reduce(solution.optics_error),
-    }
-
-
-def _make_variables(solution: ProfileSolution, edges: np.ndarray) -> dict[str, Variable]:
-    profile, error = solution.profile, solution.compute_error()
-    variables: dict[str, Variable] = {}
-    for (name, (dim, label)), values, stderr in zip(
-        QUANTITIES.items(), profile[:3], error[:3], strict=True
-    ):
-        dims = ("wavelength", dim)
-        variables |= make_variable(name, dims, values.T, stderr.T, label)
-        none = np.zeros((N_BATCHES, *values.T.shape))
-        variables |= make_deviation_variable(name, dims, none, label)
-    thickness = np.diff(edges)
-    path, path_error = (one.path_length.T / thickness for one in (profile, error))
-    parts, parts_error = (np.moveaxis(one.by_material, -1, 0) for one in (profile, error))
-    intervals = ("wavelength", "interval")
-    variables |= make_variable("actinic_flux", intervals, path, path_error, ACTINIC_LABEL)
-    variables |= make_variable(
-        "absorptance_of_material", (*intervals, "material"), parts, parts_error, MATERIAL_LABEL
-    )
-    return variables

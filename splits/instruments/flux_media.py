@@ -379,19 +379,15 @@ def prepare_medium(
     # A ground of a semi-infinite medium is the one that replaces the rest.
     truncated = truncation is not None and traced.reflecting_ground is not None
     if truncated:
-        constants = _append_darker_ground(constants)
+        # Those with a substrate more absorbing by `THEORY_UNCERTAINTY` follow.
+        indices, absorption = (np.concatenate([table, table]) for table in constants)
+        absorbed = -(1.0 + THEORY_UNCERTAINTY) * np.expm1(-constants.absorption[:, -1])
+        depth = -np.log(np.maximum(1.0 - absorbed, math.exp(-700.0)))
+        absorption[wavelengths.size :, -1] = np.where(absorbed < 1.0, depth, BLACK_OPTICAL_DEPTH)
+        constants = OpticalConstants(indices, absorption)
     planes = np.array([0.0, *depths_m, end_m])
     return TracedMedium(
         traced, constants, wavelengths.size, planes, medium.is_semi_infinite, truncated,
         medium.material_columns,
         PathRatio.from_medium(traced, wavelengths, max_stderr, run.threads),
     )  # fmt: skip
-
-
-def _append_darker_ground(constants: OpticalConstants) -> OpticalConstants:
-    """Return the constants and those with a substrate more absorbing by `THEORY_UNCERTAINTY`."""
-    indices, absorption = (np.concatenate([table, table]) for table in constants)
-    absorbed = -(1.0 + THEORY_UNCERTAINTY) * np.expm1(-constants.absorption[:, -1])
-    optical_depth = -np.log(np.maximum(1.0 - absorbed, math.exp(-700.0)))
-    absorption[len(absorbed) :, -1] = np.where(absorbed < 1.0, optical_depth, BLACK_OPTICAL_DEPTH)
-    return OpticalConstants(indices, absorption)

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.core.uncertainty import compute_batch_stderr
-from splits.instruments.flux_media import PathRatio, TracedMedium
+from splits.core.validation import invalid
+from splits.instruments.flux_media import TracedMedium
 from splits.kernels.scene import Scene
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.kernels.tallies.flux import DOWNWELLING, UPWELLING, FluxSums, tally_flux
@@ -247,6 +248,9 @@ FLUX_RAYS_PER_CHUNK = 32
 IRRADIANCE_ROUNDING = 1e-6
 """Rounding of light absorbed between two planes, relative to the light incident on them: weights
 have single precision."""
+MAX_TALLY_VALUES = 100_000_000
+"""Largest number of sums by batch, layer, material and wavelength; a run takes three times their
+memory."""
 MIN_SCATTER_FRACTION = 0.1
 """Fraction of the requested variance that is always available for statistical scatter."""
 
@@ -322,6 +326,11 @@ class FluxTally(ExitTally):
     target : FluxTarget
         Quantities to which the requested error applies.
 
+    Raises
+    ------
+    ValueError
+        If the sums do not fit into memory.
+
     Attributes
     ----------
     irradiance_sums : float, shape (N_BATCHES, 2, boundaries, node rows)
@@ -349,10 +358,19 @@ class FluxTally(ExitTally):
         )
         self.n_layers = len(scene.layers.boundaries) - 1
         n_rows, n_materials = len(self.rows), absorption.shape[1]
+        self.values_per_row = self.n_layers * (3 + n_materials)
+        n_values = N_BATCHES * self.values_per_row * n_rows
+        if n_values > MAX_TALLY_VALUES:
+            n_wavelengths = traced_medium.n_wavelengths
+            max_wavelengths = max(1, n_wavelengths * MAX_TALLY_VALUES // n_values)
+            raise invalid(
+                "wavelength_nm", f"{n_wavelengths} wavelengths",
+                f"at most {max_wavelengths} with these depths and layers",
+                "use several calls",
+            )  # fmt: skip
         self.irradiance_sums = np.zeros((N_BATCHES, 2, self.n_layers + 1, n_rows))
         self.absorptance_sums = np.zeros((N_BATCHES, self.n_layers, n_materials, n_rows))
         self.path_length_sums = np.zeros((N_BATCHES, self.n_layers, n_rows))
-        self.values_per_row = self.n_layers * (3 + n_materials)
         self.add_strata_by_absorption(absorption, scene)
 
     def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> FluxSums:
@@ -417,7 +435,15 @@ class FluxTally(ExitTally):
         is_rounding = np.abs((absorbed - scored).mean(axis=0)) <= IRRADIANCE_ROUNDING * incident
         absorbed = np.where(is_rounding, scored, absorbed)
         mean_scored, mean_path = scored.mean(axis=0), scored_path.mean(axis=0)
-        ratio, _, by_rays = self._find_path_ratios()
+        # The path per absorbed light of each layer and node row.
+        boundaries = self.scene.layers.boundaries
+        middles = -0.5 * (boundaries[1:] + boundaries[:-1])
+        layers = self.traced_medium.medium.scene_layers
+        bottoms = np.cumsum([float(layer.depth_m) for layer in layers])
+        owners = np.searchsorted(bottoms[:-1], middles)[:, np.newaxis]
+        columns = self.rows % self.traced_medium.n_wavelengths
+        path_ratio = self.traced_medium.path_ratio
+        ratio, by_rays = path_ratio.value[owners, columns], path_ratio.by_rays[owners, columns]
         has_ratio = by_rays & (mean_scored > 0.0)
         by_rays = has_ratio | np.isinf(ratio)
         scale = np.ones_like(ratio)
@@ -427,16 +453,6 @@ class FluxTally(ExitTally):
         # The ratio of the rays varies by batch to first order.
         deviation = np.where(by_rays, scale * (scored_path - ratio * scored), 0.0)
         return ratio * absorbed + deviation
-
-    def _find_path_ratios(self) -> PathRatio:
-        """Return the path per absorbed light in each layer for each node row."""
-        boundaries = self.scene.layers.boundaries
-        middles = -0.5 * (boundaries[1:] + boundaries[:-1])
-        layers = self.traced_medium.medium.scene_layers
-        bottoms = np.cumsum([float(layer.depth_m) for layer in layers])
-        owners = np.searchsorted(bottoms[:-1], middles)[:, np.newaxis]
-        columns = self.rows % self.traced_medium.n_wavelengths
-        return PathRatio(*(values[owners, columns] for values in self.traced_medium.path_ratio))
 
     def evaluate(self, stop: StoppingRule) -> Evaluation:
         """Return the largest standard error.

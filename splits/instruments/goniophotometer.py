@@ -37,7 +37,7 @@ from splits.instruments.solver import (
     find_angular_obstacle,
     solve_angular_results,
 )
-from splits.instruments.spectral_run import MAX_ATTEMPTS, SpectralRequest
+from splits.instruments.spectrophotometer import MAX_ATTEMPTS, SpectralRequest
 from splits.kernels.scene import Scene
 from splits.kernels.tallies.distributions import make_basis
 from splits.media.kinds import check_medium
@@ -45,8 +45,8 @@ from splits.media.medium import Medium
 from splits.simulation.deep_medium import ERROR_BUDGET_FRACTION, THEORY_UNCERTAINTY, TruncatedMedium
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import (
+    MAX_DATASET_VALUES,
     RunOptions,
-    check_dataset_size,
     check_direction_angles,
     check_incidence,
     check_n_bins,
@@ -318,14 +318,23 @@ def goniophotometer(
     if isinstance(incidence, str) and estimator != "expansion":
         allowed = "an angle for this estimator"
         raise invalid("incidence_deg", incidence, allowed, "expansion allows it")
-    check_polarized_estimator(stokes, estimator, medium)
+    if requests_polarization(stokes) and estimator == "expansion":
+        has_grains = any(layer.has_grains for layer in medium.scene_layers)
+        allowed = "bins with stokes" if has_grains else "bins or next_event with stokes"
+        raise invalid("estimator", estimator, allowed)
     bins = check_n_bins(n_bins) if estimator == "bins" else None
     if bins is not None:
         polar, azimuth = compute_bin_centres(bins)
     else:
         polar = check_direction_angles("polar_deg", polar_deg, 90.0)
         azimuth = check_direction_angles("azimuth_deg", azimuth_deg, 360.0)
-    check_dataset_size(len(wavelengths), len(polar) * len(azimuth))
+    n_directions = len(polar) * len(azimuth)
+    if len(wavelengths) * n_directions > MAX_DATASET_VALUES:
+        raise invalid(
+            "wavelength_nm", f"{len(wavelengths)} wavelengths",
+            f"at most {MAX_DATASET_VALUES // n_directions}",
+            f"{n_directions} directions each; {MAX_DATASET_VALUES} values fit into memory",
+        )  # fmt: skip
     direction_mask = make_direction_mask(polar, azimuth) | (estimator == "next_event")
     request = AngularRequest(
         wavelengths, polar, azimuth, relative_stderr, ErrorTarget(side, direction_mask)
@@ -397,14 +406,6 @@ def make_direction_mask(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
     """Return the directions of the stopping rule: all if only steeper ones are requested."""
     low = polar <= MAX_CONVERGED_POLAR_DEG
     return np.repeat(low if low.any() else ~low, len(azimuth))
-
-
-def check_polarized_estimator(stokes: Any, estimator: str, medium: Medium) -> None:
-    """Reject an estimator without Stokes parameters for a run with `stokes`."""
-    if requests_polarization(stokes) and estimator == "expansion":
-        has_grains = any(layer.has_grains for layer in medium.scene_layers)
-        allowed = "bins with stokes" if has_grains else "bins or next_event with stokes"
-        raise invalid("estimator", estimator, allowed)
 
 
 # --------------------------------------------------------------------------------------------------

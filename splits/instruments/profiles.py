@@ -40,7 +40,6 @@ from splits.instruments.solver import (
     MONTE_CARLO,
     choose_solver,
 )
-from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.simulation.engine import simulate
@@ -58,9 +57,6 @@ from splits.simulation.strata import StoppingRule
 # Vertical profiles of irradiance, and the absorptance between depths.
 
 MAX_DEPTHS = 200
-MAX_TALLY_VALUES = 100_000_000
-"""Largest number of sums by batch, layer, material and wavelength; a run takes three times their
-memory."""
 BAND_INTERPOLATION_FRACTION = 0.04
 """The same for errors of bands, for which more index nodes need hardly any more rays."""
 ERROR_QUANTITIES = ("irradiance", "absorptance")
@@ -192,22 +188,15 @@ class FluxRequest(NamedTuple):
         )
 
 
-def choose_flux_solver(
-    solver: Any, medium: Medium, wavelengths: np.ndarray, max_stderr: float
-) -> str:
-    """Return the solver for fluxes, see `splits.instruments.solver.choose_solver`."""
-    obstacle = None
-    if solver != MONTE_CARLO:
-        obstacle = find_obstacle(medium, wavelengths) or find_profile_obstacle(medium, wavelengths)
-    return choose_solver(solver, [medium], wavelengths, obstacle, max_stderr=max_stderr)
-
-
 def simulate_flux(
     request: FluxRequest, target: FluxTarget, run: RunOptions, solver: str
 ) -> xr.Dataset:
     """Return the dataset of `irradiance_profile` to an error, by a solver as given by the user."""
     medium, wavelengths, depths, incidence, max_stderr, max_rays = request
-    chosen = choose_flux_solver(solver, medium, wavelengths, max_stderr)
+    obstacle = None
+    if solver != MONTE_CARLO:
+        obstacle = find_obstacle(medium, wavelengths) or find_profile_obstacle(medium, wavelengths)
+    chosen = choose_solver(solver, [medium], wavelengths, obstacle, max_stderr=max_stderr)
     if chosen == DISCRETE_ORDINATES:
         dataset = solve_flux(
             medium, wavelengths, depths, incidence, max_stderr, target.limit_irradiance,
@@ -221,7 +210,6 @@ def simulate_flux(
     scene = build_scene(traced_medium.medium, incidence, False)
     scene = add_recording_planes(scene, depths.tolist())
     nodes = _choose_nodes(traced_medium, max_stderr, target.band_weights is not None)
-    _check_memory(traced_medium, scene.layers.boundaries.size - 1, nodes)
     tally = FluxTally(nodes, traced_medium, scene, target)
     evaluation = simulate(scene, tally, StoppingRule(max_stderr, max_rays), run)
     attributes = {
@@ -270,21 +258,6 @@ def _check_depths(depth_m: Any, thickness: float) -> np.ndarray:
     return check_axis(
         "depth_m", depths, 0.0, thickness, "m", open_low=True, open_high=True, hint=hint
     )
-
-
-def _check_memory(traced_medium: TracedMedium, n_layers: int, nodes: IndexNodes) -> None:
-    """Check that the sums of the tally fit into memory."""
-    n_columns = traced_medium.constants.absorption.shape[1]
-    n_node_rows = np.count_nonzero(nodes.weights)
-    n_wavelengths = traced_medium.n_wavelengths
-    n_values = N_BATCHES * n_layers * (n_columns + 3) * n_node_rows
-    if n_values > MAX_TALLY_VALUES:
-        max_wavelengths = max(1, n_wavelengths * MAX_TALLY_VALUES // n_values)
-        raise invalid(
-            "wavelength_nm", f"{n_wavelengths} wavelengths",
-            f"at most {max_wavelengths} with these depths and layers",
-            "use several calls",
-        )  # fmt: skip
 
 
 # --------------------------------------------------------------------------------------------------
@@ -381,11 +354,12 @@ def radiation_profile(
     check_medium(medium, allow_semi_infinite=True)
     sky_spectrum = as_sky(sky).scale_to(total_w_m2)
     wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 2)
-    max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
     check_choice("target", target, POWER_ERROR_QUANTITIES)
     limit_irradiance = target == POWER_ERROR_QUANTITIES[1]
     run = RunOptions.from_arguments(seed, threads, progress=progress)
-    max_rays = check_integer("max_rays", max_rays, 1)
+    request = FluxRequest.from_arguments(
+        medium, wavelengths, depth_m, "diffuse", max_stderr, max_rays
+    )
     named = sky_spectrum.make_bands(bands)
     sky_spectrum.check_bands(named, wavelengths)
     weights, band_irradiance = compute_band_weights(sky_spectrum, named, wavelengths)
@@ -393,51 +367,41 @@ def radiation_profile(
     targets = make_sky_targets(direct_fraction, weights, limit_irradiance)
 
     def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
-        request = FluxRequest.from_arguments(
-            medium, wavelengths, depth_m, incidence, max_stderr, max_rays
-        )
-        return simulate_flux(request, targets[number], run._replace(seed=run.seed + number), solver)
+        component = request._replace(incidence=incidence)
+        component_run = run._replace(seed=run.seed + number)
+        return simulate_flux(component, targets[number], component_run, solver)
 
     dataset = mix_direct_and_diffuse(
         sky_spectrum, wavelengths, simulate_component, list(OUTPUT_VARIABLES)
     )
     error_weights = compute_band_error_weights(sky_spectrum, named, wavelengths)
     error_weights = error_weights * weights.sum(axis=1, keepdims=True)
-    variables = _make_variables(dataset, wavelengths, weights, error_weights)
-    variables |= make_coverage_variable(weights, band_irradiance)
-    attributes = {
-        **run.make_attributes("Sunlight inside", "radiation_profile", medium),
-        **make_sky_attributes(sky_spectrum),
-        "irradiance_w_m2": band_irradiance[0],
-        "max_stderr": max_stderr,
-        "target": target,
-        "max_rays": max_rays,
-        **dataset.attrs,
-    }
-    coordinates: dict[str, Any] = {
-        name: dataset[name] for name in ("depth", "interval_top", "interval_bottom")
-    }
-    return xr.Dataset(variables, {**coordinates, "band": list(named)}, attributes)
-
-
-def _make_variables(
-    dataset: xr.Dataset, wavelengths: np.ndarray, weights: np.ndarray, error_weights: np.ndarray
-) -> dict[str, Variable]:
-    """Return irradiances and absorbed power by band, with their errors."""
-    variables: dict[str, Variable] = {}
     axes = {"wavelength": wavelengths}
     band_weights = xr.DataArray(weights, axes, ("band", "wavelength"))
     between = xr.DataArray(error_weights, axes, ("estimate", "band", "wavelength"))
+    variables: dict[str, Variable] = {}
     for name, (label, dim, long_name) in OUTPUT_VARIABLES.items():
         mean = (band_weights * dataset[name]).sum("wavelength")
         # Band by band, which limits the memory for many depths.
         errors = [compute_weighted_error(dataset, name, one) for one in band_weights]
         squares = (xr.dot(between, dataset[name], dim="wavelength") ** 2).sum("estimate")
         error = (xr.concat(errors, "band") ** 2 + squares) ** 0.5
-        dims = ("band", dim)
-        values, stderr = (one.transpose(*dims).values for one in (mean, error))
-        variables |= make_variable(label, dims, values, stderr, long_name, "W m-2")
-    return variables
+        values, stderr = (one.transpose("band", dim).values for one in (mean, error))
+        variables |= make_variable(label, ("band", dim), values, stderr, long_name, "W m-2")
+    variables |= make_coverage_variable(weights, band_irradiance)
+    attributes = {
+        **run.make_attributes("Sunlight inside", "radiation_profile", medium),
+        **make_sky_attributes(sky_spectrum),
+        "irradiance_w_m2": band_irradiance[0],
+        "max_stderr": request.max_stderr,
+        "target": target,
+        "max_rays": request.max_rays,
+        **dataset.attrs,
+    }
+    coordinates: dict[str, Any] = {
+        name: dataset[name] for name in ("depth", "interval_top", "interval_bottom")
+    }
+    return xr.Dataset(variables, {**coordinates, "band": list(named)}, attributes)
 
 
 def make_sky_targets(

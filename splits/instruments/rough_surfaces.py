@@ -15,9 +15,9 @@ from splits.core.arrays import (
     match_labels,
 )
 from splits.core.keywords import reject_unknown_arguments
-from splits.core.uncertainty import Variable, make_variable
+from splits.core.uncertainty import make_variable
 from splits.core.validation import check_choice, check_integer, check_range, invalid
-from splits.kernels.rough_surface.intersection import RefractedRays, refract_vertical_rays
+from splits.kernels.rough_surface.intersection import refract_vertical_rays
 from splits.kernels.rough_surface.realization import (
     AMPLITUDE,
     KX,
@@ -113,95 +113,6 @@ def surface_map(
 
 
 # --------------------------------------------------------------------------------------------------
-# Dataset of the statistical lens.
-
-MIN_DETECTED_FRACTION = 0.5
-"""Fraction of a ring that must reach a screen for a realization to be included there."""
-
-
-def make_ray_variables(
-    hit_points: np.ndarray, screen_points: np.ndarray, detected: np.ndarray
-) -> dict[str, Variable]:
-    """Return the rays at one realization of the surface as variables, for figures.
-
-    Parameters
-    ----------
-    hit_points : float, shape (rays, 3)
-        Where rays hit the surface (m).
-    screen_points : float, shape (screens, rays, 2)
-        Where they hit the screens (m); 0 where they do not reach one.
-    detected : bool, shape (screens, rays)
-        Whether they reach them.
-    """
-    points = np.where(detected[..., np.newaxis], screen_points, 0.0)
-    by_ray, is_detected = ("screen_depth", "ray"), detected.astype(float)
-    return _make_variables(
-        {
-            "surface_position": (("ray", "point"), hit_points, None, "point of the surface", "m"),
-            "screen_position": ((*by_ray, "axis"), points, None, "position on the screen", "m"),
-            "detected": (by_ray, is_detected, None, "whether a ray reaches it"),
-        }
-    )
-
-
-def make_lens_dataset(
-    contraction: np.ndarray,
-    detected_fraction: np.ndarray,
-    ray_variables: dict[str, Variable],
-    depths: np.ndarray,
-    attributes: dict[str, Any],
-) -> xr.Dataset:
-    """Return the results as a labelled dataset."""
-    is_valid, dim = detected_fraction >= MIN_DETECTED_FRACTION, "screen_depth"
-    size = _average_realizations(contraction, is_valid)
-    concentration = _invert_with_error(*_average_realizations(contraction**2, is_valid))
-    by_realization = (("realization", dim), detected_fraction, None)
-    variables = _make_variables(
-        {
-            "contraction": (dim, *size, "size of the image over the ring's"),
-            "concentration": (dim, *concentration, "inverse mean square size of the image"),
-            "detected_fraction": (*by_realization, "fraction of rays on the screen"),
-        }
-    )
-    coordinates = {
-        dim: (dim, depths, {"long_name": "depth of the screen below the surface", "units": "m"}),
-        "axis": ("axis", ["x", "y"], {"long_name": "axis on the screen"}),
-        "point": ("point", ["x", "y", "z"], {"long_name": "axis in space"}),
-    }
-    return xr.Dataset(variables | ray_variables, coordinates, attributes)
-
-
-def _make_variables(results: dict[str, tuple[Any, ...]]) -> dict[str, Variable]:
-    """Return variables from the arguments of `make_variable` after the name."""
-    variables: dict[str, Variable] = {}
-    for name, result in results.items():
-        variables |= make_variable(name, *result)
-    return variables
-
-
-def _average_realizations(
-    values: np.ndarray, valid: np.ndarray
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the mean over valid realizations with its standard error, None for a single one."""
-    count = valid.sum(axis=0)
-    mean = np.where(valid, values, 0.0).sum(axis=0) / count
-    if len(values) == 1:
-        return mean, None
-    square = np.where(valid, (values - mean) ** 2, 0.0).sum(axis=0)
-    # Of a single valid realization the error is its value.
-    stderr = np.sqrt(square / np.maximum(count - 1, 1) / count)
-    return mean, np.where(count > 1, stderr, mean)
-
-
-def _invert_with_error(
-    mean: np.ndarray, stderr: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return 1/mean and its standard error to first order."""
-    inverse = 1.0 / np.maximum(mean, np.finfo(float).tiny)
-    return inverse, None if stderr is None else stderr * inverse**2
-
-
-# --------------------------------------------------------------------------------------------------
 # The statistical lens: a ring of parallel rays through a wavy surface onto a screen.
 #
 # Budak & Grimailo 2020, section 3.1 and Fig 2.
@@ -210,6 +121,8 @@ CENTRE_CHOICES = ("crest", "trough", "origin")
 DEFAULT_RAYS = 360
 MAX_SCREEN_POINTS = 10_000_000
 """Largest number of points on screens, and of images, in one result."""
+MIN_DETECTED_FRACTION = 0.5
+"""Fraction of a ring that must reach a screen for a realization to be included there."""
 N_SEARCH_POINTS = 161
 """Points per side of the grid on which the highest or lowest point is searched."""
 
@@ -277,26 +190,42 @@ def lens(
         hint += '; centre_on="origin" needs none'
         raise invalid("half_width_m", None, "given (m)", hint)
     width = 0.0 if half_width_m is None else check_half_width("lens", half_width_m)
-    rays, realizations = check_ring_size(rays, realizations, depths.size)
+    # Results must fit into memory.
+    max_value = MAX_SCREEN_POINTS // depths.size
+    rays = check_integer("rays", rays, 3, max_value)
+    realizations = check_integer("realizations", realizations, 1, max_value)
     run = RunOptions.from_arguments(seed, threads=1)
-    plane_waves = _get_plane_waves(medium, waves, realizations)
+    if waves is not None:
+        surface_waves = check_plane_waves(waves)
+        if realizations > 1:
+            raise invalid("realizations", realizations, "1 for given waves")
+    elif medium.surface is None:
+        raise invalid("surface", None, "given: a lens needs waves")
     angles = 2.0 * np.pi * np.arange(rays) / rays
     contraction = np.empty((realizations, depths.size))
     detected_fraction = np.empty_like(contraction)
     for realization in range(realizations):
-        surface_waves = plane_waves
-        if surface_waves is None:
+        if waves is None:
             surface_waves = medium.surface.sample_realization(run.seed, realization)
         centre_x, centre_y, centre_z = find_centre(surface_waves, centre_on, width)
         ring = (centre_x + radius * np.cos(angles), centre_y + radius * np.sin(angles))
-        hits = refract_vertical_rays(surface_waves, medium.refractive_index, *ring)
-        points, detected = _intersect_screens(hits, centre_z - depths)
+        position, direction, next_hit = refract_vertical_rays(
+            surface_waves, medium.refractive_index, *ring
+        )
+        screen_heights = (centre_z - depths)[:, np.newaxis]
+        distance = (screen_heights - position[:, 2]) / direction[:, 2]
+        points = position[:, :2] + distance[..., np.newaxis] * direction[:, :2]
+        detected = (distance >= 0.0) & (distance < next_hit)
         detected_fraction[realization] = detected.mean(axis=1)
-        contraction[realization] = _compute_rms_radius(points, detected) / radius
+        # Root mean square distance of the detected rays from their centre.
+        count, weight = np.maximum(detected.sum(axis=1), 1), detected[..., np.newaxis]
+        image_centre = (points * weight).sum(axis=1) / count[:, np.newaxis]
+        square = ((points - image_centre[:, np.newaxis]) ** 2 * weight).sum(axis=(1, 2)) / count
+        contraction[realization] = np.sqrt(square) / radius
         if realization == 0:
-            surface_points = hits.position - (centre_x, centre_y, centre_z)
-            screen_points = points - (centre_x, centre_y)
-            ray_variables = make_ray_variables(surface_points, screen_points, detected)
+            surface_points = position - (centre_x, centre_y, centre_z)
+            screen_points = np.where(weight, points - (centre_x, centre_y), 0.0)
+            is_detected = detected.astype(float)
     is_valid = detected_fraction >= MIN_DETECTED_FRACTION
     if not is_valid.any(axis=0).all():
         raise invalid(
@@ -304,22 +233,54 @@ def lens(
             f"where a surface lets at least {MIN_DETECTED_FRACTION:g} of the ring through",
             "a smaller ring, or other depths",
         )  # fmt: skip
+    size = _average_realizations(contraction, is_valid)
+    mean_square, square_stderr = _average_realizations(contraction**2, is_valid)
+    inverse = 1.0 / np.maximum(mean_square, np.finfo(float).tiny)
+    inverse_stderr = None if square_stderr is None else square_stderr * inverse**2
+    dim, on_screen = "screen_depth", ("screen_depth", "ray")
+    variables = {
+        **make_variable("contraction", dim, *size, "size of the image over the ring's"),
+        **make_variable(
+            "concentration", dim, inverse, inverse_stderr, "inverse mean square size of the image"
+        ),
+        **make_variable(
+            "detected_fraction", ("realization", dim), detected_fraction, None,
+            "fraction of rays on the screen",
+        ),
+        **make_variable(
+            "surface_position", ("ray", "point"), surface_points, None, "point of the surface", "m"
+        ),
+        **make_variable(
+            "screen_position", (*on_screen, "axis"), screen_points, None,
+            "position on the screen", "m",
+        ),
+        **make_variable("detected", on_screen, is_detected, None, "whether a ray reaches it"),
+    }  # fmt: skip
+    coordinates = {
+        dim: (dim, depths, {"long_name": "depth of the screen below the surface", "units": "m"}),
+        "axis": ("axis", ["x", "y"], {"long_name": "axis on the screen"}),
+        "point": ("point", ["x", "y", "z"], {"long_name": "axis in space"}),
+    }
     attributes = {
         **run.make_attributes("Statistical lens", "lens", medium),
         "radius_m": radius, "centre_on": centre_on, "half_width_m": width,
         "realizations": realizations, "rays": rays * realizations,
     }  # fmt: skip
-    return make_lens_dataset(contraction, detected_fraction, ray_variables, depths, attributes)
+    return xr.Dataset(variables, coordinates, attributes)
 
 
-def _get_plane_waves(medium: ParticleLayer, waves: Any, realizations: int) -> np.ndarray | None:
-    """Return given waves, None for realizations of the medium's surface, after checking them."""
-    if waves is None and medium.surface is None:
-        raise invalid("surface", None, "given: a lens needs waves")
-    plane_waves = None if waves is None else check_plane_waves(waves)
-    if plane_waves is not None and realizations > 1:
-        raise invalid("realizations", realizations, "1 for given waves")
-    return plane_waves
+def _average_realizations(
+    values: np.ndarray, valid: np.ndarray
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the mean over valid realizations with its standard error, None for a single one."""
+    count = valid.sum(axis=0)
+    mean = np.where(valid, values, 0.0).sum(axis=0) / count
+    if len(values) == 1:
+        return mean, None
+    square = np.where(valid, (values - mean) ** 2, 0.0).sum(axis=0)
+    # Of a single valid realization the error is its value.
+    stderr = np.sqrt(square / np.maximum(count - 1, 1) / count)
+    return mean, np.where(count > 1, stderr, mean)
 
 
 def check_plane_waves(waves: Any) -> np.ndarray:
@@ -351,25 +312,6 @@ def find_centre(waves: np.ndarray, centre_on: str, half_width: float) -> tuple[f
     return float(x[row]), float(y[row]), float(height[row])
 
 
-def _intersect_screens(
-    hits: RefractedRays, screen_heights: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return points on screens, shape (screens, rays, 2), and which rays reach them."""
-    point, direction, next_hit = hits
-    distance = (screen_heights[:, np.newaxis] - point[:, 2]) / direction[:, 2]
-    points = point[:, :2] + distance[..., np.newaxis] * direction[:, :2]
-    return points, (distance >= 0.0) & (distance < next_hit)
-
-
-def _compute_rms_radius(points: np.ndarray, detected: np.ndarray) -> np.ndarray:
-    """Return the root mean square distance of the detected rays from their centre."""
-    count = np.maximum(detected.sum(axis=1), 1)
-    weight = detected[..., np.newaxis]
-    centre = (points * weight).sum(axis=1) / count[:, np.newaxis]
-    square = (((points - centre[:, np.newaxis]) ** 2) * weight).sum(axis=(1, 2)) / count
-    return np.sqrt(square)
-
-
 def check_screen_depths(key: str, values: Any) -> np.ndarray:
     """Return increasing depths of screens (m), after checking them."""
     depths = as_1d_array(key, values, "numbers in metres")
@@ -379,11 +321,3 @@ def check_screen_depths(key: str, values: Any) -> np.ndarray:
 def check_ring_radius(radius_m: Any) -> float:
     """Return the radius of a ring (m), after checking it."""
     return check_range("radius_m", radius_m, 0.0, 1e6, "m", open_low=True)
-
-
-def check_ring_size(rays: Any, realizations: Any, n_screens: int) -> tuple[int, int]:
-    """Return the numbers of rays and realizations, after checking that results fit into memory."""
-    max_value = MAX_SCREEN_POINTS // n_screens
-    return check_integer("rays", rays, 3, max_value), check_integer(
-        "realizations", realizations, 1, max_value
-    )

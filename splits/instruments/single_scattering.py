@@ -18,7 +18,6 @@ from splits.simulation.grain_optics import (
     INTERPOLATION_TOLERANCE,
     WET_PORE_MODELS,
     GrainOpticsRequest,
-    MatrixEstimate,
     compute_grain_matrix,
     compute_grain_optics,
 )
@@ -176,16 +175,11 @@ def single_scattering(
     dataset = xr.Dataset(variables, coordinates, attributes)
     if not stokes:
         return dataset
-    matrix = compute_grain_matrix(medium, constants, request, nodes, MATRIX_ANGLES_DEG)
-    return _add_matrix(dataset, matrix)
-
-
-def _add_matrix(dataset: xr.Dataset, matrix: MatrixEstimate) -> xr.Dataset:
-    """Return a dataset with the elements of a scattering matrix and their errors."""
-    variables: dict[str, Variable] = {}
-    for name, element, stderr in zip(ELEMENTS, *matrix, strict=True):
+    elements, stderrs = compute_grain_matrix(medium, constants, request, nodes, MATRIX_ANGLES_DEG)
+    matrix: dict[str, Variable] = {}
+    for name, element, stderr in zip(ELEMENTS, elements, stderrs, strict=True):
         label = f"element {name} of the scattering matrix"
-        variables |= make_variable(name, ("wavelength", ANGLE), element, stderr, label)
+        matrix |= make_variable(name, ("wavelength", ANGLE), element, stderr, label)
     angle_attributes = {"long_name": "scattering angle", "units": "degree"}
     angle = (ANGLE, MATRIX_ANGLES_DEG, angle_attributes)
-    return dataset.assign(variables).assign_coords({ANGLE: angle})
+    return dataset.assign(matrix).assign_coords({ANGLE: angle})

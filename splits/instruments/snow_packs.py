@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,7 +32,6 @@ from splits.instruments.sky_mixing import (
     make_sky_attributes,
 )
 from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO, SOLVERS
-from splits.instruments.spectral_run import QUANTITY_LABELS
 from splits.io.netcdf import ANCILLARY_ATTRIBUTE
 from splits.media.snow_pack_input import FLAG_NAME, LAYER_DIM, ZENITH_KEY
 from splits.media.snow_packs import FLAGS, HORIZON_DEG, SnowPacks
@@ -44,6 +41,7 @@ from splits.simulation.run_options import (
     check_wavelengths,
     make_wavelength_coordinate,
 )
+from splits.simulation.spectral_tally import QUANTITY_LABELS
 from splits.simulation.threads import DaemonThreadPool, limit_blas_threads
 
 # --------------------------------------------------------------------------------------------------
@@ -108,22 +106,6 @@ def check_pack_solver(solver: Any) -> None:
     raise invalid("solver", solver, f"'{DISCRETE_ORDINATES}' or 'auto' for SnowPacks", hint)
 
 
-def set_incidence(packs: SnowPacks, incidence_deg: Any) -> tuple[SnowPacks, float | str]:
-    """Return the snowpacks and the incidence: an angle, "diffuse" or "sun".
-
-    Angles for each snowpack become the zenith angles of the sun, so that those at the horizon or
-    below get the flag night, and missing ones the flag missing_value.
-    """
-    if isinstance(incidence_deg, str) and incidence_deg == SUN:
-        if ZENITH_KEY not in packs.dataset:
-            hint = "packs.with_sun_zenith(angles) adds it"
-            raise invalid("incidence_deg", SUN, f"for snowpacks with {ZENITH_KEY}", hint)
-        return packs, SUN
-    if not isinstance(incidence_deg, str) and np.ndim(incidence_deg):
-        return packs.with_sun_zenith(incidence_deg), SUN
-    return packs, check_incidence(incidence_deg)
-
-
 def compute_beam_cosines(packs: SnowPacks, incidence: float | str) -> np.ndarray:
     """Return the cosines of the beams of the good snowpacks, shape (good, beams)."""
     n_good = int(packs.is_good.sum())
@@ -134,15 +116,6 @@ def compute_beam_cosines(packs: SnowPacks, incidence: float | str) -> np.ndarray
         zenith = packs.dataset[ZENITH_KEY].values[packs.is_good]
         angle = np.minimum(zenith, min(MAX_INCIDENCE_DEG, HORIZON_DEG))
     return np.cos(np.radians(np.broadcast_to(angle, (n_good,))))[:, np.newaxis]
-
-
-def check_pack_wavelengths(wavelength_nm: np.ndarray, is_wet: np.ndarray) -> None:
-    """Check that discrete ordinates apply at wavelengths (nm) to dry or to wet snow, or to both."""
-    for wet in np.unique(is_wet).tolist():
-        obstacle = find_spectral_obstacle(wavelength_nm, wet=wet)
-        if obstacle:
-            hint = f"for discrete ordinates, snow {obstacle.removeprefix('it ')}"
-            raise invalid("wavelength_nm", wavelength_nm.tolist(), "within the tables", hint)
 
 
 def solve_packs(
@@ -167,7 +140,11 @@ def solve_packs(
     """
     arrays = packs.to_arrays()
     is_wet = np.any(arrays.liquid_water_content > 0.0, axis=1)
-    check_pack_wavelengths(wavelength_nm, is_wet)
+    for wet in np.unique(is_wet).tolist():
+        obstacle = find_spectral_obstacle(wavelength_nm, wet=wet)
+        if obstacle:
+            hint = f"for discrete ordinates, snow {obstacle.removeprefix('it ')}"
+            raise invalid("wavelength_nm", wavelength_nm.tolist(), "within the tables", hint)
     materials = PackMaterials.from_wavelengths(wavelength_nm, packs.impurities)
     ground = packs.compute_ground_albedo(wavelength_nm)
     unsupported = find_unsupported(arrays, materials)
@@ -183,14 +160,31 @@ def solve_packs(
     reflectance, transmittance = (np.full((*shape, cosines.shape[1] + 1), np.nan) for _ in range(2))
     error = np.full(shape, np.nan)
     largest = {"streams": 0, "truncation_error": 0.0, "optics_error": 0.0}
-    for rows, solution in _iterate_solutions(solve, parts, max_error, run):
-        where = arrays.positions[rows]
-        reflectance[where] = np.clip(solution.reflectance, 0.0, 1.0)
-        transmittance[where] = np.clip(solution.transmittance, 0.0, 1.0)
-        error[where] = solution.error
-        found = (solution.n_streams, solution.truncation, solution.optics_error)
-        for name, values in zip(largest, found, strict=True):
-            largest[name] = max(largest[name], values.max().item())
+    done, n_ahead = 0, 2 * run.threads
+    with (
+        open_progress("snowpacks", run.progress) as report,
+        limit_blas_threads(),
+        DaemonThreadPool(run.threads) as pool,
+    ):
+        # Only a few parts are submitted in advance, so that few solutions wait in memory.
+        jobs = [pool.submit(solve, rows) for rows in parts[:n_ahead]]
+        for number, rows in enumerate(parts):
+            solution = jobs[number].result()
+            jobs[number] = None  # type: ignore[call-overload]
+            if number + n_ahead < len(parts):
+                jobs.append(pool.submit(solve, parts[number + n_ahead]))
+            where = arrays.positions[rows]
+            reflectance[where] = np.clip(solution.reflectance, 0.0, 1.0)
+            transmittance[where] = np.clip(solution.transmittance, 0.0, 1.0)
+            error[where] = solution.error
+            found = (solution.n_streams, solution.truncation, solution.optics_error)
+            for name, values in zip(largest, found, strict=True):
+                largest[name] = max(largest[name], values.max().item())
+            done += rows.size
+            if report is not None:
+                seconds, total = time.perf_counter() - run.start_time, sum(map(len, parts))
+                left = seconds * (total - done) / done
+                report(PackProgress(0, np.inf, max_error, seconds, left, done, total))
     attributes = {"solver": DISCRETE_ORDINATES, **largest}
     return PackSpectra(reflectance, transmittance, error, flags, attributes)
 
@@ -205,31 +199,6 @@ def _divide(
             group = np.flatnonzero(chosen & (is_wet == wet) & (n_layers == number))
             for start in range(0, group.size, per_part):
                 yield group[start : start + per_part]
-
-
-def _iterate_solutions(
-    solve: Any, parts: list[np.ndarray], max_error: float, run: RunOptions
-) -> Iterator[tuple[np.ndarray, SpectraSolution]]:
-    """Iterate over the solutions of parts, computed in threads, and report the progress."""
-    total, done = sum(part.size for part in parts), 0
-    n_ahead = 2 * run.threads
-    with ExitStack() as stack:
-        report = stack.enter_context(open_progress("snowpacks", run.progress))
-        stack.enter_context(limit_blas_threads())
-        pool = stack.enter_context(DaemonThreadPool(run.threads))
-        # Only a few parts are submitted in advance, so that few solutions wait in memory.
-        jobs = [pool.submit(partial(solve, part)) for part in parts[:n_ahead]]
-        for number, part in enumerate(parts):
-            solution = jobs[number].result()
-            jobs[number] = None  # type: ignore[call-overload]
-            if number + n_ahead < len(parts):
-                jobs.append(pool.submit(partial(solve, parts[number + n_ahead])))
-            yield part, solution
-            done += part.size
-            if report is not None:
-                seconds = time.perf_counter() - run.start_time
-                left = seconds * (total - done) / done
-                report(PackProgress(0, np.inf, max_error, seconds, left, done, total))
 
 
 def make_pack_dataset(
@@ -286,7 +255,16 @@ def compute_pack_spectra(
     check_pack_solver(solver)
     wavelengths = check_wavelengths(wavelength_nm)
     max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
-    packs, incidence = set_incidence(packs, incidence_deg)
+    incidence: float | str = SUN
+    if isinstance(incidence_deg, str) and incidence_deg == SUN:
+        if ZENITH_KEY not in packs.dataset:
+            hint = "packs.with_sun_zenith(angles) adds it"
+            raise invalid("incidence_deg", SUN, f"for snowpacks with {ZENITH_KEY}", hint)
+    elif not isinstance(incidence_deg, str) and np.ndim(incidence_deg):
+        # Those with the sun at the horizon or below get the flag night, missing ones missing_value.
+        packs = packs.with_sun_zenith(incidence_deg)
+    else:
+        incidence = check_incidence(incidence_deg)
     cosines = compute_beam_cosines(packs, incidence)
     spectra = solve_packs(packs, wavelengths, cosines, max_stderr, run)
     illumination = "hemispherical" if incidence == DIFFUSE else "directional"
@@ -358,99 +336,39 @@ By rounding, a broadband albedo changes by less than 1e-4, and a spectral albedo
 """
 
 
-class PackSkies(NamedTuple):
-    """Skies over the good snowpacks.
+def make_skies(value: Any, packs: SnowPacks) -> tuple[list[Sky], np.ndarray, float | str]:
+    """Return the skies over the good snowpacks for a user's value, see `splits.albedo`.
 
-    Attributes
-    ----------
+    Returns
+    -------
     skies : list of Sky
     number : int, shape (good,)
         Position of the sky of each snowpack in the list.
     incidence : float or "diffuse" or "sun"
         Of the direct light.
     """
-
-    skies: list[Sky]
-    number: np.ndarray
-    incidence: float | str
-
-    @classmethod
-    def from_input(cls, value: Any, packs: SnowPacks) -> PackSkies:
-        """Return the skies for a user's value, see `splits.albedo`."""
-        zenith = packs.dataset[ZENITH_KEY].values if ZENITH_KEY in packs.dataset else None
-        name = value if isinstance(value, str) else None
-        if zenith is None and (callable(value) or name == CLEAR_SKY):
-            allowed = f"a splits.Sky for snowpacks without {ZENITH_KEY}"
-            raise invalid("sky", value, allowed, "or packs.with_sun_zenith(angles)")
-        # These have one angle of the sun; all others are made for that of each snowpack.
-        if zenith is None or isinstance(value, Sky) or name == ASTM_G173:
-            one = as_sky(value)
-            incidence: float | str = one.zenith_deg if one.direct.any() else DIFFUSE
-            return cls([one], np.zeros(int(packs.is_good.sum()), dtype=int), incidence)
-        steps = np.minimum(zenith[packs.is_good], MAX_ZENITH_DEG) / ZENITH_STEP_DEG
-        values, number = np.unique(steps.round(), return_inverse=True)
-        if not values.size:
-            values = np.zeros(1)
-        angles = np.minimum(values * ZENITH_STEP_DEG, MAX_ZENITH_DEG).round(9).tolist()
-        skies = [value(angle) if callable(value) else sky(value, angle) for angle in angles]
-        for one in skies:
-            if not isinstance(one, Sky):
-                allowed = "a function that returns a splits.Sky"
-                raise invalid("sky", type(one).__name__, allowed)
-        has_sun = any(one.direct.any() for one in skies)
-        return cls(skies, number, SUN if has_sun else DIFFUSE)
-
-    def choose_wavelengths(self, wavelength_nm: Any) -> np.ndarray:
-        """Return the requested wavelengths (nm), or those by default, within all skies."""
-        wavelengths = choose_wavelengths(wavelength_nm, self.skies[0], 2)
-        for one in self.skies:
-            one.check_coverage(wavelengths)
-        return wavelengths
-
-    def compute_direct_fraction(self, wavelength_nm: np.ndarray) -> np.ndarray:
-        """Return the fraction of direct light, shape (good, wavelengths)."""
-        fractions = [one.compute_direct_fraction(wavelength_nm) for one in self.skies]
-        return np.array(fractions)[self.number]
-
-    def compute_band_weights(
-        self, bands: Mapping[str, SpectralBand], wavelength_nm: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the normalized weights of bands, those of errors, and the fractions covered.
-
-        Parameters
-        ----------
-        bands : mapping
-            Of the first sky; the broadband one is that of each.
-        wavelength_nm : float, shape (wavelengths,)
-
-        Returns
-        -------
-        weights : float, shape (skies, bands, wavelengths)
-        error_weights : float, shape (skies, 2, bands, wavelengths)
-            See `splits.instruments.sky_mixing.compute_band_error_weights`.
-        covered : float, shape (skies, bands)
-            Fractions of the light of bands.
-        """
-        weights, error_weights, covered = [], [], []
-        for one in self.skies:
-            broad = SpectralBand.from_limits(*one.wavelength_nm[[0, -1]])
-            named = {**bands, BROADBAND: broad}
-            own, whole = compute_band_weights(one, named, wavelength_nm)
-            # Without light in a band its albedo is NaN.
-            with np.errstate(invalid="ignore", divide="ignore"):
-                weights.append(own / own.sum(axis=1, keepdims=True))
-                covered.append(own.sum(axis=1) / whole)
-            rows = compute_band_error_weights(one, named, wavelength_nm)
-            error_weights.append(rows)
-        return np.array(weights), np.array(error_weights), np.array(covered)
-
-    def make_attributes(self) -> dict[str, Any]:
-        """Return the attributes of the skies."""
-        attributes = make_sky_attributes(self.skies[0])
-        if self.incidence == SUN:
-            attributes["zenith_deg"] = "sun zenith of each snowpack"
-            attributes["sky_zenith_step_deg"] = ZENITH_STEP_DEG
-        return attributes
+    zenith = packs.dataset[ZENITH_KEY].values if ZENITH_KEY in packs.dataset else None
+    name = value if isinstance(value, str) else None
+    if zenith is None and (callable(value) or name == CLEAR_SKY):
+        allowed = f"a splits.Sky for snowpacks without {ZENITH_KEY}"
+        raise invalid("sky", value, allowed, "or packs.with_sun_zenith(angles)")
+    # These have one angle of the sun; all others are made for that of each snowpack.
+    if zenith is None or isinstance(value, Sky) or name == ASTM_G173:
+        one = as_sky(value)
+        incidence: float | str = one.zenith_deg if one.direct.any() else DIFFUSE
+        return [one], np.zeros(int(packs.is_good.sum()), dtype=int), incidence
+    steps = np.minimum(zenith[packs.is_good], MAX_ZENITH_DEG) / ZENITH_STEP_DEG
+    values, number = np.unique(steps.round(), return_inverse=True)
+    if not values.size:
+        values = np.zeros(1)
+    angles = np.minimum(values * ZENITH_STEP_DEG, MAX_ZENITH_DEG).round(9).tolist()
+    skies = [value(angle) if callable(value) else sky(value, angle) for angle in angles]
+    for one in skies:
+        if not isinstance(one, Sky):
+            allowed = "a function that returns a splits.Sky"
+            raise invalid("sky", type(one).__name__, allowed)
+    has_sun = any(one.direct.any() for one in skies)
+    return skies, number, SUN if has_sun else DIFFUSE
 
 
 # --------------------------------------------------------------------------------------------------
@@ -472,70 +390,59 @@ def compute_pack_albedo(
     """
     check_pack_solver(solver)
     max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
-    skies = PackSkies.from_input(sky, packs)
-    wavelengths = skies.choose_wavelengths(wavelength_nm)
-    named = skies.skies[0].make_bands(bands)
-    skies.skies[0].check_bands(named, wavelengths)
-    cosines = compute_beam_cosines(packs, skies.incidence)
+    skies, number, incidence = make_skies(sky, packs)
+    wavelengths = choose_wavelengths(wavelength_nm, skies[0], 2)
+    for one in skies:
+        one.check_coverage(wavelengths)
+    named = skies[0].make_bands(bands)
+    skies[0].check_bands(named, wavelengths)
+    cosines = compute_beam_cosines(packs, incidence)
     spectra = solve_packs(packs, wavelengths, cosines, max_stderr, run)
     good = np.flatnonzero(packs.is_good)
     # Without direct light there is no beam, and both columns are that of diffuse light.
     beam, diffuse = (spectra.reflectance[..., column] for column in (0, -1))
     fraction = np.full(beam.shape, np.nan)
-    fraction[good] = skies.compute_direct_fraction(wavelengths)
+    fraction[good] = np.array([one.compute_direct_fraction(wavelengths) for one in skies])[number]
     albedo, stderr = (
         fraction * of_beam + (1.0 - fraction) * of_diffuse
         for of_beam, of_diffuse in (
             (beam, diffuse), (spectra.bound_error(beam), spectra.bound_error(diffuse)),
         )
     )  # fmt: skip
-    dims = (packs.label, "wavelength")
+    band_albedo, band_stderr, covered = np.full((3, len(packs), len(named)), np.nan)
+    for row, one in enumerate(skies):
+        members = good[number == row]
+        # The broadband albedo is that of the spectrum of each sky.
+        own_bands = {**named, BROADBAND: SpectralBand.from_limits(*one.wavelength_nm[[0, -1]])}
+        weights, irradiance = compute_band_weights(one, own_bands, wavelengths)
+        # Without light in a band its albedo is NaN.
+        with np.errstate(invalid="ignore", divide="ignore"):
+            covered[members] = weights.sum(axis=1) / irradiance
+            weights = weights / weights.sum(axis=1, keepdims=True)
+        # The errors of all wavelengths have the same causes, and add up linearly.
+        band_albedo[members], common = (values[members] @ weights.T for values in (albedo, stderr))
+        between = compute_band_error_weights(one, own_bands, wavelengths) @ albedo[members].T
+        band_stderr[members] = np.sqrt(common**2 + (between**2).sum(axis=0).T)
+    dims, band_dims = (packs.label, "wavelength"), (packs.label, "band")
     direct_attributes = {"long_name": "fraction of direct sunlight", "units": "1"}
+    label = "albedo over a band, weighted by irradiance"
+    covered_attributes = {
+        "long_name": "fraction of the band's light within the wavelengths", "units": "1",
+    }  # fmt: skip
     variables: dict[str, Any] = {
         **make_variable("albedo", dims, albedo, stderr, "albedo under this sky"),
         "direct_fraction": (dims, fraction, direct_attributes),
+        **make_variable("band_albedo", band_dims, band_albedo, band_stderr, label),
+        "irradiance_covered": (band_dims, covered, covered_attributes),
     }
-    variables |= _average_over_bands(packs, skies, named, wavelengths, (albedo, stderr))
     attributes = {
         **make_pack_attributes(packs, run, "Albedo under a sky", "albedo"),
-        **skies.make_attributes(),
-        **make_error_attributes(spectra, max_stderr, float(np.nanmax(stderr, initial=0.0))),
+        **make_sky_attributes(skies[0]),
     }
+    if incidence == SUN:
+        attributes["zenith_deg"] = "sun zenith of each snowpack"
+        attributes["sky_zenith_step_deg"] = ZENITH_STEP_DEG
+    attributes |= make_error_attributes(spectra, max_stderr, float(np.nanmax(stderr, initial=0.0)))
     attributes |= {f"band_{name}_sha256": one.sha256 for name, one in named.items() if one.sha256}
     axes = {"wavelength": make_wavelength_coordinate(wavelengths), "band": list(named)}
     return make_pack_dataset(packs, spectra.flags, variables, axes).assign_attrs(attributes)
-
-
-def _average_over_bands(
-    packs: SnowPacks,
-    skies: PackSkies,
-    bands: Mapping[str, SpectralBand],
-    wavelength_nm: np.ndarray,
-    spectra: tuple[np.ndarray, np.ndarray],
-) -> dict[str, Variable]:
-    """Return the albedo of every band, its error, and the fraction of its light that is covered.
-
-    Parameters
-    ----------
-    packs, skies, bands, wavelength_nm
-        See `compute_pack_albedo`.
-    spectra : two of float, shape (snowpacks, wavelengths)
-        Albedo and its error.
-    """
-    good = np.flatnonzero(packs.is_good)
-    weights, error_weights, covered = skies.compute_band_weights(bands, wavelength_nm)
-    # The errors of all wavelengths have the same causes, and add up linearly.
-    albedo, stderr, irradiance_covered = np.full((3, len(packs), len(bands)), np.nan)
-    irradiance_covered[good] = covered[skies.number]
-    for number in range(len(skies.skies)):
-        rows = good[skies.number == number]
-        albedo[rows], stderr[rows] = (values[rows] @ weights[number].T for values in spectra)
-        between = error_weights[number] @ spectra[0][rows].T
-        stderr[rows] = np.sqrt(stderr[rows] ** 2 + (between**2).sum(axis=0).T)
-    dims = (packs.label, "band")
-    label = "albedo over a band, weighted by irradiance"
-    attributes = {"long_name": "fraction of the band's light within the wavelengths", "units": "1"}
-    return {
-        **make_variable("band_albedo", dims, albedo, stderr, label),
-        "irradiance_covered": (dims, irradiance_covered, attributes),
-    }

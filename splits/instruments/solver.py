@@ -281,9 +281,8 @@ def _solve_diffuse(snowpack: GranularStack, request: AngularRequest) -> AngularR
     relative = spectrum.bound_errors(totals)[0] / np.maximum(totals[0], TINY)
     independent = np.hypot(stderr[0], mean[0] * relative[:, np.newaxis])
     anisotropy = compute_anisotropy(mean[0], independent, totals[0])
-    estimate = _make_estimate([mean, stderr, *anisotropy], spectrum, -1, 0.0)
     n_streams = max(one.n_streams for one in (spectrum, above, below))
-    return _make_result(estimate, request, spectrum, n_streams)
+    return _make_result(request, [mean, stderr, *anisotropy], spectrum, -1, 0.0, n_streams)
 
 
 def _solve_beams(
@@ -315,26 +314,29 @@ def _solve_beams(
         direct = np.stack([
             solution.direct.reflected[..., beam], solution.direct.transmitted[..., beam]
         ])  # fmt: skip
-        estimate = _make_estimate(by_direction, solution.spectrum, beam, direct)
-        results.append(_make_result(estimate, request, solution.spectrum, n_streams))
+        results.append(
+            _make_result(request, by_direction, solution.spectrum, beam, direct, n_streams)
+        )
     return results
 
 
 def _select_totals(spectrum: SpectrumSolution, column: int) -> np.ndarray:
-    """Return reflectance and transmittance, shape (2, wavelengths); see `_make_estimate`."""
+    """Return reflectance and transmittance, shape (2, wavelengths); see `_make_result`."""
     return np.stack([
         np.clip(side[..., column], 0.0, 1.0)
         for side in (spectrum.budget.reflectance, spectrum.budget.transmittance)
     ])  # fmt: skip
 
 
-def _make_estimate(
-    by_direction: Sequence[np.ndarray], spectrum: SpectrumSolution, column: int, direct: Any
-) -> AngularEstimate:
-    """Return an estimate.
+def _make_result(
+    request: AngularRequest, by_direction: Sequence[np.ndarray], spectrum: SpectrumSolution,
+    column: int, direct: Any, n_streams: int,
+) -> AngularResult:  # fmt: skip
+    """Return a solution in the form of simulations.
 
     Parameters
     ----------
+    request : AngularRequest
     by_direction : float, shapes (2, wavelengths, directions) and (wavelengths, directions)
         Values (1/sr), reflected and transmitted, and their errors; anisotropy factors and theirs.
     spectrum : SpectrumSolution
@@ -342,21 +344,16 @@ def _make_estimate(
         Number of the beam, −1 for diffuse light.
     direct : float, shape (2, wavelengths)
         Reflectance and transmittance without scattering.
+    n_streams : int
     """
     mean, stderr, anisotropy, anisotropy_stderr = by_direction
     totals = _select_totals(spectrum, column)
-    return AngularEstimate(
+    estimate = AngularEstimate(
         np.maximum(mean, 0.0), stderr, stderr,
         totals, spectrum.bound_errors(totals), direct + np.zeros(totals.shape),
         np.zeros(totals.shape), np.zeros(totals.shape, dtype=int), np.zeros_like(mean),
         np.maximum(anisotropy, 0.0), anisotropy_stderr,
     )  # fmt: skip
-
-
-def _make_result(
-    estimate: AngularEstimate, request: AngularRequest, spectrum: SpectrumSolution, n_streams: int
-) -> AngularResult:
-    """Return an estimate with the attributes of its solution."""
     reached = estimate.compute_max_error(request.target)
     attributes = {
         "stop_reason": "converged" if reached <= request.max_error else "solver_error",

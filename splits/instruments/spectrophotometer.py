@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
-from splits.core.validation import check_choice, invalid, to_text_keys
+from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
+from splits.core.validation import check_choice, check_integer, check_range, invalid, to_text_keys
 from splits.instruments.snow_packs import check_no_paths, compute_pack_spectra
 from splits.instruments.solver import (
     DISCRETE_ORDINATES,
@@ -18,21 +20,51 @@ from splits.instruments.solver import (
     get_derivative_method,
     solve_estimate,
 )
-from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest, make_spectrum
+from splits.kernels.scene import NO_GROUND
+from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.media.snow_packs import SnowPacks
+from splits.simulation.deep_medium import (
+    ERROR_BUDGET_FRACTION,
+    TruncatedMedium,
+    truncate_deep_medium,
+)
 from splits.simulation.derivatives import (
+    NO_PERTURBATIONS,
     Perturbations,
+    add_jacobian,
     check_jacobian,
     compute_finite_difference,
-    make_jacobian_variables,
-    make_parameter_coordinates,
 )
-from splits.simulation.run_options import RunOptions
-from splits.simulation.scene import check_stokes, requests_polarization
-from splits.simulation.shared_paths import PathSharingMedia, check_path_sharing
-from splits.simulation.spectral_tally import Derivatives, SpectralEstimate
+from splits.simulation.engine import simulate
+from splits.simulation.run_options import (
+    RunOptions,
+    check_incidence,
+    check_wavelengths,
+    make_wavelength_coordinate,
+)
+from splits.simulation.scene import (
+    IncidentPolarization,
+    build_scene,
+    check_stokes,
+    describe_polarization,
+    requests_polarization,
+)
+from splits.simulation.shared_paths import PathSharingMedia, SpectralRows, check_path_sharing
+from splits.simulation.spectral_nodes import (
+    INTERPOLATION_FRACTION,
+    choose_nodes,
+    make_separate_nodes,
+)
+from splits.simulation.spectral_tally import (
+    QUANTITY_LABELS,
+    SIDE_QUANTITIES,
+    Derivatives,
+    SpectralEstimate,
+    SpectralTally,
+)
+from splits.simulation.strata import StoppingRule
 
 ESTIMATORS = ("spectral", "analog")
 
@@ -172,45 +204,69 @@ def spectrophotometer(
     if isinstance(medium, SnowPacks):
         check_no_paths(estimator, jacobian)
         return compute_pack_spectra(medium, wavelength_nm, incidence_deg, max_stderr, solver, run)
-    media = _check_media(medium, estimator)
+    is_mapping, analog = isinstance(medium, Mapping), estimator == "analog"
+    media: dict[str, Medium] = {}
+    if isinstance(medium, Mapping):
+        if not medium:
+            raise invalid(
+                "medium", medium, "a medium, or a mapping of names to media, at least one"
+            )
+        media = to_text_keys("medium", medium)
+        for name, one in media.items():
+            check_medium(one, allow_semi_infinite=True, key=f"medium[{name!r}]")
+        check_path_sharing(media)
+    else:
+        check_medium(medium, allow_semi_infinite=estimator == "spectral")
+        media[""] = medium
     check_choice("estimator", estimator, ESTIMATORS)
     request = SpectralRequest.from_arguments(
         wavelength_nm, incidence_deg, max_stderr, max_rays, run
     )
     first = next(iter(media.values()))
     request = request._replace(polarization=check_stokes(stokes, first, request.incidence))
-    is_mapping, analog = isinstance(medium, Mapping), estimator == "analog"
-    dims = ("medium", "wavelength") if is_mapping else ("wavelength",)
-    parameters = _check_jacobian(medium, request, estimator, jacobian)
+    parameters: tuple[str, ...] = ()
+    if not is_mapping:
+        parameters = check_jacobian(first, request.incidence, jacobian)
+        if parameters and analog:
+            raise invalid("jacobian", list(parameters), "left out for this estimator")
+    elif analog:
+        raise invalid("estimator", estimator, "'spectral' for several media")
+    elif not isinstance(jacobian, Sequence) or len(jacobian):
+        raise invalid("jacobian", jacobian, "left out for several media")
     obstacle = find_path_obstacle(estimator, stokes)
     wavelengths, error = request.wavelengths, request.max_stderr
     chosen = choose_solver(solver, media.values(), wavelengths, obstacle, parameters, error)
+    perturbations, truncation = NO_PERTURBATIONS, None
     if chosen == DISCRETE_ORDINATES:
         estimate = solve_estimate(
             list(media.values()), wavelengths, request.incidence, error, run.threads, parameters
         )
-        dataset = make_spectrum(request, first, estimate, truncation=None, dims=dims)
-        dataset.attrs["solver"] = DISCRETE_ORDINATES
-        if is_mapping:
-            return _label_media(dataset, media)
-        methods = [get_derivative_method(first)] * len(parameters)
-        return _assign_jacobian(dataset, estimate.derivatives, parameters, methods)
-    perturbations = Perturbations.select_exact(first, parameters, request.wavelengths)
-    path_sharing = PathSharingMedia(
-        (*media.values(), *perturbations.media),
-        np.append(np.ones(len(media)), perturbations.size_ratios),
-        len(perturbations.media),
-    )
-    truncation = None if analog else request.truncate(path_sharing)
-    estimate = request.simulate(path_sharing, truncation, perturbations, analog=analog)
+    else:
+        perturbations = Perturbations.select_exact(first, parameters, wavelengths)
+        path_sharing = PathSharingMedia(
+            (*media.values(), *perturbations.media),
+            np.append(np.ones(len(media)), perturbations.size_ratios),
+            len(perturbations.media),
+        )
+        truncation = None if analog else request.truncate(path_sharing)
+        estimate = request.simulate(path_sharing, truncation, perturbations, analog=analog)
+    dims = ("medium", "wavelength") if is_mapping else ("wavelength",)
     dataset = make_spectrum(request, first, estimate, truncation=truncation, dims=dims)
-    dataset.attrs["estimator"] = estimator
+    dataset.attrs |= {"solver": chosen, "estimator": estimator}
     if is_mapping:
         return _label_media(dataset, media)
+    derivatives = estimate.derivatives
+    if chosen == DISCRETE_ORDINATES:
+        methods = [get_derivative_method(first)] * len(parameters)
+    else:
+        methods = perturbations.list_methods(parameters)
+        if "finite_difference" in methods:
+            derivatives, dataset.attrs["finite_difference_rays"] = _simulate_differences(
+                request, derivatives, perturbations, first, parameters
+            )
     if not parameters:
         return dataset
-    exact = estimate.derivatives
-    return _add_jacobian(dataset, request, exact, perturbations, first, parameters)
+    return add_jacobian(dataset, derivatives, parameters, methods)
 
 
 def find_path_obstacle(estimator: str, stokes: Any) -> str | None:
@@ -220,48 +276,14 @@ def find_path_obstacle(estimator: str, stokes: Any) -> str | None:
     return "polarization needs paths" if requests_polarization(stokes) else None
 
 
-def _check_media(medium: Any, estimator: str) -> dict[str, Medium]:
-    """Return the media by name, one without a name, after checking them."""
-    if not isinstance(medium, Mapping):
-        check_medium(medium, allow_semi_infinite=estimator == "spectral")
-        return {"": medium}
-    if not medium:
-        raise invalid("medium", medium, "a medium, or a mapping of names to media, at least one")
-    named: dict[str, Medium] = to_text_keys("medium", medium)
-    for name, one in named.items():
-        check_medium(one, allow_semi_infinite=True, key=f"medium[{name!r}]")
-    check_path_sharing(named)
-    return named
-
-
-def _check_jacobian(
-    medium: Any, request: SpectralRequest, estimator: str, jacobian: Any
-) -> tuple[str, ...]:
-    """Return the parameters for which derivatives are requested, after checking them.
-
-    They require one medium and the estimator "spectral", which several media require, too.
-    """
-    if isinstance(medium, Mapping):
-        if estimator != "spectral":
-            raise invalid("estimator", estimator, "'spectral' for several media")
-        if not isinstance(jacobian, Sequence) or len(jacobian):
-            raise invalid("jacobian", jacobian, "left out for several media")
-        return ()
-    names = check_jacobian(medium, request.incidence, jacobian)
-    if names and estimator != "spectral":
-        raise invalid("jacobian", list(names), "left out for this estimator")
-    return names
-
-
-def _add_jacobian(
-    dataset: xr.Dataset,
+def _simulate_differences(
     request: SpectralRequest,
     exact: Derivatives,
     perturbations: Perturbations,
     medium: Medium,
     parameters: tuple[str, ...],
-) -> xr.Dataset:
-    """Return a dataset with derivatives: exact ones, and finite differences from more runs."""
+) -> tuple[Derivatives, int]:
+    """Return all derivatives, finite differences where there is no exact one, and their rays."""
 
     def simulate_perturbed(perturbed: Medium, incidence: float | str) -> SpectralEstimate:
         perturbed_request = request._replace(incidence=incidence)
@@ -278,40 +300,15 @@ def _add_jacobian(
                 simulate_perturbed, medium, request.incidence, name
             )
             total_rays += n_rays
-    if total_rays:
-        dataset.attrs["finite_difference_rays"] = total_rays
-    derivatives = Derivatives.concatenate([by_parameter[name] for name in parameters])
-    methods = perturbations.list_methods(parameters)
-    return _assign_jacobian(dataset, derivatives, parameters, methods)
-
-
-def _assign_jacobian(
-    dataset: xr.Dataset,
-    derivatives: Derivatives,
-    parameters: Sequence[str],
-    methods: list[str],
-) -> xr.Dataset:
-    """Return a dataset with derivatives, if there are any."""
-    if not parameters:
-        return dataset
-    dataset = dataset.assign_coords(make_parameter_coordinates(parameters, methods))
-    return dataset.assign(make_jacobian_variables(derivatives, SIDE_QUANTITIES))
+    return Derivatives.concatenate([by_parameter[name] for name in parameters]), total_rays
 
 
 def _label_media(dataset: xr.Dataset, media: Mapping[str, Medium]) -> xr.Dataset:
-    """Return a dataset of several media with their names, and the inputs in which they differ."""
-    differing = _find_differing_inputs(list(media.values()))
-    dataset.attrs = {key: value for key, value in dataset.attrs.items() if key not in differing}
-    names = ("medium", list(media), {"long_name": "name of the medium"})
-    return dataset.assign_coords({"medium": names, **differing})
+    """Return a dataset of several media with their names, and the inputs in which they differ.
 
-
-def _find_differing_inputs(media: Sequence[Medium]) -> dict[str, Any]:
-    """Return the inputs in which media differ, as coordinates over the media.
-
-    Absent amounts are 0.
+    These are coordinates over the media instead of attributes; absent amounts are 0.
     """
-    inputs = [{f"{m.kind}_{k}": v for k, v in m.describe().items()} for m in media]
+    inputs = [{f"{m.kind}_{k}": v for k, v in m.describe().items()} for m in media.values()]
     differing: dict[str, Any] = {}
     for key in dict.fromkeys(key for one in inputs for key in one):
         values: list[Any] = [one.get(key) for one in inputs]
@@ -321,4 +318,183 @@ def _find_differing_inputs(media: Sequence[Medium]) -> dict[str, Any]:
         kind: Any = float if numeric else str
         column = [kind() if value is None else kind(value) for value in values]
         differing[key] = ("medium", column, {"long_name": key.replace("_", " ")})
-    return differing
+    dataset.attrs = {key: value for key, value in dataset.attrs.items() if key not in differing}
+    names = ("medium", list(media), {"long_name": "name of the medium"})
+    return dataset.assign_coords({"medium": names, **differing})
+
+
+# --------------------------------------------------------------------------------------------------
+# Simulation of spectra, of one medium or of several that share paths.
+
+MAX_ATTEMPTS = 3
+"""Runs of a truncated medium, each to half the error of the one before."""
+
+
+class SpectralRequest(NamedTuple):
+    """Validated arguments of `splits.spectrophotometer`."""
+
+    wavelengths: np.ndarray
+    incidence: float | str
+    max_stderr: float
+    max_rays: int
+    run: RunOptions
+    polarization: IncidentPolarization | None = None
+
+    @classmethod
+    def from_arguments(
+        cls, wavelength_nm: Any, incidence_deg: Any, max_stderr: Any, max_rays: Any, run: RunOptions
+    ) -> SpectralRequest:
+        """Return the request, after checking all values."""
+        return cls(
+            check_wavelengths(wavelength_nm),
+            check_incidence(incidence_deg),
+            check_range("max_stderr", max_stderr, 1e-6, 0.5),
+            check_integer("max_rays", max_rays, 1),
+            run,
+        )
+
+    def truncate(self, path_sharing: PathSharingMedia) -> TruncatedMedium | None:
+        """Return the truncated media, which do not depend on the incidence."""
+        return truncate_deep_medium(path_sharing, self.wavelengths, self.max_stderr, self.run)
+
+    def simulate(
+        self,
+        path_sharing: PathSharingMedia,
+        truncation: TruncatedMedium | None,
+        perturbations: Perturbations = NO_PERTURBATIONS,
+        *,
+        analog: bool = False,
+    ) -> SpectralEstimate:
+        """Return estimates for media that share paths, or for one with its derivatives.
+
+        A truncated medium is traced to a smaller error than requested, since the error of the
+        theory adds to it.  If more light than predicted reaches the truncation depth, it is traced
+        again, to an even smaller error.
+
+        Parameters
+        ----------
+        path_sharing : PathSharingMedia
+            With the perturbed media of the perturbations.
+        truncation : TruncatedMedium or None
+            Their truncation.
+        perturbations : Perturbations
+        analog : bool
+            Trace each row separately, with analog absorption.  This is the algorithm of SPLITS
+            section 4.3 and SPLITSnow section 3, kept as the reference.
+        """
+        traced = path_sharing if truncation is None else truncation.path_sharing
+        reported, perturbed = traced.split()
+        rows = SpectralRows.from_media(reported, self.wavelengths)
+        if perturbed.media:
+            if truncation is not None and (truncation.ground_absorption[0] == 0.0).any():
+                lossless = self.wavelengths[truncation.ground_absorption[0] == 0.0]
+                allowed = "left out for deep media at wavelengths where nothing absorbs"
+                hint = f"as at {lossless[0]:g} nm"
+                raise invalid("jacobian", list(perturbations.parameters), allowed, hint)
+            ground_column = NO_GROUND if truncation is None else rows.absorption.shape[1] - 1
+            rows = rows.with_derivatives(
+                perturbed, perturbations.steps, self.wavelengths, ground_column
+            )
+        scene = build_scene(traced.media[0], self.incidence, analog, self.polarization)
+        above_truncation = (1.0 - ERROR_BUDGET_FRACTION**2) ** 0.5
+        target = self.max_stderr * (1.0 if truncation is None else above_truncation)
+        for _ in range(MAX_ATTEMPTS):
+            if analog:
+                nodes = make_separate_nodes(rows.index)
+            else:
+                tolerance = INTERPOLATION_FRACTION * target
+                nodes = choose_nodes(rows.index, rows.interfaces, tolerance)
+            tally = SpectralTally(rows, nodes, scene)
+            evaluation = simulate(scene, tally, StoppingRule(target, self.max_rays), self.run)
+            above: SpectralEstimate = evaluation.estimate
+            if truncation is None:
+                return above
+            estimate = truncation.complete_estimate(above)
+            if estimate.stderr.max() <= self.max_stderr or evaluation.stop_reason == "max_rays":
+                break
+            target *= 0.5
+        if truncation is not None and traced.n_perturbed:
+            derivatives = truncation.complete_derivatives(above, perturbations.steps)
+            estimate = replace(estimate, derivatives=derivatives)
+        return estimate
+
+
+def make_spectrum(
+    request: SpectralRequest,
+    medium: Medium,
+    estimate: SpectralEstimate,
+    *,
+    truncation: TruncatedMedium | None,
+    size_ratio: float = 1.0,
+    dims: tuple[str, ...] = ("wavelength",),
+) -> xr.Dataset:
+    """Return the dataset of `splits.spectrophotometer`.
+
+    Parameters
+    ----------
+    request : SpectralRequest
+    medium : Medium
+        Its inputs are attributes.
+    estimate : SpectralEstimate
+    truncation : TruncatedMedium or None
+    size_ratio : float
+        Size of the medium relative to the traced one.
+    dims : tuple of str
+        Dimensions of the variables: over media, too, where there are several.
+    """
+    illumination = "hemispherical" if request.incidence == "diffuse" else "directional"
+    shape = (*[-1] * (len(dims) - 1), request.wavelengths.size)
+    variables: dict[str, Variable] = {}
+    for row, (name, label) in enumerate(QUANTITY_LABELS.items()):
+        long_name = label if name == "absorptance" else f"{illumination}-{label}"
+        mean, stderr = estimate.mean[row].reshape(shape), estimate.stderr[row].reshape(shape)
+        variables |= make_variable(name, dims, mean, stderr, long_name)
+        if name in SIDE_QUANTITIES:
+            deviations = estimate.batch_deviations[:, row].reshape(N_BATCHES, *shape)
+            variables |= make_deviation_variable(name, dims, deviations, long_name)
+    attributes = {
+        **request.run.make_attributes("Virtual spectrophotometer", "spectrophotometer", medium),
+        "solver": "monte_carlo",
+        "estimator": "spectral",
+        "incidence_deg": request.incidence,
+        **describe_polarization(request.polarization),
+        "max_stderr": request.max_stderr,
+        "stop_reason": estimate.get_stop_reason(request.max_stderr, request.max_rays),
+        "max_stderr_reached": float(estimate.stderr.max()),
+        "interpolation_error_bound": float(estimate.interpolation_error.max()),
+        "max_rays": request.max_rays,
+        **estimate.rays,
+    }
+    if truncation is not None:
+        attributes["truncation_depth_m"] = size_ratio * truncation.depth_m
+        attributes["semi_infinite_depth_m"] = size_ratio * truncation.semi_infinite_depth_m
+    coordinates = {"wavelength": make_wavelength_coordinate(request.wavelengths)}
+    return xr.Dataset(variables, coordinates, attributes)
+
+
+def simulate_spectra(path_sharing: PathSharingMedia, request: SpectralRequest) -> list[xr.Dataset]:
+    """Return the dataset of `splits.spectrophotometer` for each medium of a set that shares paths.
+
+    Each has the requested error.  The `…_batches` of different media give the correlations of their
+    errors.
+
+    Parameters
+    ----------
+    path_sharing : PathSharingMedia
+    request : SpectralRequest
+
+    Returns
+    -------
+    list of xarray.Dataset
+        The attribute ``rays`` counts those used by all media.
+    """
+    n_wavelengths, truncation = request.wavelengths.size, request.truncate(path_sharing)
+    estimate = request.simulate(path_sharing, truncation)
+    return [
+        make_spectrum(
+            request, medium,
+            estimate.select(slice(number * n_wavelengths, (number + 1) * n_wavelengths)),
+            truncation=truncation, size_ratio=path_sharing.size_ratios[number],
+        )
+        for number, medium in enumerate(path_sharing.media)
+    ]  # fmt: skip

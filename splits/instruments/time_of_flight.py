@@ -11,11 +11,19 @@ import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
-from splits.core.uncertainty import Variable, make_variable
+from splits.core.uncertainty import (
+    Variable,
+    compute_jackknife_stderr,
+    compute_leave_one_out_means,
+    make_variable,
+)
 from splits.core.validation import InvalidValue, check_integer, invalid
+from splits.instruments.angular_estimate import N_ANGULAR_BATCHES
+from splits.instruments.beam_spread import NODE_TOLERANCE, SIDES, divide_or_zero
 from splits.instruments.delay_record import (
     SPEED_OF_LIGHT,
     Pulse,
+    Slowness,
     check_depths,
     check_granular_layers,
     check_record,
@@ -24,20 +32,32 @@ from splits.instruments.delay_record import (
     describe_record,
     make_receiver,
 )
-from splits.instruments.delay_tally import DelayTally, make_delay_dataset
 from splits.instruments.spectrophotometer import spectrophotometer
-from splits.kernels.tallies.distributions import DelayRecord, Receiver
+from splits.io.netcdf import ANCILLARY_ATTRIBUTE
+from splits.kernels.tallies.distributions import (
+    N_MOMENTS,
+    DelayRecord,
+    DelaySums,
+    Receiver,
+    tally_delays,
+)
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.simulation.engine import simulate
-from splits.simulation.run_options import RunOptions, check_incidence, check_wavelengths
+from splits.simulation.run_options import (
+    RunOptions,
+    check_incidence,
+    check_wavelengths,
+    make_wavelength_coordinate,
+)
 from splits.simulation.scene import (
     add_recording_planes,
     build_scene,
     compute_optical_constants,
 )
-from splits.simulation.spectral_nodes import choose_nodes
-from splits.simulation.strata import StoppingRule
+from splits.simulation.spectral_nodes import IndexNodes, choose_nodes
+from splits.simulation.strata import StoppingRule, Stratum
+from splits.simulation.tally import RAYS_PER_CHUNK, ExitTally
 
 CLEARANCE_MFP = 30.0
 """Mean free paths between the depths that matter and the end of a semi-infinite medium."""
@@ -45,8 +65,6 @@ MAX_DEPTH_M = 9_000.0
 """Largest depth that replaces an infinite one."""
 LATE_LIGHT_ERRORS = (1e-4, 0.05)
 """Limits of the requested error of all reflected light."""
-_INTERPOLATION_TOLERANCE = 0.001
-"""Bound on the error of a reflectance from interpolation between refractive indices."""
 
 NO_DEPTHS = np.zeros(0)
 """Depths of records that do not divide light by the largest depth reached."""
@@ -208,7 +226,7 @@ def simulate_delays(
     traced = _limit_depth(medium, last_s, float(depths_m.max(initial=0.0)))
     slowness = compute_slowness(traced, wavelengths)
     index, absorption = compute_optical_constants(traced, wavelengths)
-    nodes = choose_nodes(index, traced.list_interfaces(), _INTERPOLATION_TOLERANCE)
+    nodes = choose_nodes(index, traced.list_interfaces(), NODE_TOLERANCE)
     scene = build_scene(traced, request.incidence, False)
     max_order = compute_max_order(traced, scene.layers, request.receiver, last_s)
     if depths_m.size:
@@ -262,3 +280,233 @@ def _limit_depth(medium: Medium, end_s: float, recorded_depth_m: float) -> Mediu
         allowed = f"below {2.0 * MAX_DEPTH_M * layer.pore_fraction / SPEED_OF_LIGHT:.3g} s"
         raise invalid("end_s", end_s, f"{allowed} for an infinite depth")
     return medium.truncate(depth, None)
+
+
+# --------------------------------------------------------------------------------------------------
+# Tally of the delays of rays.
+
+MAX_TALLY_VALUES = 100_000_000
+"""Largest number of sums of a tally."""
+
+
+class DelayTally(ExitTally):
+    """Tally of exits by their delay.
+
+    Parameters
+    ----------
+    nodes, absorption
+        See `Tally`.
+    slowness : float, shape (rows, columns)
+        Inverse of the group velocity along recorded paths (s/m).
+    record : DelayRecord
+    max_order : int
+        Order of scattering that no light reaches within the record.
+
+    Raises
+    ------
+    ValueError
+        If the sums do not fit into memory.
+
+    Attributes
+    ----------
+    histogram_sums : float, shape (batches, 2, node rows, bins)
+    moment_sums : float, shape (batches, 2, node rows, intervals, 4)
+    length_sums : float, shape (batches, 2, node rows, columns)
+        See `splits.kernels.tallies.distributions.DelaySums`.
+    """
+
+    first_stream = 10_000_000
+    rays_per_round = N_ANGULAR_BATCHES * RAYS_PER_CHUNK
+
+    def __init__(
+        self, nodes: IndexNodes, absorption: np.ndarray, slowness: np.ndarray,
+        record: DelayRecord, max_order: int,
+    ) -> None:  # fmt: skip
+        super().__init__(nodes, absorption)
+        self.slowness, self.record = slowness, record
+        n_bins, n_intervals = record.edges.size - 1, int(record.interval[-1]) + 1
+        shape = N_ANGULAR_BATCHES, 2, len(self.rows)
+        # If two nodes serve each wavelength.
+        n_wavelengths, per_row = len(absorption), 2 * (n_bins + n_intervals * N_MOMENTS)
+        n_values = 2 * N_ANGULAR_BATCHES * n_wavelengths * per_row
+        if n_values > MAX_TALLY_VALUES:
+            raise invalid(
+                "wavelength_nm", f"{n_wavelengths} wavelengths",
+                f"at most {n_wavelengths * MAX_TALLY_VALUES // n_values} with {n_bins} bins of "
+                f"delay and {n_intervals} intervals of depth",
+                "use fewer bins, or several calls",
+            )  # fmt: skip
+        self.histogram_sums = np.zeros((*shape, n_bins))
+        self.moment_sums = np.zeros((*shape, n_intervals, N_MOMENTS))
+        self.length_sums = np.zeros((*shape, absorption.shape[1]))
+        self.values_per_row = per_row + 2 * absorption.shape[1]
+        self.add_strata((max_order,))
+
+    def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> DelaySums:
+        """Return the sums of a chunk of exits."""
+        slowness = self.slowness[self.rows[stratum.node_rows]]
+        return tally_delays(exits, crossings, stratum.absorption, slowness, self.record)
+
+    def merge(self, stratum: Stratum, score: DelaySums) -> None:
+        """Add the sums of the next chunk of a stratum."""
+        batch, rows = self.get_batch(stratum, N_ANGULAR_BATCHES), stratum.node_rows
+        self.histogram_sums[batch, :, rows] += score.histogram
+        self.moment_sums[batch, :, rows] += score.moments
+        self.length_sums[batch, :, rows] += score.lengths
+
+
+# --------------------------------------------------------------------------------------------------
+# Dataset of the delays of light.
+
+MIN_BATCHES = 8
+"""Least number of batches with light for moments to have known errors."""
+ROUNDING = 1e-12
+"""Rounding error of a variance, relative to the mean square."""
+FLAG_NAME = "moments_flag"
+"""Flag of moments and path lengths that are not known."""
+MOMENT_LABELS = {
+    "mean_delay": ("mean delay", "s"),
+    "delay_spread": ("standard deviation of the delay", "s"),
+    "delay_skewness": ("skewness of the delay", "1"),
+}
+
+
+def make_delay_dataset(
+    tally: DelayTally, medium: Medium, wavelengths: np.ndarray, slowness: Slowness,
+    depths_m: np.ndarray, attributes: dict[str, Any],
+) -> xr.Dataset:  # fmt: skip
+    """Return the dataset of `splits.time_of_flight`.
+
+    Parameters
+    ----------
+    tally : DelayTally
+        At the end of its run.
+    medium : Medium
+    wavelengths : float, shape (wavelengths,)
+        nm.
+    slowness : Slowness
+    depths_m : float, shape (depths,)
+        Depths between the intervals of the largest depth (m).
+    attributes : dict
+    """
+    edges, bound = tally.record.edges, tally.nodes.interpolation_bound
+    histogram, moments, lengths = map(
+        tally.average_batches, (tally.histogram_sums, tally.moment_sums, tally.length_sums)
+    )
+    total, dims, width = moments.sum(axis=-2), ("side", "wavelength"), np.diff(edges)
+    rate_error = tally.compute_fraction_error(histogram, bound[:, np.newaxis])
+    variables = make_variable(
+        "return_rate", (*dims, "delay"), histogram.mean(axis=0) / width, rate_error / width,
+        "fraction of the incident light per time", "s-1",
+    )  # fmt: skip
+    recorded = lengths.mean(axis=0)
+    # Errors of group indices are taken as fully correlated between materials.
+    index_error = divide_or_zero(
+        (slowness.stderr * recorded).sum(axis=-1), (slowness.value * recorded).sum(axis=-1)
+    )
+    variables |= _make_moment_variables(tally, total, dims, "", index_error)
+    materials, fractions = medium.list_materials(), total[..., :1]
+    in_materials = (lengths * slowness.path_fractions)[..., : len(materials)]
+    jackknife = divide_or_zero(*map(compute_leave_one_out_means, (in_materials, fractions)))
+    is_known = (fractions > 0.0).sum(axis=0) >= MIN_BATCHES
+    mean, error = (
+        np.where(is_known, one, np.nan)
+        for one in (
+            divide_or_zero(in_materials.mean(axis=0), fractions.mean(axis=0)),
+            compute_jackknife_stderr(jackknife),
+        )
+    )
+    path_length = make_variable(
+        "path_length", (*dims, "material"), mean, error, "mean length of the path in a material",
+        "m",
+    )  # fmt: skip
+    variables |= _add_moment_flag(path_length, FLAG_NAME, dims, is_known[..., 0])
+    centres = 0.5 * (edges[1:] + edges[:-1])
+    delay_attributes = {"long_name": "delay", "units": "s", "bounds": "delay_bounds"}
+    coordinates: dict[str, Any] = {
+        "side": ("side", list(SIDES), {"long_name": "side of the sample where light leaves"}),
+        "wavelength": make_wavelength_coordinate(wavelengths),
+        "delay": ("delay", centres, delay_attributes),
+        "delay_bounds": (("delay", "bounds"), np.column_stack([edges[:-1], edges[1:]])),
+        "range": (
+            "delay", 0.5 * SPEED_OF_LIGHT * centres,
+            {"long_name": "apparent depth below the surface", "units": "m"},
+        ),
+        "material": ("material", list(materials), {"long_name": "material"}),
+    }  # fmt: skip
+    if depths_m.size:
+        by_depth, depth_dims = moments[:, 0].swapaxes(1, 2), ("depth_interval", "wavelength")
+        variables |= _make_moment_variables(
+            tally, by_depth, depth_dims, "_by_depth", index_error[0]
+        )
+        label = "smallest depth of the interval of the largest depth reached"
+        interval_attributes = {"long_name": label, "units": "m"}
+        coordinates["depth_interval"] = ("depth_interval", [0.0, *depths_m], interval_attributes)
+    return xr.Dataset(variables, coordinates, attributes)
+
+
+def _make_moment_variables(
+    tally: DelayTally, moments: np.ndarray, dims: tuple[str, ...], suffix: str,
+    index_error: np.ndarray,
+) -> dict[str, Variable]:  # fmt: skip
+    """Return fractions and moments with errors, from moments by batch, shape (batches, ..., 4)."""
+    fractions = moments[..., 0]
+    fraction = make_variable(
+        f"fraction{suffix}", dims, fractions.mean(axis=0),
+        tally.compute_fraction_error(fractions, tally.nodes.interpolation_bound),
+        "fraction of the incident light that returns within the record",
+    )  # fmt: skip
+    variables: dict[str, Variable] = {}
+    is_known = (fractions > 0.0).sum(axis=0) >= MIN_BATCHES
+    results = _compute_central_moments(moments.mean(axis=0))
+    jackknife = _compute_central_moments(compute_leave_one_out_means(moments))
+    for (name, (label, units)), result, left_out in zip(
+        MOMENT_LABELS.items(), results, jackknife, strict=True
+    ):
+        values = np.where(is_known, result, np.nan)
+        error = np.where(is_known, compute_jackknife_stderr(left_out), np.nan)
+        if units == "s":
+            error = np.hypot(error, index_error * values)
+        variables |= make_variable(f"{name}{suffix}", dims, values, error, label, units)
+    return fraction | _add_moment_flag(variables, f"{FLAG_NAME}{suffix}", dims, is_known)
+
+
+def _compute_central_moments(moments: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return mean (s), standard deviation (s) and skewness of the delay, 0 without light.
+
+    `moments` are those about 0, shape (..., 4).
+    """
+    first, second, third = (
+        divide_or_zero(moments[..., order], moments[..., 0]) for order in range(1, 4)
+    )
+    variance = np.where(second - first**2 > ROUNDING * second, second - first**2, 0.0)
+    spread = np.sqrt(variance)
+    centred = third - 3.0 * first * second + 2.0 * first**3
+    return first, spread, divide_or_zero(centred, variance * spread)
+
+
+def _add_moment_flag(
+    variables: dict[str, Variable], name: str, dims: tuple[str, ...], is_known: np.ndarray
+) -> dict[str, Variable]:
+    """Return variables with a flag of moments, which are NaN where it is not 0.
+
+    Parameters
+    ----------
+    variables : dict
+        Moments and their errors.
+    name : str
+        Name of the flag.
+    dims : tuple of str
+        Dimensions of the flag.
+    is_known : bool, shape (...)
+        Whether the moments are known.
+    """
+    for _, _, attributes in variables.values():
+        own = attributes.get(ANCILLARY_ATTRIBUTE, "")
+        attributes[ANCILLARY_ATTRIBUTE] = f"{own} {name}".strip()
+    flag_attributes: dict[str, Any] = {
+        "long_name": "quality of the moments of the delay",
+        "flag_values": np.array([0, 1], dtype=np.int8),
+        "flag_meanings": "known too_little_light",
+    }
+    return {**variables, name: (dims, (~is_known).astype(np.int8), flag_attributes)}

@@ -27,8 +27,8 @@ from splits.retrieval.gauss_newton import DescentStage, Objective, search_minima
 from splits.retrieval.least_squares import MIN_RESIDUAL_DOF, apply_priors, estimate_fit_covariance
 from splits.retrieval.optimal_estimation import find_active_bounds
 from splits.retrieval.state_vector import ParameterRange, StateVector
-from splits.simulation.fixed_budget import choose_node_rows, estimate_fixed_budget
 from splits.simulation.run_options import check_incidence, check_wavelengths
+from splits.simulation.spectral_tally import choose_node_rows, estimate_fixed_budget
 
 DEFAULT_RANGES: dict[str, tuple[float, float]] = {
     "iron_oxide": (0.0005, 0.05),

@@ -309,80 +309,72 @@ class DiffusionProperties(NamedTuple):
         )
 
 
-class SubstrateResponse(NamedTuple):
-    """Response of the part of a medium below the truncation depth; see `TruncatedMedium`.
+def compute_substrate_response(
+    medium: Medium,
+    size_ratio: float,
+    properties: DiffusionProperties,
+    wavelengths: np.ndarray,
+    truncation_depth_m: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the response of the part of a medium below the truncation depth, by wavelength.
 
-    Attributes
+    Parameters
     ----------
+    medium : Medium
+    size_ratio : float
+        Its size in units of the first's.
+    properties : DiffusionProperties
+    wavelengths : float, shape (wavelengths,)
+        nm.
+    truncation_depth_m : float
+
+    Returns
+    -------
     reflected_fraction : float
-        Fraction of the incident diffuse light that is reflected, by wavelength.
+        Fraction of the incident diffuse light that is reflected.
     transmitted_fraction, conservative, escape_probability
         As of a `TruncatedMedium`.
     """
-
-    reflected_fraction: np.ndarray
-    transmitted_fraction: np.ndarray
-    conservative: np.ndarray
-    escape_probability: np.ndarray
-
-    @classmethod
-    def from_diffusion(
-        cls,
-        medium: Medium,
-        size_ratio: float,
-        properties: DiffusionProperties,
-        wavelengths: np.ndarray,
-        truncation_depth_m: float,
-    ) -> SubstrateResponse:
-        """Return the response of a medium of a given size with the given diffusion properties."""
-        depth = float(medium.lowest_layer.depth_m) / size_ratio
-        rate = properties.compute_regularized_rate(truncation_depth_m)
-        diffusion = properties.diffusion_coefficient
-        ground = None if medium.is_semi_infinite else medium.ground
-        albedo = np.zeros_like(rate) if ground is None else ground.albedo(wavelengths)
-        substrate = DiffusiveSubstrate(
-            rate * diffusion,
-            rate * (depth - truncation_depth_m),
-            0.5 * (1.0 - albedo) / (1.0 + albedo),
-        )
-        lossless = properties.coalbedo <= 0.0
-        reflected = np.where(
-            lossless & (medium.is_semi_infinite | (albedo == 1.0)),
-            1.0,
-            substrate.compute_reflected_fraction(),
-        )
-        transmitted = np.where(
-            lossless & (reflected < 1.0), 1.0, substrate.compute_transmitted_fraction()
-        )
-        arriving = 1.0 / (1.0 + 0.75 * truncation_depth_m / (diffusion * 3.0))
-        escape = arriving / (arriving + 1.0 - reflected)
-        absorbs_above = _has_absorption_above(medium, wavelengths)
-        return cls(reflected, transmitted, (transmitted == 1.0) & ~absorbs_above, escape)
-
-
-def _has_absorption_above(medium: Medium, wavelengths: np.ndarray) -> np.ndarray:
-    """Return at which wavelengths a layer above the lowest one may absorb."""
+    depth = float(medium.lowest_layer.depth_m) / size_ratio
+    rate = properties.compute_regularized_rate(truncation_depth_m)
+    diffusion = properties.diffusion_coefficient
+    ground = None if medium.is_semi_infinite else medium.ground
+    albedo = np.zeros_like(rate) if ground is None else ground.albedo(wavelengths)
+    substrate = DiffusiveSubstrate(
+        rate * diffusion,
+        rate * (depth - truncation_depth_m),
+        0.5 * (1.0 - albedo) / (1.0 + albedo),
+    )
+    lossless = properties.coalbedo <= 0.0
+    reflected = np.where(
+        lossless & (medium.is_semi_infinite | (albedo == 1.0)),
+        1.0,
+        substrate.compute_reflected_fraction(),
+    )
+    transmitted = np.where(
+        lossless & (reflected < 1.0), 1.0, substrate.compute_transmitted_fraction()
+    )
+    arriving = 1.0 / (1.0 + 0.75 * truncation_depth_m / (diffusion * 3.0))
+    escape = arriving / (arriving + 1.0 - reflected)
+    # A layer above the lowest one may absorb, too.
     n_materials_above = len(medium.list_materials()) - len(medium.lowest_layer.list_materials())
     absorption = compute_material_constants(medium, wavelengths).absorption
-    particles_absorb = [layer.single_scattering_albedo < 1.0 for layer in medium.scene_layers]
-    materials_absorb = (absorption[:, :n_materials_above] > 0.0).any(axis=1)
-    return np.asarray(materials_absorb | any(particles_absorb))
-
-
-def select_least_attenuated(
-    properties: Sequence[DiffusionProperties], truncation_depth_m: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return decay rate (1/m) and D (m) of the medium with the slowest decay, by wavelength."""
-    rate = np.stack([one.compute_regularized_rate(truncation_depth_m) for one in properties])
-    diffusion = np.stack([one.diffusion_coefficient for one in properties])
-    slowest = rate.argmin(axis=0), np.arange(rate.shape[1])
-    return rate[slowest], diffusion[slowest]
+    particles_absorb = any(layer.single_scattering_albedo < 1.0 for layer in medium.scene_layers)
+    absorbs_above = (absorption[:, :n_materials_above] > 0.0).any(axis=1) | particles_absorb
+    return reflected, transmitted, (transmitted == 1.0) & ~absorbs_above, escape
 
 
 def compute_semi_infinite_depth(
-    decay_rate: np.ndarray, diffusion_coefficient: np.ndarray, max_stderr: float
+    properties: Sequence[DiffusionProperties], truncation_depth_m: float, max_stderr: float
 ) -> float:
-    """Return the smallest depth (m) over a black ground with the reflectance of infinite depth."""
+    """Return the smallest depth (m) over a black ground with the reflectance of infinite depth.
+
+    It is that of the medium in which light decays most slowly, at each wavelength.
+    """
+    rates = np.stack([one.compute_regularized_rate(truncation_depth_m) for one in properties])
+    coefficients = np.stack([one.diffusion_coefficient for one in properties])
+    slowest = rates.argmin(axis=0), np.arange(rates.shape[1])
+    decay_rate, diffusion_coefficient = rates[slowest], coefficients[slowest]
     depths = np.geomspace(1e-4, 1e4, 1601)[:, np.newaxis]
     black = np.full_like(decay_rate, 0.5)
     finite, semi_infinite = (
@@ -421,12 +413,6 @@ def compute_albedo_below_interface(
     absorbed = 1.0 - reflected_fraction
     albedo = (transmitted - absorbed) / (transmitted - absorbed * (1.0 - entering))
     return np.clip(albedo, 0.0, 1.0)
-
-
-def make_substrate_ground(wavelengths: np.ndarray, albedo: np.ndarray) -> Ground:
-    """Return the ground that replaces the part below the truncation depth."""
-    spectrum = (albedo,) if wavelengths.size == 1 else (albedo, wavelengths)
-    return Ground("substrate of a truncated medium", "diffusion theory", *spectrum)
 
 
 # --------------------------------------------------------------------------------------------------
@@ -481,7 +467,13 @@ def truncate_deep_medium(
         if layer.is_semi_infinite:
             raise invalid("depth_m", math.inf, "finite where pores hold other media or other air")
         return None
-    constants = _combine_constants(lowest, path_sharing.size_ratios, wavelengths)
+    # The optical constants of all lowest layers, stacked, in units of the first's size.
+    media, scales, _ = path_sharing
+    indices, absorption = zip(
+        *(compute_material_constants(one, wavelengths) for one in lowest), strict=True
+    )
+    scaled = [scale * one for scale, one in zip(scales, absorption, strict=True)]
+    constants = OpticalConstants(np.concatenate(indices), np.concatenate(scaled))
     grain_run = run._replace(kernel="auto", progress=None)
     request = GrainOpticsRequest(1, OPTICS_RAYS_PER_TYPE, "equilibrium", grain_run)
     if not layer.is_semi_infinite:
@@ -493,34 +485,7 @@ def truncate_deep_medium(
         ):
             return None
     optics = _split_by_medium(pool_optics_by_type(layer, constants, request), len(lowest))
-    return _truncate(path_sharing, lowest, wavelengths, optics, max_stderr, undisturbed_depth_m)
-
-
-def _combine_constants(
-    layers: Sequence[GranularMedium], size_ratios: np.ndarray, wavelengths: np.ndarray
-) -> OpticalConstants:
-    """Return the optical constants of the lowest layers, stacked, in units of the first's size."""
-    indices, absorption = zip(
-        *(compute_material_constants(layer, wavelengths) for layer in layers), strict=True
-    )
-    scaled = [ratio * one for ratio, one in zip(size_ratios, absorption, strict=True)]
-    return OpticalConstants(np.concatenate(indices), np.concatenate(scaled))
-
-
-def _split_by_medium(optics: xr.Dataset, n_media: int) -> list[xr.Dataset]:
-    """Return the single-scattering properties of each medium."""
-    parts = {name: np.split(one.values, n_media) for name, one in optics.data_vars.items()}
-    return [xr.Dataset({n: ("row", part[i]) for n, part in parts.items()}) for i in range(n_media)]
-
-
-def _truncate(
-    path_sharing: PathSharingMedia, lowest: Sequence[GranularMedium], wavelengths: np.ndarray,
-    optics: Sequence[xr.Dataset], max_stderr: float, undisturbed_depth_m: float,
-) -> TruncatedMedium | None:  # fmt: skip
-    """Truncate media with given single-scattering properties, see `truncate_deep_medium`."""
-    media, scales, _ = path_sharing
     properties = [DiffusionProperties.from_optics(one) for one in optics]
-    layer = lowest[0]
     if layer.is_semi_infinite:
         if min(one.transport_factor.min() for one in properties) < MIN_TRANSPORT_FACTOR:
             raise invalid("depth_m", math.inf, "finite", "these grains hardly turn light")
@@ -529,34 +494,35 @@ def _truncate(
     depth = max(
         one.compute_truncation_depth(layer, max_stderr, undisturbed_depth_m) for one in properties
     )
-    substrates = [
-        SubstrateResponse.from_diffusion(medium, scale, one, wavelengths, depth)
+    responses = [
+        compute_substrate_response(medium, scale, one, wavelengths, depth)
         for medium, scale, one in zip(media, scales, properties, strict=True)
     ]
+    reflected, transmitted, conservative, escape = map(np.stack, zip(*responses, strict=True))
     # Media that share paths all have a ground, or none.
     min_albedo = np.finfo(float).tiny if len(media) > 1 else 0.0
     truncated, grounds = [], []
-    for medium, scale, layer, substrate, grains in zip(
-        media, scales, lowest, substrates, optics, strict=True
+    for medium, scale, one, index, fraction, grains in zip(
+        media, scales, lowest, indices, reflected, optics, strict=True
     ):
-        albedo = compute_albedo_below_interface(
-            substrate.reflected_fraction,
-            compute_material_constants(layer, wavelengths).indices,
-            layer,
-            grains,
-        )
-        ground = make_substrate_ground(wavelengths, np.maximum(albedo, min_albedo))
+        below = compute_albedo_below_interface(fraction, index, one, grains)
+        albedo = np.maximum(below, min_albedo)
+        spectrum = (albedo,) if wavelengths.size == 1 else (albedo, wavelengths)
+        ground = Ground("substrate of a truncated medium", "diffusion theory", *spectrum)
         grounds.append(ground.optical_depth(wavelengths))
         truncated.append(medium.truncate(scale * depth, ground))
-    _, transmitted_fraction, conservative, escape_probability = map(
-        np.stack, zip(*substrates, strict=True)
-    )
     return TruncatedMedium(
         path_sharing._replace(media=tuple(truncated)),
         depth,
-        transmitted_fraction,
+        transmitted,
         conservative,
-        escape_probability,
+        escape,
         np.stack(grounds),
-        compute_semi_infinite_depth(*select_least_attenuated(properties, depth), max_stderr),
+        compute_semi_infinite_depth(properties, depth, max_stderr),
     )
+
+
+def _split_by_medium(optics: xr.Dataset, n_media: int) -> list[xr.Dataset]:
+    """Return the single-scattering properties of each medium."""
+    parts = {name: np.split(one.values, n_media) for name, one in optics.data_vars.items()}
+    return [xr.Dataset({n: ("row", part[i]) for n, part in parts.items()}) for i in range(n_media)]

@@ -13,6 +13,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from splits.core.parameter_names import IMPURITY_KEYWORDS
 from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
@@ -27,7 +28,7 @@ from splits.media.parameters import (
 )
 from splits.simulation.shared_paths import PathSharingMedia, compute_path_signature
 from splits.simulation.spectral_nodes import bound_derivative_error
-from splits.simulation.spectral_tally import Derivatives, SpectralEstimate
+from splits.simulation.spectral_tally import SIDE_QUANTITIES, Derivatives, SpectralEstimate
 
 MAX_ABSORPTION_STEP = 1e-3
 """Largest relative change of the absorption at any wavelength: absorption is linear in amounts of
@@ -146,28 +147,29 @@ def _choose_step(medium: Medium, name: str, wavelengths: np.ndarray) -> float:
     return min(steps)
 
 
-def make_jacobian_variables(derivatives: Derivatives, names: Sequence[str]) -> dict[str, Variable]:
-    """Return derivatives of reflectance and transmittance over parameter and wavelength."""
+def add_jacobian(
+    dataset: xr.Dataset, derivatives: Derivatives, parameters: Sequence[str], methods: list[str]
+) -> xr.Dataset:
+    """Return a dataset with derivatives of reflectance and transmittance.
+
+    They are over parameter and wavelength; the methods are coordinates over the parameter.
+    """
     variables: dict[str, Variable] = {}
     dims = ("parameter", "wavelength")
-    for side, name in enumerate(names):
+    for side, name in enumerate(SIDE_QUANTITIES):
         label = f"derivative of {name} with respect to the parameter, in the inverse of its unit"
         key = f"{name}_jacobian"
         mean, stderr = derivatives.mean[side], derivatives.stderr[side]
         variables |= make_variable(key, dims, mean, stderr, label)
         deviations = derivatives.batch_deviations[:, side]
         variables |= make_deviation_variable(key, dims, deviations, label)
-    return variables
-
-
-def make_parameter_coordinates(parameters: Sequence[str], methods: list[str]) -> dict[str, object]:
-    """Return the coordinates of the parameters, with the methods of their derivatives."""
     units = [get_derivative_unit(parameter) for parameter in parameters]
-    return {
+    coordinates = {
         "parameter": ("parameter", list(parameters), {"long_name": "parameter of the medium"}),
         "parameter_unit": ("parameter", units, {"long_name": "unit of the parameter"}),
         "parameter_method": ("parameter", methods, {"long_name": "method of its derivatives"}),
     }
+    return dataset.assign_coords(coordinates).assign(variables)
 
 
 # --------------------------------------------------------------------------------------------------
@@ -261,25 +263,16 @@ def compute_finite_difference(
             break
     if best is None:
         raise last_error
-    _check_convergence(parameter, value, best, one_sided)
+    if len(one_sided) > 2:
+        # The derivative must not grow each time the step is halved.
+        sizes = [float(np.sqrt((one.mean**2).sum())) for one in one_sided[-3:]]
+        noise = float(np.sqrt((best.batch_deviations**2).sum()))
+        slowest = min(sizes[1] / sizes[0], sizes[2] / sizes[1])
+        if slowest > MIN_CONVERGENCE_RATIO and sizes[2] - sizes[0] > 4.0 * noise:
+            hint = "reflectance has a square-root singularity there: choose a nearby value"
+            raise invalid(f"jacobian ({parameter})", value, "where the derivative is finite", hint)
     n_rays = sum(one.rays["rays"] for one in estimates.values())
     return coordinate.to_value_derivatives(best), n_rays
-
-
-def _check_convergence(
-    parameter: str, value: float, derivatives: Derivatives, one_sided_derivatives: list[Derivatives]
-) -> None:
-    """Check that a derivative does not grow each time the step is halved."""
-    if len(one_sided_derivatives) < 3:
-        return
-    sizes = [float(np.sqrt((one.mean**2).sum())) for one in one_sided_derivatives[-3:]]
-    noise = float(np.sqrt((derivatives.batch_deviations**2).sum()))
-    if (
-        min(sizes[1] / sizes[0], sizes[2] / sizes[1]) > MIN_CONVERGENCE_RATIO
-        and sizes[2] - sizes[0] > 4.0 * noise
-    ):
-        hint = "reflectance has a square-root singularity there: choose a nearby value"
-        raise invalid(f"jacobian ({parameter})", value, "where the derivative is finite", hint)
 
 
 class _Coordinate(NamedTuple):
@@ -347,25 +340,21 @@ def _make_stencil(
         points = [coordinate.start + offset * step for offset in offsets]
         if coordinate.sign and min(points) < 0.0:
             continue
-        values = map(coordinate.to_value, points)
+        inputs: dict[float, tuple[Medium, float | str]] = {}
         try:
-            inputs = [_perturb_input(medium, incidence, parameter, value) for value in values]
+            for point in points:
+                value = coordinate.to_value(point)
+                if parameter != INCIDENCE_KEY:
+                    inputs[point] = replace_parameter(medium, parameter, value), incidence
+                elif not 0.0 <= value < 90.0:
+                    raise invalid(INCIDENCE_KEY, value, "0 to below 90 degrees")
+                else:
+                    inputs[point] = medium, value
         except InvalidValue as error:
             last_error = error
         else:
-            return offsets, dict(zip(points, inputs, strict=True))
+            return offsets, inputs
     raise last_error
-
-
-def _perturb_input(
-    medium: Medium, incidence: float | str, parameter: str, value: float
-) -> tuple[Medium, float | str]:
-    """Return the medium and the incidence for a value of a parameter, after checking it."""
-    if parameter != INCIDENCE_KEY:
-        return replace_parameter(medium, parameter, value), incidence
-    if not 0.0 <= value < 90.0:
-        raise invalid(INCIDENCE_KEY, value, "0 to below 90 degrees")
-    return medium, value
 
 
 def _differentiate(

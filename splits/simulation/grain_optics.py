@@ -158,17 +158,6 @@ class SingleScatteringTally(Tally):
 # Tally of the scattering matrix of single grains, and its errors.
 
 
-class MatrixEstimate(NamedTuple):
-    """Scattering matrix with errors, shapes (6, wavelengths, angles).
-
-    The elements are P11, P12, P33, P34, P22 and P44; the mean of P11 over all directions is 1, or 0
-    where nothing is scattered.
-    """
-
-    elements: np.ndarray
-    stderr: np.ndarray
-
-
 class ScatteringMatrixTally(Tally):
     """Tally of polarized rays that hit one grain each, see `Tally`.
 
@@ -220,8 +209,11 @@ class ScatteringMatrixTally(Tally):
         """Add the sums of the next chunk of a stratum."""
         self.sums[:, :, stratum.node_rows] += score
 
-    def estimate_matrix(self) -> MatrixEstimate:
-        """Return the matrix, with errors from the scatter of batches and of interpolation."""
+    def estimate_matrix(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the matrix, with errors from the scatter of batches and of interpolation.
+
+        See `compute_grain_matrix`.
+        """
         width = np.diff(self.cosines)
         # Integral over all directions of the linear function of the cosine that is 1 at an angle.
         weight = 0.5 * (np.append(width, 0.0) + np.append(0.0, width))
@@ -233,7 +225,7 @@ class ScatteringMatrixTally(Tally):
         mean = batches.mean(axis=0)
         bound = INTERPOLATION_FACTOR * self.nodes.interpolation_bound[:, np.newaxis]
         stderr = np.hypot(compute_batch_stderr(batches), bound * np.abs(mean))
-        return MatrixEstimate(mean, stderr)
+        return mean, stderr
 
 
 # --------------------------------------------------------------------------------------------------
@@ -300,8 +292,15 @@ def compute_grain_matrix(
     request: GrainOpticsRequest,
     nodes: IndexNodes,
     angle_deg: np.ndarray,
-) -> MatrixEstimate:
-    """Return the scattering matrix of the grains of a medium, see `single_scattering`."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the scattering matrix of the grains of a medium with errors.
+
+    Returns
+    -------
+    elements, stderr : float, shape (6, wavelengths, angles)
+        P11, P12, P33, P34, P22 and P44, see `single_scattering`; the mean of P11 over all
+        directions is 1, or 0 where nothing is scattered.
+    """
     wet_fractions = _compute_wet_fraction(medium.wet_fraction, nodes.index, request.wet_pores)
     tally = ScatteringMatrixTally(nodes, constants.absorption, wet_fractions, angle_deg)
     stop = StoppingRule(0.0, request.n_rays * len(nodes.index), fixed=True)

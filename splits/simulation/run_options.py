@@ -88,16 +88,6 @@ def check_half_width(instrument: str, half_width_m: Any) -> float:
     return check_range("half_width_m", half_width_m, *HALF_WIDTH_RANGE_M[instrument], "m")
 
 
-def check_dataset_size(n_wavelengths: int, n_directions: int) -> None:
-    """Check that the result of a goniophotometer fits into memory."""
-    if n_wavelengths * n_directions > MAX_DATASET_VALUES:
-        raise invalid(
-            "wavelength_nm", f"{n_wavelengths} wavelengths",
-            f"at most {MAX_DATASET_VALUES // n_directions}",
-            f"{n_directions} directions each; {MAX_DATASET_VALUES} values fit into memory",
-        )  # fmt: skip
-
-
 def check_threads(threads: Any) -> int:
     """Return a number of threads; None gives every CPU that this process may use."""
     if threads is None:

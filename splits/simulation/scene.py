@@ -115,7 +115,7 @@ COLLISION_COEFFICIENT_RANGE = (1e-12, 1e300)
 an opaque layer."""
 
 INDEX_RANGE, MAX_EXTINCTION_INDEX = (0.1, 15.0), 1e10
-"""Refractive indices of grains and of pores."""
+"""Refractive indices of grains and of pores, so that light leaves a grain soon enough."""
 
 N_PORE_MATERIALS = 2
 """Number of materials for dry and wet pores; they precede those of other pore fluids."""
@@ -136,13 +136,6 @@ class OpticalConstants(NamedTuple):
     absorption: np.ndarray
 
 
-def make_source(incidence_deg: float | str) -> Source:
-    """Return the source for an incidence: degrees of a beam, or "diffuse"."""
-    if incidence_deg == "diffuse":
-        return Source(1.0, 1.0)
-    return Source(float(np.cos(np.radians(float(incidence_deg)))), 0.0)
-
-
 def make_height_fields(medium: Medium) -> HeightFields | None:
     """Return the rough surface on top of layers in the form of kernels, None where it is smooth."""
     return medium.scene_layers[0].make_height_fields()
@@ -154,18 +147,7 @@ def compute_material_constants(medium: Medium, wavelength_nm: np.ndarray) -> Opt
     The absorption applies to path lengths as recorded by the kernels.
     """
     index = medium.compute_refractive_indices(wavelength_nm)
-    _check_indices(index, medium, wavelength_nm)
-    absorption = absorption_coefficient(index, wavelength_nm[:, np.newaxis])
-    absorption *= compute_path_fractions(medium)
-    added = [layer.compute_added_absorption(wavelength_nm) for layer in medium.scene_layers]
-    return OpticalConstants(index, absorption + np.concatenate(added, axis=1))
-
-
-def _check_indices(index: np.ndarray, medium: Medium, wavelength_nm: np.ndarray) -> None:
-    """Check that light leaves grains of these indices after a number of reflections that ends.
-
-    In a grain of many directions light is reflected some n³ times before it leaves.
-    """
+    # In a grain of many directions light is reflected some n³ times before it leaves.
     low, high = INDEX_RANGE
     inside = (index.real >= low) & (index.real <= high) & (index.imag <= MAX_EXTINCTION_INDEX)
     if not inside.all():
@@ -175,6 +157,10 @@ def _check_indices(index: np.ndarray, medium: Medium, wavelength_nm: np.ndarray)
             f"n + kj with n from {low:g} to {high:g} and k up to {MAX_EXTINCTION_INDEX:g}",
             f"at {wavelength_nm[row]:g} nm",
         )  # fmt: skip
+    absorption = absorption_coefficient(index, wavelength_nm[:, np.newaxis])
+    absorption *= compute_path_fractions(medium)
+    added = [layer.compute_added_absorption(wavelength_nm) for layer in medium.scene_layers]
+    return OpticalConstants(index, absorption + np.concatenate(added, axis=1))
 
 
 def compute_path_fractions(medium: Medium) -> np.ndarray:
@@ -222,10 +208,13 @@ def build_scene(
     first_materials = np.cumsum([0, *(len(layer.list_materials()) for layer in media)])
     populations = [layer.make_grain_population() for layer in media]
     rules = (granular[0].interpretation if granular else Interpretation()).to_sampling_rules(analog)
+    source = Source(1.0, 1.0)
+    if incidence_deg != "diffuse":
+        source = Source(float(np.cos(np.radians(float(incidence_deg)))), 0.0)
     has_ground, height_fields = medium.reflecting_ground is not None, make_height_fields(medium)
     bottom_albedo = media[-1].scene_bottom.albedo
     return Scene(
-        make_source(incidence_deg),
+        source,
         _make_layers(media, populations, first_materials, height_fields),
         _merge_grain_types(populations, first_materials) if granular else None,
         rules,
@@ -254,6 +243,12 @@ def _make_layers(
     if height_fields is not None:
         # Above the highest point that a realization of the surface may have.
         boundaries[0] = MAX_HEIGHT_SIGMA * np.linalg.norm(height_fields.rms_height)
+    n_pores = max(len(layer.pores) for layer in media)
+    pore_cdfs = [
+        float(layer.wet_fraction)
+        + np.cumsum([*layer.pores.values(), *[0.0] * (n_pores - len(layer.pores))])
+        for layer in media
+    ]
     # Rows of the particle table.
     has_particles = np.array([not layer.has_grains for layer in media])
     return Layers(
@@ -265,22 +260,10 @@ def _make_layers(
         type_cdf=np.array([np.pad(cdf, (0, max_types - len(cdf)), "edge") for cdf in type_cdfs]),
         first_type=np.cumsum([0, *n_types])[:-1],
         first_pore_material=first_materials[:-1],
-        pore_cdf=_compute_pore_cdf(media),
+        # Cumulative fractions of the pore materials other than air and water.
+        pore_cdf=np.array(pore_cdfs).reshape(len(media), n_pores),
         particle_row=np.where(has_particles, np.cumsum(has_particles) - 1, NO_PARTICLES),
     )
-
-
-def _compute_pore_cdf(media: Sequence[Layer]) -> np.ndarray:
-    """Return cumulative fractions of the pore materials other than air and water."""
-    fractions = [list(layer.pores.values()) for layer in media]
-    n_columns = max(len(layer_fractions) for layer_fractions in fractions)
-    return np.array(
-        [
-            float(layer.wet_fraction)
-            + np.cumsum([*layer_fractions, *[0.0] * (n_columns - len(layer_fractions))])
-            for layer, layer_fractions in zip(media, fractions, strict=True)
-        ]
-    ).reshape(len(media), n_columns)
 
 
 def add_recording_planes(scene: Scene, depths_m: Sequence[float]) -> Scene:

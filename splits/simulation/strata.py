@@ -154,12 +154,6 @@ class VarianceTerms(NamedTuple):
     columns: np.ndarray
     contributes: np.ndarray
 
-    def select(self, columns: np.ndarray) -> VarianceTerms:
-        """Return the terms of some columns, which are numbered anew."""
-        terms = np.isin(self.columns, columns)
-        numbers = np.searchsorted(columns, self.columns[terms])
-        return VarianceTerms(self.variances[:, terms], numbers, self.contributes[:, terms])
-
     def sum_columns(self, values: np.ndarray) -> np.ndarray:
         """Return sums of the terms of each column, shape (quantities, columns)."""
         n_columns = int(self.columns.max()) + 1
@@ -180,7 +174,13 @@ def allocate_rays(terms: VarianceTerms, strata: Sequence[Stratum]) -> np.ndarray
     """
     floor = np.array([stratum.n_rays for stratum in strata], dtype=float)
     cost = np.array([stratum.n_segments / stratum.n_rays for stratum in strata]) + 1.0
-    binding = terms.select(_select_binding_columns(terms))
+    columns = _select_binding_columns(terms)
+    chosen = np.isin(terms.columns, columns)
+    binding = VarianceTerms(
+        terms.variances[:, chosen],
+        np.searchsorted(columns, terms.columns[chosen]),
+        terms.contributes[:, chosen],
+    )
     mask = binding.contributes.astype(float)
     stratum_rays = floor.copy()
     multipliers = np.full((len(terms.variances), int(binding.columns.max()) + 1), 1.0)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from splits.core.uncertainty import compute_batch_stderr
 from splits.core.validation import invalid
 from splits.kernels import vectorized
 from splits.kernels.rough_surface.realization import allocate_realization
@@ -28,7 +29,7 @@ from splits.kernels.tallies.exits import (
 )
 from splits.kernels.transport import history
 from splits.kernels.vectorized.trace import select_features
-from splits.simulation.spectral_nodes import IndexNodes
+from splits.simulation.spectral_nodes import IndexNodes, bound_fraction_error
 from splits.simulation.strata import (
     INITIAL_SEGMENTS,
     STRATUM_BOUNDS,
@@ -346,6 +347,31 @@ class Tally(ABC):
             total[..., self.rows[rows]] += self.weights[rows] ** power * values[..., rows]
         return total
 
+    def average_batches(self, batch_sums: np.ndarray) -> np.ndarray:
+        """Return means by batch and row, from sums whose first axis is the batch.
+
+        Their third axis is the node row, and that of the result the row.
+        """
+        per_batch = np.moveaxis(batch_sums, 2, -1) / (self.count_rays() / len(batch_sums))
+        return np.moveaxis(self.combine_nodes(per_batch), -1, 2)
+
+    def compute_fraction_error(
+        self, by_batch: np.ndarray, interpolation_bound: np.ndarray
+    ) -> np.ndarray:
+        """Return the errors of mean fractions of the light, with the allowance for unseen rays.
+
+        Parameters
+        ----------
+        by_batch : float, shape (batches, ...)
+        interpolation_bound : float, shape (...)
+        """
+        mean = by_batch.mean(axis=0)
+        single_ray = 1.0 / self.stratum_rays.min()
+        variance = allow_for_unseen_rays(
+            compute_batch_stderr(by_batch) ** 2, (single_ray * (1.0 - mean)) ** 2
+        )
+        return np.hypot(np.sqrt(variance), bound_fraction_error(interpolation_bound, mean))
+
     def combine_moments(
         self, total: np.ndarray, square: np.ndarray, largest: np.ndarray | float = 1.0
     ) -> tuple[np.ndarray, ...]:
@@ -425,8 +451,21 @@ class ExitTally(Tally):
             ]
         else:
             optics = Optics(*map(np.stack, zip(*(one.optics for one in strata), strict=True)))
-            result = vectorized.trace_rays(seed, work, scene, optics, exits, strata[0].features)
-            results = _split_by_item(result, end_rays)
+            n_segments, lost, crossings = vectorized.trace_rays(
+                seed, work, scene, optics, exits, strata[0].features
+            )
+            # Stable, so that the crossings of each ray remain in order of time.
+            crossings = crossings[np.argsort(crossings[:, CROSSING_RAY], kind="stable")]
+            rows = np.searchsorted(crossings[:, CROSSING_RAY], end_rays[:-1])
+            crossings_by_item = np.split(crossings, rows)
+            for item_crossings, first_ray in zip(crossings_by_item[1:], end_rays[:-1], strict=True):
+                item_crossings[:, CROSSING_RAY] -= first_ray
+            results = [
+                TraceResult(count, lost, item_crossings)
+                for count, item_crossings in zip(
+                    np.split(n_segments, len(job)), crossings_by_item, strict=True
+                )
+            ]
         if any(result.lost for result in results):
             raise RuntimeError(LOST_MESSAGE)
         return [
@@ -447,17 +486,3 @@ class ExitTally(Tally):
             chunk_exits = exits[start : start + self.rays_per_chunk]
             scores.append(self.score(stratum, chunk_exits, chunk_crossings))
         return scores
-
-
-def _split_by_item(result: TraceResult, end_rays: np.ndarray) -> list[TraceResult]:
-    """Return the results of work items, whose rays end at `end_rays`."""
-    n_segments, lost, crossings = result
-    # Stable, so that the crossings of each ray remain in order of time.
-    crossings = crossings[np.argsort(crossings[:, CROSSING_RAY], kind="stable")]
-    by_item = np.split(crossings, np.searchsorted(crossings[:, CROSSING_RAY], end_rays[:-1]))
-    for item_crossings, first_ray in zip(by_item[1:], end_rays[:-1], strict=True):
-        item_crossings[:, CROSSING_RAY] -= first_ray
-    return [
-        TraceResult(count, lost, item_crossings)
-        for count, item_crossings in zip(np.split(n_segments, len(by_item)), by_item, strict=True)
-    ]

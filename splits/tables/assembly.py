@@ -15,7 +15,6 @@ import xarray as xr
 from splits.core.provenance import hash_physics_sources
 from splits.core.uncertainty import compute_weighted_error, make_variable
 from splits.illumination.bands import SpectralBand, SpectralOperator
-from splits.instruments.spectral_run import QUANTITY_LABELS
 from splits.io.netcdf import (
     append_checksum,
     atomic_netcdf,
@@ -25,6 +24,7 @@ from splits.io.netcdf import (
 )
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.simulation.run_options import make_wavelength_coordinate
+from splits.simulation.spectral_tally import QUANTITY_LABELS
 from splits.simulation.strata import STOP_REASONS
 from splits.tables.axes import (
     DIFFUSE_PREFIX,

@@ -21,7 +21,7 @@ from splits.core.validation import invalid
 from splits.illumination.bands import SpectralOperator, check_bands, choose_band_wavelengths
 from splits.instruments.goniophotometer import MAX_CONVERGED_POLAR_DEG
 from splits.instruments.solver import MONTE_CARLO
-from splits.instruments.spectral_run import SpectralRequest
+from splits.instruments.spectrophotometer import SpectralRequest
 from splits.io.cache import Cache
 from splits.media.medium import Medium
 from splits.simulation.run_options import RunOptions

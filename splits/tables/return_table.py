@@ -19,8 +19,7 @@ from splits.instruments.delay_record import (
     describe_record,
     make_receiver,
 )
-from splits.instruments.delay_tally import FLAG_NAME
-from splits.instruments.time_of_flight import DelayRequest, simulate_delays
+from splits.instruments.time_of_flight import FLAG_NAME, DelayRequest, simulate_delays
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.media.medium import Medium
 from splits.simulation.run_options import RunOptions, check_incidence, check_wavelengths

@@ -19,7 +19,7 @@ from chi2 import NEEDS_JIT, judge_z
 from scipy import stats
 
 import splits
-from splits.instruments.spectral_run import SpectralRequest, simulate_spectra
+from splits.instruments.spectrophotometer import SpectralRequest, simulate_spectra
 from splits.retrieval.optimal_estimation import N_DRAWS
 from splits.simulation.run_options import RunOptions
 from splits.simulation.shared_paths import group_by_shared_paths

@@ -11,7 +11,7 @@ from chi2 import NEEDS_JIT, judge_z
 
 import splits
 from splits.core.validation import InvalidValue
-from splits.instruments.spectral_run import SpectralRequest
+from splits.instruments.spectrophotometer import SpectralRequest
 from splits.io.cache import compute_digest
 from splits.simulation.run_options import RunOptions
 from splits.simulation.shared_paths import PathSharingMedia, compute_path_signature

@@ -7,7 +7,7 @@ import re
 import pytest
 
 import splits
-from splits.simulation.fixed_budget import estimate_fixed_budget
+from splits.simulation.spectral_tally import estimate_fixed_budget
 
 WAVES = {"rms_height_m": 0.1, "wave_number_per_m": 1.0, "correlation": "gaussian"}
 ROUGH = splits.ParticleLayer(surface=WAVES, depth_m=10.0)

@@ -7,8 +7,8 @@ import pytest
 from chi2 import NEEDS_JIT, compute_z_bound
 
 from splits import Sand, Snow, spectrophotometer
-from splits.simulation.fixed_budget import choose_node_rows, estimate_fixed_budget
 from splits.simulation.spectral_nodes import compute_contrasts, make_nodes
+from splits.simulation.spectral_tally import choose_node_rows, estimate_fixed_budget
 from splits.simulation.tally import RAYS_PER_CHUNK
 
 WAVELENGTHS = np.arange(400.0, 1001.0, 50.0)

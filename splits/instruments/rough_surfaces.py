@@ -212,6 +212,7 @@ def lens(
         position, direction, next_hit = refract_vertical_rays(
             surface_waves, medium.refractive_index, *ring
         )
+        # Where rays reach the screens, unless they hit the surface before.
         screen_heights = (centre_z - depths)[:, np.newaxis]
         distance = (screen_heights - position[:, 2]) / direction[:, 2]
         points = position[:, :2] + distance[..., np.newaxis] * direction[:, :2]

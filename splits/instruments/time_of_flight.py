@@ -326,7 +326,7 @@ class DelayTally(ExitTally):
         self.slowness, self.record = slowness, record
         n_bins, n_intervals = record.edges.size - 1, int(record.interval[-1]) + 1
         shape = N_ANGULAR_BATCHES, 2, len(self.rows)
-        # If two nodes serve each wavelength.
+        # The sums must fit into memory if two nodes serve each wavelength.
         n_wavelengths, per_row = len(absorption), 2 * (n_bins + n_intervals * N_MOMENTS)
         n_values = 2 * N_ANGULAR_BATCHES * n_wavelengths * per_row
         if n_values > MAX_TALLY_VALUES:

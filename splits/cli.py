@@ -127,7 +127,7 @@ def _check_targets(
 def _run_experiment(arguments: argparse.Namespace) -> None:
     """Run an experiment and write its dataset, figure and tables atomically."""
     import_optional("pydantic", "experiments", "experiment files need")
-    import_optional("ruamel.yaml", "experiments", "experiment files need")
+    import_optional("yaml", "experiments", "experiment files need")
     from splits.analysis.measured import read_spectra
     from splits.core.atomic import check_writable
     from splits.core.process import exit_on_signals

@@ -273,7 +273,12 @@ def check_range(
             allowed = f"in {left}{lower}, {upper}{right}"
         return f"{allowed} {unit}" if unit else allowed
 
-    x = float(snap_to_limits(check_number(key, value, describe_range(math.nan)), low, high))
+    try:
+        x = check_number(key, value)
+    except InvalidValue as error:
+        raise invalid(key, error.value, describe_range(math.nan), error.hint) from None
+    if not low <= x <= high:
+        x = float(snap_to_limits(x, low, high))
     if x < low or x > high or (open_low and x == low) or (open_high and x == high):
         hints = suggest_unit(x, low, high, unit), hint
         raise invalid(key, value, describe_range(x), "; ".join(filter(None, hints)))

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import copy
 import functools
-import io
 import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ruamel.yaml import YAML, events
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
-from ruamel.yaml.representer import SafeRepresenter
+import yaml
+from yaml import MarkedYAMLError, YAMLError, events
 
 from splits.core.validation import ConfigError, format_key, short_repr
 
@@ -42,6 +40,10 @@ _UNAMBIGUOUS_TEXT = re.compile(r"(?!(y|n|yes|no|on|off|true|false|null)$)[^\W\d_
 """Texts that are text in YAML 1.1 and 1.2 without quotes."""
 
 
+# The scanner in C, about 30 times as fast, is left out of some builds of PyYAML.
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
 class Node(NamedTuple):
     """A value, the line of its key, its items by key or number, and the number of values in it."""
 
@@ -55,7 +57,7 @@ class _Parser:
     """Parser of a text into nodes, within the limits of this module."""
 
     def __init__(self, text: str) -> None:
-        self.events: Iterator[Any] = YAML(typ="safe", pure=True).parse(text)
+        self.events: Iterator[Any] = yaml.parse(text, Loader=_LOADER)
         self.anchors: dict[str, Node] = {}
         self.n_nodes = 0
 
@@ -175,15 +177,16 @@ def read_yaml(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise ConfigError(f"{path}: must be at most {MAX_BYTES // 1024} KiB")
+        text = path.read_text(encoding="utf-8")
         # Parsed once and copied, because many experiments use the same file.
-        content = copy.deepcopy(_parse(path.read_text(encoding="utf-8")).value)
+        content = copy.deepcopy(_parse(text).value)
     except OSError as error:
         raise ConfigError(f"{format_key(path)}: cannot be read ({error.strerror})") from None
     except (YAMLError, UnicodeDecodeError) as error:
         mark = getattr(error, "problem_mark", None)
         position = f", line {mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "not text"
-        if "\\t" in problem:
+        if mark and re.match(r" *\t", "".join(text.splitlines()[mark.line :][:1])):
             problem = "a tab: indent with spaces"
         raise ConfigError(f"{path}{position}: not YAML ({problem})") from None
     if not isinstance(content, dict):
@@ -216,8 +219,8 @@ def locate_message(path: Path, message: str) -> str:
     return f"{path}, line {line}: {message}" if keys else f"{path}: {message}"
 
 
-class _Representer(SafeRepresenter):
-    """Representer of values that YAML 1.1 parsers read as `read_yaml` does."""
+class _Dumper(yaml.SafeDumper):
+    """Writer of values that YAML 1.1 parsers read as `read_yaml` does."""
 
     def represent_text(self, text: str) -> Any:
         style = None if _UNAMBIGUOUS_TEXT.fullmatch(text) else "'"
@@ -229,15 +232,10 @@ class _Representer(SafeRepresenter):
         return node
 
 
-_Representer.add_representer(str, _Representer.represent_text)
-_Representer.add_representer(float, _Representer.represent_number)
+_Dumper.add_representer(str, _Dumper.represent_text)
+_Dumper.add_representer(float, _Dumper.represent_number)
 
 
 def dump_yaml(content: dict[str, Any]) -> str:
     """Return the YAML text from which `read_yaml` restores the content."""
-    stream = io.StringIO()
-    yaml: Any = YAML(typ="safe", pure=True)
-    yaml.Representer, yaml.default_flow_style = _Representer, False
-    yaml.sort_base_mapping_type_on_output = False
-    yaml.dump(content, stream)
-    return stream.getvalue()
+    return str(yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True))

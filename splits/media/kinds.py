@@ -197,7 +197,7 @@ def load_medium(name: str | Path, **keywords: Any) -> Medium:
     0.0
     """
     if isinstance(name, str | Path) and str(name).endswith((".yaml", ".yml")):
-        import_optional("ruamel.yaml", "experiments", "medium files need")
+        import_optional("yaml", "experiments", "medium files need")
         from splits.core.yaml import read_yaml
 
         content = read_yaml(expand_path(name, "name"))

@@ -1,7 +1,7 @@
 """Albedo of natural snow compared with TARTES and with asymptotic theory (snowoptics).
 
 Twelve cases of surface area, layers, soot, soil, angle and illumination.  TARTES runs twice, with
-its default grain shape (B = n², g 0.82) and with that of `splits.media.natural_snow` (with
+its default grain shape (B = n², g 0.82) and with that of `splits.media.snow` (with
 diffraction, as in TARTES, g is (1 + g)/2).  Asymptotic theory (Kokhanovsky & Zege 2004) is for deep
 clean snow with weak absorption.
 
@@ -26,7 +26,7 @@ import tartes
 import splits
 from splits.core.escaping import write_data_frame
 from splits.materials.impurities import make_impurities
-from splits.media.natural_snow import NATURAL_GRAIN_SHAPE
+from splits.media.snow import NATURAL_GRAIN_SHAPE
 
 WAVELENGTHS_NM = np.array(
     [400.0, 500.0, 600.0, 700.0, 800.0, 900.0, 1000.0, 1100.0, 1200.0, 1300.0, 1500.0, 1700.0]

@@ -44,7 +44,7 @@ from matplotlib.figure import Figure
 import splits
 from splits.discrete_ordinates import grains
 from splits.discrete_ordinates.applicability import make_granular_stack
-from splits.media.natural_snow import NATURAL_GRAIN_SHAPE
+from splits.media.snow import NATURAL_GRAIN_SHAPE
 from splits.plotting.annotations import annotate_figure
 from splits.plotting.lines import place_legend_above
 from splits.plotting.style import TWO_COLUMNS_INCHES, make_subplots, pick_colours, use_style

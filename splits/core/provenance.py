@@ -37,7 +37,7 @@ RETRIEVAL_SOURCES = (
     "analysis/theory/kokhanovsky_zege.py", "experiments/config/retrieval.py",
     "experiments/run_retrieve.py", "tables/interpolation.py", "tables/axis_interpolation.py",
     "tables/comparison.py", "tables/axes.py", "tables/table.py", "tables/table_interpolation.py",
-    "materials/impurities.csv", "materials/impurities.py", "media/natural_snow.py",
+    "materials/impurities.csv", "materials/impurities.py", "media/snow.py",
     "retrieval/state_vector.py", "retrieval/optimal_estimation.py", "retrieval/forward_model.py",
     "retrieval/least_squares.py", "retrieval/linearization.py", "retrieval/measurement.py",
     "retrieval/result.py", "retrieval/retrieve.py", "retrieval/medium_model.py",

@@ -109,12 +109,6 @@ class Faces(NamedTuple):
     interfaces: Sequence[Element | None]
     boundaries: tuple[Boundary, Boundary]
 
-    @classmethod
-    def make_transparent(cls, n_layers: int, n_streams: int, n_directions: int) -> Faces:
-        """Return the faces of layers without water."""
-        boundary = Boundary.make_transparent(n_streams, n_directions)
-        return cls([None] * (n_layers - 1), (boundary, boundary))
-
 
 class Budget(NamedTuple):
     """Fate of the incident light, for the beams and for diffuse light (last).

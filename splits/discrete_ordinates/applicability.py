@@ -20,8 +20,7 @@ from splits.discrete_ordinates.granular_stack import (
     load_natural_grains,
 )
 from splits.media.medium import GranularMedium, Medium
-from splits.media.natural_snow import is_natural
-from splits.media.snow import Snow
+from splits.media.snow import Snow, is_natural
 from splits.simulation.scene import N_PORE_MATERIALS, compute_material_constants
 
 MAX_WATER_DIFFERENCE = 0.005

@@ -106,7 +106,14 @@ def divide_impedances(k: np.ndarray, thickness: np.ndarray) -> tuple[np.ndarray,
     far = difference / np.where(is_far, (first - second) * total, 1.0)
     small = high * half[..., np.newaxis] < MAX_SERIES_DEPTH
     depth = np.minimum(k * half, MAX_SERIES_DEPTH)
-    series = 0.5 * np.where(small, tau, 0.0) * _divide_series(depth**2)
+    # Divided differences of the series with respect to z.
+    a, b = (depth**2)[..., :, np.newaxis], (depth**2)[..., np.newaxis, :]
+    second, third = a + b, a**2 + a * b + b**2
+    fourth, fifth = (a + b) * (a**2 + b**2), a**4 + a * b * third + b**4
+    series = (
+        1.0 / 3.0 - second / 45.0 + third * 2.0 / 945.0 - fourth / 4725.0 + fifth * 2.0 / 93555.0
+    )
+    series = 0.5 * np.where(small, tau, 0.0) * series
     return even, np.where(small, series, np.where(is_far, far, near))
 
 
@@ -115,17 +122,6 @@ def differentiate_impedances(k: np.ndarray, thickness: np.ndarray) -> tuple[np.n
     decay = np.exp(-k * thickness)
     odd_decay = np.maximum(-np.expm1(-k * thickness), TINY)
     return 2.0 * decay * (k / (1.0 + decay)) ** 2, -2.0 * decay * (k / odd_decay) ** 2
-
-
-def _divide_series(z: np.ndarray) -> np.ndarray:
-    """Return the divided differences of the series of x coth x with respect to z = x²."""
-    a, b = z[..., :, np.newaxis], z[..., np.newaxis, :]
-    second, third = a + b, a**2 + a * b + b**2
-    fourth, fifth = (a + b) * (a**2 + b**2), a**4 + a * b * third + b**4
-    series: np.ndarray = (
-        1.0 / 3.0 - second / 45.0 + third * 2.0 / 945.0 - fourth / 4725.0 + fifth * 2.0 / 93555.0
-    )
-    return series
 
 
 def _multiply_pairs(values: np.ndarray) -> np.ndarray:
@@ -203,7 +199,10 @@ def compute_gradient(
     cosine : float, optional
         Cosine of the angle of incidence of a beam; without, light is diffuse.
     """
-    streams = streams if cosine is None else _add_beam(streams, cosine)
+    if cosine is not None:
+        # The beam is the first stream; the sum of all weights is 1.
+        weights = np.append(BEAM_WEIGHT, (1.0 - BEAM_WEIGHT) * streams.weights)
+        streams = Streams(np.append(cosine, streams.cosines), weights)
     modes = solve_modes(optics, streams, np.zeros((1, 0)), 0)
     floor = MIN_RELATIVE_RATE * modes.rates[..., -1:]
     modes = modes._replace(rates=np.maximum(modes.rates, floor))
@@ -221,14 +220,11 @@ def compute_gradient(
     by_cosine = np.zeros_like(values)
     if cosine is not None:
         by_cosine = _differentiate_cosine(optics, streams, by_matrices)
-    by_ground = _differentiate_ground(down[-1], streams)
+    # A ground reflects the light that falls on it, in place of absorbing it.
+    flux = np.moveaxis(streams.flux_vector @ down[-1], -1, 0)
+    by_ground = 2.0 * flux[MEASUREMENT] * flux[INCIDENT:]
+    by_ground[RISING - INCIDENT] -= flux[MEASUREMENT]
     return values, Gradient(by_thickness, absorption, scattering, by_ground, by_cosine)
-
-
-def _add_beam(streams: Streams, cosine: float) -> Streams:
-    """Return streams with one for a beam (first); the sum of all weights is 1."""
-    weights = np.append(BEAM_WEIGHT, (1.0 - BEAM_WEIGHT) * streams.weights)
-    return Streams(np.append(cosine, streams.cosines), weights)
 
 
 def _differentiate_layers(
@@ -345,21 +341,6 @@ def _differentiate_cosine(
         derivative -= 2.0 * scattered + extinction * matrix[..., 0, 0]
     total: np.ndarray = derivative.sum(axis=1)
     return total
-
-
-def _differentiate_ground(down: np.ndarray, streams: Streams) -> np.ndarray:
-    """Return the derivatives with respect to the albedo of the ground, shape (2, ...).
-
-    Parameters
-    ----------
-    down : float, shape (..., streams, 3)
-        Light that falls on the ground.
-    streams : Streams
-    """
-    flux = np.moveaxis(streams.flux_vector @ down, -1, 0)
-    derivative: np.ndarray = 2.0 * flux[MEASUREMENT] * flux[INCIDENT:]
-    derivative[RISING - INCIDENT] -= flux[MEASUREMENT]
-    return derivative
 
 
 def _expand(vectors: np.ndarray, matrix: np.ndarray) -> np.ndarray:

@@ -18,8 +18,7 @@ from splits.discrete_ordinates.homogeneous_layer import LayerOptics, Streams, so
 from splits.kernels.grains.single_grain import N_SCATTERING_BATCHES
 from splits.kernels.scene import WET_PORE
 from splits.materials.library import load_dataset
-from splits.media.natural_snow import NATURAL_REFRACTIVE_INDICES
-from splits.media.snow import Snow
+from splits.media.snow import NATURAL_REFRACTIVE_INDICES, Snow
 from splits.simulation.engine import simulate
 from splits.simulation.grain_optics import (
     GRAIN_RAYS_PER_CHUNK,
@@ -108,7 +107,12 @@ def tabulate_grains(
         wet = replace(snow, saturation=float(saturation))
         for source, is_wet in enumerate(pores):
             tally = _trace_grains(wet, axes, is_wet, absorption, orders, rays, run)
-            moments[:, row, source] = _compute_means(tally, axes, orders, wet.saturation)
+            mean = tally.combine_nodes(tally.sums[0] / tally.count_rays())
+            by_row = mean.T.reshape(axes.contrast.nodes.size, -1, len(mean))
+            moments[:, row, source, 0] = by_row[..., :orders]
+            if saturation:
+                into_wet = by_row[..., orders + len(WEIGHTED_MEANS) - 1 :]
+                moments[:, row, source, 1] = into_wet / wet.saturation
             stderr = np.maximum(stderr, _compute_reflectance_error(tally, axes, orders)[:, 1:])
     without, weak = moments[..., 0, :], moments[..., 1:, :]
     x = absorption[1:, np.newaxis]
@@ -135,17 +139,6 @@ def _trace_grains(
     stop = StoppingRule(0.0, rays * len(index), fixed=True)
     simulate(build_scene(snow, 0.0, False), tally, stop, run)
     return tally
-
-
-def _compute_means(
-    tally: SingleScatteringTally, axes: TableAxes, orders: int, saturation: float
-) -> np.ndarray:
-    """Return the moments as in `GrainTable`, shape (contrasts, pores, absorptions, orders)."""
-    mean = tally.combine_nodes(tally.sums[0] / tally.count_rays())
-    by_row = mean.T.reshape(axes.contrast.nodes.size, -1, len(mean))
-    every, wet = by_row[..., :orders], by_row[..., orders + len(WEIGHTED_MEANS) - 1 :]
-    parts = [every, wet / saturation] if saturation else [every]
-    return np.stack(parts, axis=1)
 
 
 def _compute_reflectance_error(

@@ -175,7 +175,12 @@ class GranularLayer(NamedTuple):
         moments = self._compute_moments(orders if n_states == 1 else min(orders, n_known))
         extinction = collisions[..., np.newaxis] + self.pore_absorption[..., :n_states]
         rate = collisions[..., np.newaxis, np.newaxis, np.newaxis]
-        depth = depth * self._compute_packing_ratio()
+        if isinstance(self.grains, TracedGrains):
+            # Light advances in grains, too.
+            shares = np.stack([1.0 - self.wet_fraction, self.wet_fraction])
+            depth = depth * self.grains.compute_packing_ratio(
+                self.collisions_per_m + self.pore_absorption @ shares
+            )
         if n_states == 1:
             return LayerOptics(depth, extinction, rate * moments, np.ones((*shape, 1)))
         wet_fraction = np.maximum(self.wet_fraction, MIN_WET_FRACTION)[..., np.newaxis]
@@ -200,13 +205,6 @@ class GranularLayer(NamedTuple):
         wet = np.broadcast_to(wet_fraction * self.water_index**2, shape)
         return np.stack([np.broadcast_to(1.0 - wet_fraction, shape), wet], axis=-1)
 
-    def use_replicate(self, digest: str, number: int) -> GranularLayer:
-        """Return the layer with a replicate of its grains, if they are those of a digest."""
-        grains = self.grains
-        if not isinstance(grains, TracedGrains) or grains.digest != digest:
-            return self
-        return self._replace(grains=grains._replace(replicate=number))
-
     def compute_optics_error(self) -> np.ndarray:
         """Return the error of a reflectance, see `splits.discrete_ordinates.granular_stack`."""
         if isinstance(self.grains, GrainTable):
@@ -218,15 +216,6 @@ class GranularLayer(NamedTuple):
         if isinstance(self.grains, GrainTable):
             return np.zeros(self.contrast.shape)
         return self.extent_error + self.grains.compute_thinness_error(self.depth_m)
-
-    def _compute_packing_ratio(self) -> np.ndarray:
-        """Return the optical thickness relative to that of point grains."""
-        if isinstance(self.grains, GrainTable):
-            return np.ones(1)
-        shares = np.stack([1.0 - self.wet_fraction, self.wet_fraction])
-        return self.grains.compute_packing_ratio(
-            self.collisions_per_m + self.pore_absorption @ shares
-        )
 
     def _compute_moments(self, orders: int) -> np.ndarray:
         """Return the moments of the grains, shape (..., wavelengths, states, states, orders)."""
@@ -244,10 +233,6 @@ class GranularLayer(NamedTuple):
                 orders,
             )  # fmt: skip
         return moments
-
-
-LAYER_ARRAYS = GranularLayer._fields[:7]
-"""Fields that are arrays."""
 
 
 def _balance_states(
@@ -309,7 +294,12 @@ def iterate_replicates(
 ) -> Iterator[list[GranularLayer]]:
     """Yield the layers with each replicate of the traced grains of a digest."""
     for number in range(1, 1 + N_SCATTERING_BATCHES):
-        yield [layer.use_replicate(digest, number) for layer in layers]
+        yield [
+            layer._replace(grains=layer.grains._replace(replicate=number))
+            if isinstance(layer.grains, TracedGrains) and layer.grains.digest == digest
+            else layer
+            for layer in layers
+        ]
 
 
 def compute_replicate_error(

@@ -14,7 +14,6 @@ from splits.discrete_ordinates.adding import (
     Boundary,
     Budget,
     Element,
-    Faces,
     compute_budget,
     make_isotropic,
 )
@@ -26,7 +25,7 @@ from splits.discrete_ordinates.granular_layers import (
     list_traced,
 )
 from splits.discrete_ordinates.homogeneous_layer import TINY, LayerOptics, Streams, solve_slab
-from splits.discrete_ordinates.refraction import make_wet_faces, refract_directions
+from splits.discrete_ordinates.refraction import make_faces, refract_directions
 
 STREAM_NUMBERS = (8, 12, 16, 24, 32, 48, 64)
 """Numbers of streams to choose from."""
@@ -99,6 +98,17 @@ class GranularStack(NamedTuple):
         """Whether light is in wet and in dry pores, as any layer holds water."""
         return any(layer.grains.n_states > 1 for layer in self.layers)
 
+    @property
+    def water_index(self) -> np.ndarray | None:
+        """Refractive index of water, shape (wavelengths,); None if all layers are dry."""
+        return self.layers[0].water_index if self.is_wet else None
+
+    @property
+    def wet_fractions(self) -> list[float]:
+        """Fractions of wet pores, above 0; none if all layers are dry."""
+        fractions = (layer.wet_fraction for layer in self.layers if self.is_wet)
+        return [max(float(one), MIN_WET_FRACTION) for one in fractions]
+
     def select(self, wavelengths: Any, snowpacks: Any = ...) -> GranularStack:
         """Return the snowpack at some of its wavelengths, or some snowpacks of several."""
         layers = [layer.select(snowpacks, wavelengths) for layer in self.layers]
@@ -140,9 +150,7 @@ class GranularStack(NamedTuple):
         streams = Streams.from_number(n_streams)
         in_air = self.equilibrium == AIR
         optics = [layer.compute_optics(n_streams + 1, in_air) for layer in self.layers]
-        directions = cosines[..., np.newaxis, :]
-        if self.is_wet:
-            directions = refract_directions(cosines, self.layers[0].water_index)
+        directions = refract_directions(cosines, self.water_index)
         own = [make_isotropic(one, streams, n_beams) for one in optics]
         isotropic = [
             make_isotropic(
@@ -159,7 +167,7 @@ class GranularStack(NamedTuple):
             )
             for one, outside, inside in zip(optics, isotropic, own, strict=True)
         ]  # fmt: skip
-        faces = self.make_faces(streams, cosines)
+        faces = make_faces(len(elements), self.wet_fractions, self.water_index, streams, cosines)
         combined, levels = elements[:1], isotropic[:1]
         for number, interface in enumerate(faces.interfaces, start=1):
             if interface is not None:
@@ -174,14 +182,6 @@ class GranularStack(NamedTuple):
     def solve(self, cosines: np.ndarray, n_streams: int) -> Budget:
         """Return the budget of light for beams, and for diffuse light (last); see `build`."""
         return self.build(cosines, n_streams).compute_budget()
-
-    def make_faces(self, streams: Streams, cosines: np.ndarray) -> Faces:
-        """Return the interfaces and boundaries, for directions in air as in `build`."""
-        if not self.is_wet:
-            n_layers, n_streams = len(self.layers), streams.cosines.size
-            return Faces.make_transparent(n_layers, n_streams, cosines.shape[-1])
-        wet_fractions = [max(float(one.wet_fraction), MIN_WET_FRACTION) for one in self.layers]
-        return make_wet_faces(wet_fractions, self.layers[0].water_index, streams, cosines)
 
 
 class Truncation(NamedTuple):
@@ -448,14 +448,6 @@ def solve_with_exponent_error(
     is_small = transmittance * SUFFICIENT_ERROR < solution.error[:, np.newaxis]
     if not (is_small & (transmittance > 0.0)).any():
         return solution
-    error = _compute_exponent_error(snowpack, cosines, solution)
-    return solution._replace(exponent_error=error)
-
-
-def _compute_exponent_error(
-    snowpack: GranularStack, cosines: np.ndarray, solution: SpectrumSolution
-) -> np.ndarray:
-    """Return the error of ln T relative to 1 + |ln T|, shape (wavelengths,)."""
     n_wavelengths = snowpack.ground.size
     trial = choose_trial_wavelengths(n_wavelengths)
     few = snowpack.select(trial)
@@ -478,5 +470,5 @@ def _compute_exponent_error(
     optics = OPTICS_SHARE * find_similarity_error(contrasts[0], is_wet) if contrasts else 0.0
     extent = np.max([layer.compute_extent_bound() for layer in snowpack.layers], axis=0)
     balance = BALANCE_ERROR if is_wet else 0.0
-    error: np.ndarray = np.sqrt(spread**2 + optics**2 + extent**2 + balance**2)
-    return error
+    error = np.sqrt(spread**2 + optics**2 + extent**2 + balance**2)
+    return solution._replace(exponent_error=error)

@@ -35,9 +35,11 @@ class Streams(NamedTuple):
     weights: np.ndarray
 
     @classmethod
+    @cache
     def from_number(cls, number: int) -> Streams:
         """Return the streams of one hemisphere, where `number` is that of both."""
-        return cls(*_compute_double_gauss(number // 2))
+        x, w = leggauss(number // 2)
+        return cls(0.5 * (x + 1.0), 0.5 * w)
 
     @property
     def flux_vector(self) -> np.ndarray:
@@ -47,12 +49,6 @@ class Streams(NamedTuple):
         """
         vector: np.ndarray = np.sqrt(self.weights * self.cosines)
         return vector
-
-
-@cache
-def _compute_double_gauss(number: int) -> tuple[np.ndarray, np.ndarray]:
-    x, w = leggauss(number)
-    return 0.5 * (x + 1.0), 0.5 * w
 
 
 def compute_legendre(cosines: np.ndarray, mode: int, orders: int) -> np.ndarray:
@@ -88,56 +84,9 @@ def compute_legendre(cosines: np.ndarray, mode: int, orders: int) -> np.ndarray:
 
 
 # --------------------------------------------------------------------------------------------------
-# Exponential modes of a homogeneous layer: impedances, and integrals along directions.
+# Exponentials in a homogeneous layer: impedances, and integrals along directions.
 
 TINY = float(np.finfo(float).tiny)
-
-
-class ModeIntegrals(NamedTuple):
-    """Integrals of the modes along a direction, weighted by e^(−rt) with a rate r, of 0 to τ.
-
-    "even" are those of cosh(k(τ/2 − t)) and k sinh(k(τ/2 − t)) over cosh(kτ/2); "odd" those of sinh
-    and k cosh over sinh(kτ/2).  The last two are even_cosh − odd_sinh and even_sinh − odd_cosh,
-    without cancellation where kτ is large.
-    """
-
-    even_cosh: np.ndarray
-    even_sinh: np.ndarray
-    odd_sinh: np.ndarray
-    odd_cosh: np.ndarray
-    cosh_gap: np.ndarray
-    sinh_gap: np.ndarray
-
-
-def integrate_modes(k: np.ndarray, thickness: np.ndarray, rates: np.ndarray) -> ModeIntegrals:
-    """Return the integrals, shape (..., directions, modes).
-
-    Parameters
-    ----------
-    k : float, shape (..., modes)
-    thickness : float, shape (..., 1)
-        τ, positive or infinite.
-    rates : float, shape (..., directions)
-    """
-    k, thickness, rates = k[..., np.newaxis, :], thickness[..., np.newaxis], rates[..., np.newaxis]
-    depth, slant = k * thickness, rates * thickness
-    decay, direct, intercepted = np.exp(-depth), np.exp(-slant), -np.expm1(-slant)
-    # ∫ e^(−kt) e^(−rt) dt and ∫ e^(−k(τ−t)) e^(−rt) dt.
-    falling = -np.expm1(-depth - slant) / (k + rates)
-    rising = convolve_exponentials(k, rates, thickness)
-    even = 1.0 / (1.0 + decay)
-    even_cosh, even_sinh = even * (falling + rising), even * (falling - rising)
-    # Odd modes of small k/r, by partial integration: k coth(kτ/2) is finite there.
-    k_coth = k / np.maximum(np.tanh(0.5 * depth), TINY)
-    small = k < 0.5 * rates
-    denominator = np.where(small, (rates - k) * (rates + k), 1.0)
-    by_parts = (rates * (1.0 + direct) - k_coth * intercepted) / denominator
-    odd = 1.0 / np.maximum(-np.expm1(-depth), TINY)
-    odd_sinh = np.where(small, by_parts, odd * (falling - rising))
-    odd_cosh = (k_coth * intercepted - k**2 * odd_sinh) / rates
-    gap, decayed = 2.0 * even * odd, decay * falling
-    cosh_gap, sinh_gap = gap * (rising - decayed), -k * gap * (rising + decayed)
-    return ModeIntegrals(even_cosh, k * even_sinh, odd_sinh, odd_cosh, cosh_gap, sinh_gap)
 
 
 def convolve_exponentials(a: np.ndarray, b: np.ndarray, thickness: np.ndarray) -> np.ndarray:
@@ -458,7 +407,7 @@ def solve_slab(
     even_map, odd_map = y_t @ layers.even_inverse, y_t @ layers.odd_inverse
     shape = modes.even_kernel.shape
     rates = (optics.extinction[..., np.newaxis] / directions * rate_factors).reshape(shape[:-1])
-    even_row, odd_row, gap_row = _sum_modes(modes, thickness, directions, rates)
+    even_row, odd_row, gap_row = integrate_modes(modes, thickness, directions, rates)
     # Half the difference of both rows cancels in thick layers: there, that of the integrals, and of
     # the inverse matrices, which is the transmission.
     thick = (modes.rates * thickness > 1.0)[..., np.newaxis, :]
@@ -473,16 +422,54 @@ def solve_slab(
     )  # fmt: skip
 
 
-def _sum_modes(
+def integrate_modes(
     modes: Modes, thickness: np.ndarray, directions: np.ndarray, rates: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the radiance of the even and odd modes in the directions, and the difference."""
-    integrals = integrate_modes(modes.rates, thickness, rates)
+    """Return the radiance of the even and of the odd modes in directions, and the difference.
+
+    Modes are integrated with the weight e^(−rt), from 0 to τ: the even ones, cosh(k(τ/2 − t)) and
+    k sinh(k(τ/2 − t)) over cosh(kτ/2), and the odd ones, sinh and k cosh over sinh(kτ/2).  The
+    difference of both has no cancellation where kτ is large.
+
+    Parameters
+    ----------
+    modes : Modes
+    thickness : float, shape (..., 1)
+        τ, positive or infinite.
+    directions : float, shape (..., states, directions)
+        Cosines.
+    rates : float, shape (..., directions of all states)
+        r.
+
+    Returns
+    -------
+    three arrays, shape (..., directions of all states, modes)
+    """
+    k, slant_rates = modes.rates[..., np.newaxis, :], rates[..., np.newaxis]
+    tau = thickness[..., np.newaxis]
+    depth, slant = k * tau, slant_rates * tau
+    decay, direct, intercepted = np.exp(-depth), np.exp(-slant), -np.expm1(-slant)
+    # ∫ e^(−kt) e^(−rt) dt and ∫ e^(−k(τ−t)) e^(−rt) dt.
+    falling = -np.expm1(-depth - slant) / (k + slant_rates)
+    rising = convolve_exponentials(k, slant_rates, tau)
+    even = 1.0 / (1.0 + decay)
+    even_cosh, even_sinh = even * (falling + rising), k * (even * (falling - rising))
+    # Odd modes of small k/r, by partial integration: k coth(kτ/2) is finite there.
+    k_coth = k / np.maximum(np.tanh(0.5 * depth), TINY)
+    small = k < 0.5 * slant_rates
+    denominator = np.where(small, (slant_rates - k) * (slant_rates + k), 1.0)
+    by_parts = (slant_rates * (1.0 + direct) - k_coth * intercepted) / denominator
+    odd = 1.0 / np.maximum(-np.expm1(-depth), TINY)
+    odd_sinh = np.where(small, by_parts, odd * (falling - rising))
+    odd_cosh = (k_coth * intercepted - k**2 * odd_sinh) / slant_rates
+    gap, decayed = 2.0 * even * odd, decay * falling
+    cosh_gap, sinh_gap = gap * (rising - decayed), -k * gap * (rising + decayed)
+    # Light that sums and differences of radiances scatter into the directions.
     per_cosine = (1.0 / directions).reshape(*directions.shape[:-2], -1, 1)
     by_sum = per_cosine * (modes.even_kernel @ modes.sums)
     by_difference = per_cosine * (modes.odd_kernel @ modes.differences)
     return (
-        by_sum * integrals.even_cosh - by_difference * integrals.even_sinh,
-        by_sum * integrals.odd_sinh - by_difference * integrals.odd_cosh,
-        by_sum * integrals.cosh_gap - by_difference * integrals.sinh_gap,
+        by_sum * even_cosh - by_difference * even_sinh,
+        by_sum * odd_sinh - by_difference * odd_cosh,
+        by_sum * cosh_gap - by_difference * sinh_gap,
     )

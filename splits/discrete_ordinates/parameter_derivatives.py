@@ -17,7 +17,7 @@ import numpy as np
 from splits.core.validation import InvalidValue, invalid
 from splits.discrete_ordinates.applicability import make_granular_stack
 from splits.discrete_ordinates.derivatives import compute_gradient
-from splits.discrete_ordinates.granular_layers import LAYER_ARRAYS, GranularLayer
+from splits.discrete_ordinates.granular_layers import GranularLayer
 from splits.discrete_ordinates.granular_stack import (
     GranularStack,
     SpectrumSolution,
@@ -76,8 +76,8 @@ class OpticsScale(NamedTuple):
         Of the collisions per length, and of the absorption by a grain.
     """
 
-    collisions: float
-    absorption: float
+    collisions: float = 1.0
+    absorption: float = 1.0
 
     def apply(self, layer: GranularLayer) -> GranularLayer:
         """Return a layer, or derivatives of its properties, with other optics."""
@@ -86,9 +86,14 @@ class OpticsScale(NamedTuple):
             grain_absorption=self.absorption * layer.grain_absorption,
         )
 
-    def apply_to_layers(self, snowpack: GranularStack) -> GranularStack:
-        """Return a snowpack with other optics of all grains."""
-        return snowpack._replace(layers=[self.apply(layer) for layer in snowpack.layers])
+    def apply_to_stack(self, snowpack: GranularStack, wavelengths: Any) -> GranularStack:
+        """Return a snowpack at some of its wavelengths with other optics of all grains."""
+        selected = snowpack.select(wavelengths)
+        return selected._replace(layers=[self.apply(layer) for layer in selected.layers])
+
+
+ALL, UNCHANGED = slice(None), OpticsScale()
+"""All wavelengths, and the optics as they are."""
 
 
 class Tangent(NamedTuple):
@@ -131,16 +136,10 @@ class Tangent(NamedTuple):
                 name: combine_differences(
                     weights, np.array([getattr(one, name) for one in properties])
                 )
-                for name in LAYER_ARRAYS
+                for name in GranularLayer._fields[:7]
             }
             layers[number] = properties[0]._replace(**changes)
         return cls(layers)
-
-    def select(self, wavelengths: np.ndarray) -> Tangent:
-        """Return the derivatives at some of the wavelengths."""
-        layers = GranularStack(list(self.layers.values()), np.zeros(wavelengths.max() + 1))
-        selected = layers.select(wavelengths).layers
-        return self._replace(layers=dict(zip(self.layers, selected, strict=True)))
 
 
 class DryDerivatives(NamedTuple):
@@ -167,42 +166,35 @@ class DryDerivatives(NamedTuple):
         tangents = [Tangent.from_parameter(medium, name, wavelength_nm) for name in names]
         return cls(make_granular_stack(medium, wavelength_nm), tangents, incidence)
 
-    def select(self, wavelengths: np.ndarray) -> DryDerivatives:
-        """Return the derivatives at some of the wavelengths."""
-        tangents = [tangent.select(wavelengths) for tangent in self.tangents]
-        return DryDerivatives(self.snowpack.select(wavelengths), tangents, self.incidence)
-
-    def move_beam(self, incidence: float) -> DryDerivatives:
-        """Return the derivatives for another angle of incidence (degrees)."""
-        return self._replace(incidence=incidence)
-
-    def scale_optics(self, scale: OpticsScale) -> DryDerivatives:
-        """Return the derivatives for other optics of the grains."""
-        tangents = [
-            tangent._replace(layers={i: scale.apply(one) for i, one in tangent.layers.items()})
-            for tangent in self.tangents
-        ]
-        return DryDerivatives(scale.apply_to_layers(self.snowpack), tangents, self.incidence)
-
-    def solve(self, n_streams: int) -> tuple[np.ndarray, np.ndarray]:
+    def solve(
+        self, n_streams: int, wavelengths: Any = ALL, scale: OpticsScale = UNCHANGED,
+        incidence: float | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
         """Return derivatives and their errors due to steps, which are 0.
 
         Parameters
         ----------
         n_streams : int
             Number of streams in both hemispheres.
+        wavelengths : int, shape (wavelengths,), or slice
+            Positions of the wavelengths.
+        scale : OpticsScale
+            For other optics of the grains.
+        incidence : float, optional
+            For another angle of incidence (degrees).
 
         Returns
         -------
         two arrays, shape (2, parameters, wavelengths)
             Of reflectance and transmittance.
         """
-        incidence = self.incidence
-        layers = [layer.compute_optics(n_streams + 1) for layer in self.snowpack.layers]
+        beam = self.incidence if incidence is None else incidence
+        snowpack = scale.apply_to_stack(self.snowpack, wavelengths)
+        layers = [layer.compute_optics(n_streams + 1) for layer in snowpack.layers]
         optics = LayerOptics(*(np.stack(field) for field in zip(*layers, strict=True)))
-        angle = 0.0 if isinstance(incidence, str) else np.radians(incidence)
-        cosine = None if isinstance(incidence, str) else float(np.cos(angle))
-        streams, ground = Streams.from_number(n_streams), self.snowpack.ground
+        angle = 0.0 if isinstance(beam, str) else np.radians(beam)
+        cosine = None if isinstance(beam, str) else float(np.cos(angle))
+        streams, ground = Streams.from_number(n_streams), snowpack.ground
         _, gradient = compute_gradient(optics.truncate(n_streams), streams, ground, cosine)
         by_degree = -np.sin(angle) * np.pi / 180.0
         derivatives = []
@@ -210,8 +202,8 @@ class DryDerivatives(NamedTuple):
             derivative = tangent.ground * gradient.ground
             derivative = derivative + tangent.incidence * by_degree * gradient.cosine
             for number, change in tangent.layers.items():
-                layer = self.snowpack.layers[number]
-                by_optics = differentiate_optics(layer, change, n_streams)
+                selected = scale.apply(change.select(..., wavelengths))
+                by_optics = differentiate_optics(snowpack.layers[number], selected, n_streams)
                 derivative = derivative + gradient.differentiate(number, by_optics)
             derivatives.append(derivative)
         values = np.stack(derivatives, axis=1)
@@ -337,16 +329,18 @@ class SolutionDifference(NamedTuple):
             offsets, step, [make_granular_stack(one, wavelength_nm) for one in media], angles
         )
 
-    def solve(self, n_streams: int) -> tuple[np.ndarray, np.ndarray]:
+    def solve(
+        self, n_streams: int, wavelengths: Any, scale: OpticsScale, shift: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return the derivative and its error, each of shape (2, wavelengths).
 
         The rule of five points has the fourth order; its error is the change from the rule of three
-        points, and rounding.
+        points, and rounding.  `shift` is added to the angles of incidence (degrees).
         """
         solutions = []
         for number, snowpack in enumerate(self.snowpacks):
-            cosines = np.cos(np.radians(np.array(self.angles[number : number + 1])))
-            budget = snowpack.solve(cosines, n_streams)
+            cosines = np.cos(np.radians(np.array(self.angles[number : number + 1]) + shift))
+            budget = scale.apply_to_stack(snowpack, wavelengths).solve(cosines, n_streams)
             solutions.append(np.stack([budget.reflectance[..., 0], budget.transmittance[..., 0]]))
         points, values = np.array(self.offsets), np.array(solutions)
         nearest = np.sort(np.argsort(np.abs(points), kind="stable")[:3])
@@ -387,34 +381,14 @@ class WetDerivatives(NamedTuple):
         ]
         return cls(make_granular_stack(medium, wavelength_nm), differences, incidence)
 
-    def select(self, wavelengths: np.ndarray) -> WetDerivatives:
-        """Return the derivatives at some of the wavelengths."""
-        differences = [
-            one._replace(snowpacks=[version.select(wavelengths) for version in one.snowpacks])
-            for one in self.differences
-        ]
-        return WetDerivatives(self.snowpack.select(wavelengths), differences, self.incidence)
-
-    def move_beam(self, incidence: float) -> WetDerivatives:
-        """Return the derivatives for another angle of incidence (degrees)."""
-        shift = incidence - float(self.incidence)
-        differences = [
-            one._replace(angles=[angle + shift for angle in one.angles]) for one in self.differences
-        ]
-        return self._replace(differences=differences, incidence=incidence)
-
-    def scale_optics(self, scale: OpticsScale) -> WetDerivatives:
-        """Return the derivatives for other optics of the grains."""
-        differences = [
-            one._replace(snowpacks=[scale.apply_to_layers(version) for version in one.snowpacks])
-            for one in self.differences
-        ]
-        return self._replace(snowpack=scale.apply_to_layers(self.snowpack), differences=differences)
-
-    def solve(self, n_streams: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return derivatives and their errors due to steps, as those of dry snow."""
-        parts = zip(*(one.solve(n_streams) for one in self.differences), strict=True)
-        values, errors = (np.stack(part, axis=1) for part in parts)
+    def solve(
+        self, n_streams: int, wavelengths: Any = ALL, scale: OpticsScale = UNCHANGED,
+        incidence: float | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+        """Return derivatives and their errors due to steps, see `DryDerivatives.solve`."""
+        shift = 0.0 if incidence is None else incidence - float(self.incidence)
+        parts = [one.solve(n_streams, wavelengths, scale, shift) for one in self.differences]
+        values, errors = (np.stack(part, axis=1) for part in zip(*parts, strict=True))
         return values, errors
 
 
@@ -436,11 +410,22 @@ def solve_derivatives(
     """
     values, step_error = derivatives.solve(solution.n_streams)
     trial = choose_trial_wavelengths(solution.optics_error.size)
-    few, coarse = derivatives.select(trial), values[..., trial]
-    errors = [_measure_truncation(few, coarse, solution.n_streams)]
-    change = _compute_optics_change(few.snowpack, solution.optics_error[trial])
+    coarse, n_streams = values[..., trial], solution.n_streams
+    errors = [np.abs(coarse - derivatives.solve(2 * n_streams, trial)[0])]
+    if not isinstance(derivatives.incidence, str):
+        # Beside a grazing beam, where the change by more streams is not small by chance.
+        cosine = np.cos(np.radians([derivatives.incidence]))
+        for neighbour in add_neighbours(cosine)[1:]:
+            angle = float(np.degrees(np.arccos(neighbour)))
+            one, other = (
+                derivatives.solve(number, trial, incidence=angle)[0]
+                for number in (n_streams, 2 * n_streams)
+            )
+            errors[0] = np.maximum(errors[0], np.abs(one - other))
+    few = derivatives.snowpack.select(trial)
+    change = _compute_optics_change(few, solution.optics_error[trial])
     for scale in SCALES:
-        scaled, _ = few.scale_optics(scale).solve(solution.n_streams)
+        scaled, _ = derivatives.solve(n_streams, trial, scale)
         errors.append((scaled - coarse) * change / SCALE_STEP)
     # Squares of small errors would be 0.
     combined = np.hypot.reduce(errors)
@@ -450,29 +435,6 @@ def solve_derivatives(
     relative = solution.bound_errors(totals)[1] / np.maximum(totals[1], TINY)
     error[1] = np.hypot(error[1], values[1] * relative)
     return values, np.hypot(step_error, error)
-
-
-def _measure_truncation(
-    derivatives: DryDerivatives | WetDerivatives, coarse: np.ndarray, n_streams: int
-) -> np.ndarray:
-    """Return the change of derivatives by twice as many streams, or beside a grazing beam.
-
-    Parameters
-    ----------
-    derivatives : DryDerivatives or WetDerivatives
-    coarse : float, shape (2, parameters, wavelengths)
-        With `n_streams`.
-    n_streams : int
-    """
-    change = np.abs(coarse - derivatives.solve(2 * n_streams)[0])
-    if isinstance(derivatives.incidence, str):
-        return change
-    cosine = np.cos(np.radians([derivatives.incidence]))
-    for neighbour in add_neighbours(cosine)[1:]:
-        beside = derivatives.move_beam(float(np.degrees(np.arccos(neighbour))))
-        one, other = (beside.solve(number)[0] for number in (n_streams, 2 * n_streams))
-        change = np.maximum(change, np.abs(one - other))
-    return change
 
 
 def _compute_optics_change(snowpack: GranularStack, error: np.ndarray) -> np.ndarray:

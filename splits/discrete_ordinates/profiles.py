@@ -9,7 +9,7 @@ import numpy as np
 from splits.core.uncertainty import compute_jackknife_stderr
 from splits.discrete_ordinates.adding import apply_rows, iterate_levels
 from splits.discrete_ordinates.grains import GrainTable
-from splits.discrete_ordinates.granular_layers import GranularLayer, iterate_replicates, list_traced
+from splits.discrete_ordinates.granular_layers import iterate_replicates, list_traced
 from splits.discrete_ordinates.granular_stack import (
     STREAM_NUMBERS,
     WET_ERROR,
@@ -33,69 +33,6 @@ from splits.discrete_ordinates.refraction import DRY, WET
 #     F_s(top) − F_s(bottom) = σ_s Φ_s − ∑ b_st Φ_t,
 #
 # of which the sum over the states is the absorption.
-
-
-class StackProfile(NamedTuple):
-    """Fluxes at depths and absorption in the parts of a snowpack between them.
-
-    All are for an irradiance of 1 on the horizontal, under one beam or under diffuse light.
-
-    Attributes
-    ----------
-    downward, upward : float, shape (depths, wavelengths)
-        At the top, at each depth, and at the bottom if there is one.
-    absorption : float, shape (parts, wavelengths)
-    pore_path : float, shape (parts, wavelengths, states)
-        Path length between grains (m), in dry and in wet pores.
-    pore_absorption : float, shape (parts, wavelengths, states)
-    grain_absorption : float, shape (parts, wavelengths)
-    """
-
-    downward: np.ndarray
-    upward: np.ndarray
-    absorption: np.ndarray
-    pore_path: np.ndarray
-    pore_absorption: np.ndarray
-    grain_absorption: np.ndarray
-
-
-def compute_pack_profile(
-    snowpack: GranularStack, incidence: float | None, n_streams: int
-) -> StackProfile:
-    """Return the profile of a snowpack whose layers are divided at the depths of interest.
-
-    Parameters
-    ----------
-    snowpack : GranularStack
-        See `GranularStack.divide`.
-    incidence : float, optional
-        Cosine of the beam; by default diffuse light.
-    n_streams : int
-    """
-    cosines = np.array([] if incidence is None else [incidence])
-    column = -1 if incidence is None else 0
-    stack = snowpack.build(cosines, n_streams)
-    budget, (net, downward, upward) = stack.compute_budget(), _compute_levels(stack, column)
-    # Levels above the layers: interfaces have none of their own.
-    layers = [i for i, element in enumerate(stack.elements) if element.emission is not None]
-    absorption = budget.absorption[..., column]
-    paths, in_pores, in_grains = [], [], []
-    for part, (level, layer) in enumerate(zip(layers, snowpack.layers, strict=True)):
-        optics, loss = stack.optics[part], net[level] - net[level + 1]
-        path = compute_pore_path(optics, loss, absorption[part])
-        by_pore = path * layer.pore_absorption[..., : path.shape[-1]]
-        paths.append(path)
-        in_pores.append(by_pore)
-        in_grains.append(absorption[part] - by_pore.sum(axis=-1))
-    bottom, downward, upward = downward[-1:], downward[layers], upward[layers]
-    # Above the top are the incident light and the reflectance.
-    downward[0], upward[0] = 1.0, budget.reflectance[..., column]
-    if np.isfinite(snowpack.layers[-1].depth_m):
-        downward = np.concatenate([downward, bottom])
-        upward = np.concatenate([upward, snowpack.ground * bottom])
-    return StackProfile(
-        downward, upward, absorption, np.stack(paths), np.stack(in_pores), np.stack(in_grains)
-    )
 
 
 def compute_pore_path(optics: LayerOptics, loss: np.ndarray, absorption: np.ndarray) -> np.ndarray:
@@ -217,7 +154,7 @@ class IntervalProfile(NamedTuple):
     Attributes
     ----------
     downward, upward : float, shape (depths, wavelengths)
-        Irradiances, see `StackProfile`.
+        Irradiances at the top, at each depth, and at the bottom if there is one.
     absorptance : float, shape (intervals, wavelengths)
     by_material : float, shape (intervals, materials, wavelengths)
         Absorptance by air, water and ice of the layers, top first.
@@ -289,54 +226,71 @@ def solve_profile(
         IntervalProfile(*(spread_truncation(values, trial, n_wavelengths) for values in errors))
         for errors in (difference, optics_error)
     )
-    by_reflectance = _scale_reflectance_error(profile, compute_optics_error(parts))
+    # The error of a reflectance changes all values in proportion.  That of the absorbed light is
+    # shared by the intervals and materials.
+    error = compute_optics_error(parts)
+    share = error / np.maximum(1.0 - profile.upward[0], error)
+    by_reflectance = (
+        error * profile.downward, error * profile.upward, share * profile.absorptance,
+        share * profile.by_material, error * profile.path_length,
+    )  # fmt: skip
     table_error = IntervalProfile(*map(np.hypot, perturbed, by_reflectance))
     if parts.is_wet:
-        table_error = _add_pore_balance(table_error, profile)
+        # The path length in water changes the shares of materials.  Light in water is less in air;
+        # the absorption of ice changes by less than that of water.
+        shape = (len(profile.absorptance), -1, N_MATERIALS, n_wavelengths)
+        in_water = profile.by_material.reshape(shape)[..., WET, np.newaxis, :]
+        balance = np.repeat(PORE_BALANCE_ERROR * np.abs(in_water), N_MATERIALS, axis=-2)
+        balance = balance.reshape(profile.by_material.shape)
+        table_error = table_error._replace(
+            by_material=np.hypot(table_error.by_material, balance),
+            path_length=np.hypot(table_error.path_length, WET_ERROR * profile.path_length),
+        )
     return ProfileSolution(profile, truncation, table_error, n_streams)
 
 
 def _compute_intervals(
     parts: GranularStack, geometry: LayerDivision, incidence: float | None, n_streams: int
 ) -> IntervalProfile:
-    """Return the profile of a divided snowpack for a number of streams."""
-    solution = compute_pack_profile(parts, incidence, n_streams)
-    in_grains = np.maximum(solution.grain_absorption, 0.0)
-    n_layers = geometry.pore_fraction.size
-    by_layer = np.zeros((len(in_grains), n_layers, N_MATERIALS, parts.ground.size))
-    rows, n_states = np.arange(len(in_grains)), solution.pore_absorption.shape[-1]
-    for state in range(n_states):
-        by_layer[rows, geometry.owners, state] = solution.pore_absorption[..., state]
-    by_layer[rows, geometry.owners, -1] = in_grains
-    by_material = by_layer.reshape(len(in_grains), -1, parts.ground.size)
+    """Return the profile of a divided snowpack for a number of streams.
+
+    It is for an irradiance of 1 on the horizontal, under one beam or under diffuse light.
+    """
+    cosines = np.array([] if incidence is None else [incidence])
+    column = -1 if incidence is None else 0
+    stack = parts.build(cosines, n_streams)
+    budget, (net, downward, upward) = stack.compute_budget(), _compute_levels(stack, column)
+    # Levels above the layers: interfaces have none of their own.
+    levels = [i for i, element in enumerate(stack.elements) if element.emission is not None]
+    absorption = budget.absorption[..., column]
+    by_layer = np.zeros((
+        len(levels), geometry.pore_fraction.size, N_MATERIALS, parts.ground.size
+    ))  # fmt: skip
+    path_length = np.empty_like(absorption)
+    for part, (layer, owner) in enumerate(zip(parts.layers, geometry.owners, strict=True)):
+        loss = net[levels[part]] - net[levels[part] + 1]
+        path = compute_pore_path(stack.optics[part], loss, absorption[part])
+        in_pores = path * layer.pore_absorption[..., : path.shape[-1]]
+        in_grains = absorption[part] - in_pores.sum(axis=-1)
+        by_layer[part, owner, : path.shape[-1]] = in_pores.T
+        by_layer[part, owner, -1] = np.maximum(in_grains, 0.0)
+        # The absorption coefficient of a grain is x times 1 over its mean chord.
+        coefficient = layer.grain_absorption * geometry.attenuation_per_m[owner]
+        between_grains = geometry.pore_fraction[owner] * path.sum(axis=-1)
+        path_length[part] = between_grains + in_grains / coefficient
     firsts = geometry.first_parts
-    above = np.append(firsts, len(in_grains) - 1)
-    if len(solution.downward) > len(in_grains):
-        above[-1] += 1
-    else:
-        above = above[:-1]
-    return IntervalProfile(
-        solution.downward[above],
-        solution.upward[above],
-        np.add.reduceat(solution.absorption, firsts, axis=0),
-        np.add.reduceat(by_material, firsts, axis=0),
-        np.add.reduceat(_compute_path_length(parts, solution, geometry), firsts, axis=0),
+    depths = np.array(levels)[firsts]
+    bottom, downward, upward = downward[-1:], downward[depths], upward[depths]
+    # Above the top are the incident light and the reflectance.
+    downward[0], upward[0] = 1.0, budget.reflectance[..., column]
+    if np.isfinite(parts.layers[-1].depth_m):
+        downward = np.concatenate([downward, bottom])
+        upward = np.concatenate([upward, parts.ground * bottom])
+    by_material = by_layer.reshape(len(levels), -1, parts.ground.size)
+    in_intervals = (
+        np.add.reduceat(values, firsts, axis=0) for values in (absorption, by_material, path_length)
     )
-
-
-def _compute_path_length(
-    parts: GranularStack, solution: StackProfile, geometry: LayerDivision
-) -> np.ndarray:
-    """Return path lengths in pores and grains (m), shape (parts, wavelengths)."""
-    pore_fraction, attenuation = (
-        values[geometry.owners, np.newaxis]
-        for values in (geometry.pore_fraction, geometry.attenuation_per_m)
-    )
-    # The absorption coefficient of a grain is x times 1 over its mean chord.
-    coefficient = np.stack([part.grain_absorption for part in parts.layers]) * attenuation
-    in_grains = solution.grain_absorption / coefficient
-    path: np.ndarray = pore_fraction * solution.pore_path.sum(axis=-1) + in_grains
-    return path
+    return IntervalProfile(downward, upward, *in_intervals)
 
 
 def _compute_grain_error(
@@ -349,9 +303,23 @@ def _compute_grain_error(
         return _compute_intervals(snowpack, geometry, incidence, n_streams)
 
     total = IntervalProfile(*(np.zeros_like(one) for one in values))
-    for layers in _perturb_tables(parts):
-        change = _subtract(compute(parts._replace(layers=layers)), values)
-        total = IntervalProfile(*map(np.hypot, total, change))
+    tabulated = [i for i, one in enumerate(parts.layers) if isinstance(one.grains, GrainTable)]
+    if tabulated:
+        # More absorbing, and more grains of natural snow.
+        absorbing, denser = list(parts.layers), list(parts.layers)
+        error = find_similarity_error(parts.layers[tabulated[0]].contrast, parts.is_wet)
+        # One number for all wavelengths: the largest error of (1 − g) is nearly the same for all.
+        more = 1.0 + error.max()
+        for number in tabulated:
+            layer = parts.layers[number]
+            absorption, collisions = layer.grain_absorption, layer.collisions_per_m
+            absorbing[number] = layer._replace(grain_absorption=absorption * (1.0 + error))
+            denser[number] = layer._replace(
+                collisions_per_m=collisions * more, grain_absorption=absorption / more
+            )
+        for layers in (absorbing, denser):
+            change = _subtract(compute(parts._replace(layers=layers)), values)
+            total = IntervalProfile(*map(np.hypot, total, change))
     for digest in list_traced(parts.layers):
         replicates = [
             compute(parts._replace(layers=layers))
@@ -362,55 +330,6 @@ def _compute_grain_error(
         )
         total = IntervalProfile(*map(np.hypot, total, stderr))
     return total
-
-
-def _perturb_tables(parts: GranularStack) -> list[list[GranularLayer]]:
-    """Return the layers with more absorbing, and with more grains of natural snow, if any."""
-    numbers = [i for i, one in enumerate(parts.layers) if isinstance(one.grains, GrainTable)]
-    if not numbers:
-        return []
-    error = find_similarity_error(parts.layers[numbers[0]].contrast, parts.is_wet)
-    # One number for all wavelengths: the largest error of (1 − g) is nearly the same for all.
-    largest = error.max()
-    absorbing, denser = list(parts.layers), list(parts.layers)
-    for number in numbers:
-        layer = parts.layers[number]
-        absorbing[number] = layer._replace(grain_absorption=layer.grain_absorption * (1.0 + error))
-        denser[number] = layer._replace(
-            collisions_per_m=layer.collisions_per_m * (1.0 + largest),
-            grain_absorption=layer.grain_absorption / (1.0 + largest),
-        )
-    return [absorbing, denser]
-
-
-def _scale_reflectance_error(profile: IntervalProfile, error: np.ndarray) -> IntervalProfile:
-    """Return the error of a reflectance in proportion to all values, shape (wavelengths,) given.
-
-    That of the absorbed light is shared by the intervals and materials in proportion.
-    """
-    absorbed = np.maximum(1.0 - profile.upward[0], error)
-    share = error / absorbed
-    return IntervalProfile(
-        error * profile.downward, error * profile.upward, share * profile.absorptance,
-        share * profile.by_material, error * profile.path_length,
-    )  # fmt: skip
-
-
-def _add_pore_balance(error: IntervalProfile, profile: IntervalProfile) -> IntervalProfile:
-    """Return errors with that of the path length in water, which changes the shares of materials.
-
-    Light in water is less in air; the absorption of ice changes by less than that of water.
-    """
-    shape = (*profile.absorptance.shape[:1], -1, N_MATERIALS, profile.absorptance.shape[-1])
-    materials = profile.by_material.reshape(shape)
-    balance = PORE_BALANCE_ERROR * np.abs(materials[..., WET, :])
-    added = np.repeat(balance[..., np.newaxis, :], N_MATERIALS, axis=-2)
-    added = added.reshape(profile.by_material.shape)
-    flux = WET_ERROR * profile.path_length
-    return error._replace(
-        by_material=np.hypot(error.by_material, added),
-        path_length=np.hypot(error.path_length, flux),
-    )
 
 
 def _subtract(one: IntervalProfile, other: IntervalProfile) -> IntervalProfile:

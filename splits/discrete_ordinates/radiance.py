@@ -179,21 +179,17 @@ def _pair(beam: DirectLight, view: DirectLight, states: tuple[int, int], turn: i
 
 def _select_directions(interface: Element, n_states: int) -> Element:
     """Return an interface for the beams in each direction, which are reverse to radiances."""
-    above, below, down, up = (
-        _split_directions(matrix, n_states) for matrix in interface[:-1] if matrix is not None
-    )
+
+    def split(matrix: np.ndarray) -> np.ndarray:
+        # Blocks of each direction, (..., directions, states, states): the stream of each state is
+        # first.
+        block = matrix[..., n_states:, n_states:]
+        n = block.shape[-1] // n_states
+        block = block.reshape(*block.shape[:-2], n_states, n, n_states, n)
+        return np.moveaxis(np.diagonal(block, axis1=-3, axis2=-1), -1, -3)
+
+    above, below, down, up = (split(matrix) for matrix in interface[:-1] if matrix is not None)
     return Element(above, below, np.swapaxes(up, -1, -2), np.swapaxes(down, -1, -2), None)
-
-
-def _split_directions(matrix: np.ndarray, n_states: int) -> np.ndarray:
-    """Return the blocks of each direction, shape (..., directions, states, states).
-
-    Each state has one stream, which comes first.
-    """
-    block = matrix[..., n_states:, n_states:]
-    n = block.shape[-1] // n_states
-    block = block.reshape(*block.shape[:-2], n_states, n, n_states, n)
-    return np.moveaxis(np.diagonal(block, axis1=-3, axis2=-1), -1, -3)
 
 
 def _make_end(boundary: Boundary, root: np.ndarray, shape: tuple[int, ...]) -> _End:
@@ -259,25 +255,6 @@ SHIFT_WEIGHTS = np.array([0.0, -1.0, 4.0, 4.0, -1.0]) / 6.0
 """Weights of the interpolation to a shift of 0, by a polynomial of the third degree."""
 
 
-class LayerRadiance(NamedTuple):
-    """Layers, and light that they scatter out of beams along the views, for one azimuthal mode.
-
-    Radiances are those of the streams and of the beams, as in `splits.discrete_ordinates.adding`,
-    without light scattered once between two directions.
-
-    Attributes
-    ----------
-    elements : list of Element
-    isotropic : float, shape (layers, ..., radiances)
-    reflection, transmission : float, shape (layers, ..., radiances, states, views)
-    """
-
-    elements: list[Element]
-    isotropic: np.ndarray
-    reflection: np.ndarray
-    transmission: np.ndarray
-
-
 class _Directions(NamedTuple):
     """Directions of all states along one dimension, shape (..., directions) or (..., streams)."""
 
@@ -291,8 +268,11 @@ class _Directions(NamedTuple):
 
 def solve_layer_radiance(
     optics: LayerOptics, streams: Streams, beams: np.ndarray, views: np.ndarray, mode: int
-) -> LayerRadiance:
-    """Return the reflection and transmission of layers between streams, beams and views.
+) -> tuple[list[Element], np.ndarray, np.ndarray, np.ndarray]:
+    """Return layers, and light that they scatter out of beams along views, for an azimuthal mode.
+
+    Radiances are those of the streams and of the beams, as in `splits.discrete_ordinates.adding`,
+    without light scattered once between two directions.
 
     Parameters
     ----------
@@ -302,6 +282,12 @@ def solve_layer_radiance(
     beams, views : float, shape (..., states, beams) and (..., states, views)
         Cosines in each state.
     mode : int
+
+    Returns
+    -------
+    elements : list of Element
+    isotropic : float, shape (layers, ..., radiances)
+    reflection, transmission : float, shape (layers, ..., radiances, states, views)
     """
     n_beams, n_shifted = beams.shape[-1], SHIFTS.size * beams.shape[-1]
     directions = np.concatenate([np.tile(beams, SHIFTS.size), views], axis=-1)
@@ -322,7 +308,13 @@ def solve_layer_radiance(
 
     shifted, own, seen = map(select, (slice(n_shifted), slice(n_beams), slice(n_shifted, None)))
     across = 0.5 * (even - odd)
-    reflected = _reflect(own, seen, across)
+    # R without light scattered once, by invariance; T below.
+    reflected = (
+        own.within @ _transpose(seen.reflection)
+        + own.reflection @ _transpose(seen.within + seen.reflection @ across)
+        - (own.direct * own.across) @ _transpose(seen.transmission)
+        - own.transmission @ _transpose(seen.direct * seen.across + seen.transmission @ across)
+    ) / (own.rates + _transpose(seen.rates))
     transmitted = _transmit(shifted, seen, across, n_beams)
     isotropic = make_isotropic(optics, streams, n_beams)
     layers = Slab(
@@ -341,25 +333,13 @@ def solve_layer_radiance(
     reflection, transmission = (
         values.reshape(*values.shape[:-1], *views.shape[-2:]) for values in into_all
     )
-    return LayerRadiance(elements, isotropic, reflection, transmission)
+    return elements, isotropic, reflection, transmission
 
 
 def _select(values: np.ndarray, shape: tuple[int, ...], chosen: slice) -> np.ndarray:
     """Return some of the directions of each state."""
     by_state = values.reshape(*values.shape[:-2], *shape, values.shape[-1])[..., chosen, :]
     return by_state.reshape(*values.shape[:-2], -1, values.shape[-1])
-
-
-def _reflect(own: _Directions, seen: _Directions, across: np.ndarray) -> np.ndarray:
-    """Return R without light scattered once, by invariance."""
-    numerator = (
-        own.within @ _transpose(seen.reflection)
-        + own.reflection @ _transpose(seen.within + seen.reflection @ across)
-        - (own.direct * own.across) @ _transpose(seen.transmission)
-        - own.transmission @ _transpose(seen.direct * seen.across + seen.transmission @ across)
-    )
-    reflected: np.ndarray = numerator / (own.rates + _transpose(seen.rates))
-    return reflected
 
 
 def _transmit(
@@ -463,55 +443,39 @@ def _solve_mode(
     """
     n_beams, n_views = geometry.beams.size, geometry.views.size
     beam, view = layers.refract(geometry.beams), layers.refract(geometry.views)
-    solved = solve_layer_radiance(layers.optics, streams, beam, view, mode)
-    n_streams = solved.isotropic.shape[-1] - n_beams * layers.optics.extinction.shape[-1]
+    elements, isotropic, reflecting, transmitting = solve_layer_radiance(
+        layers.optics, streams, beam, view, mode
+    )
+    n_streams = isotropic.shape[-1] - n_beams * layers.optics.extinction.shape[-1]
     top, bottom = faces.boundaries
     # A Lambertian ground reflects into mode 0 only.
     ground = layers.ground if mode == 0 else np.zeros_like(layers.ground)
-    reflection, _ = reflect_at_bottom(bottom, solved.isotropic[-1], ground, n_streams)
-    upward, downward = _scatter_views(solved, views)
-    rising = np.zeros(upward.shape[1:])
-    rising[..., :n_views] = _reflect_views(faces, solved.isotropic[-1], ground, views[0])
-    for layer in reversed(range(len(solved.elements))):
-        interface = faces.interfaces[layer] if layer < len(solved.elements) - 1 else None
-        if interface is not None:
-            reflection, passage = add_above(interface, reflection)
-            rising = passage @ rising
-        below, (reflection, passage) = reflection, add_above(solved.elements[layer], reflection)
-        rising = upward[layer] + passage @ (rising + below @ downward[layer])
-    outlet = make_outlet(reflection, top, solved.isotropic[0], n_streams)[..., :-1, :]
-    leaving = outlet @ rising
-    return np.stack([leaving[..., :n_views], leaving[..., n_views:]])
-
-
-def _scatter_views(
-    solved: LayerRadiance, views: tuple[DirectLight, DirectLight]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the light that layers scatter upwards and downwards out of the beams of the views.
-
-    The shape is (layers, ..., radiances, 2 × views): beams from the top, then those from the
-    bottom.
-    """
+    reflection, _ = reflect_at_bottom(bottom, isotropic[-1], ground, n_streams)
+    # Light that layers scatter upwards and downwards out of the beams of the views, those from the
+    # top first, shape (layers, ..., radiances, 2 × views).
     both = []
     for one in views:
         falling, rising = (np.swapaxes(values, -1, -2) for values in (one.falling, one.rising))
         both.append([
-            np.einsum("...rsv,...sv->...rv", solved.reflection, a)
-            + np.einsum("...rsv,...sv->...rv", solved.transmission, b)
+            np.einsum("...rsv,...sv->...rv", reflecting, a)
+            + np.einsum("...rsv,...sv->...rv", transmitting, b)
             for a, b in ((falling, rising), (rising, falling))
         ])  # fmt: skip
     upward, downward = (np.concatenate(parts, axis=-1) for parts in zip(*both, strict=True))
-    return upward, downward
-
-
-def _reflect_views(
-    faces: Faces, isotropic: np.ndarray, ground: np.ndarray, views: DirectLight
-) -> np.ndarray:
-    """Return the light of the beams of the views that a ground reflects."""
-    bottom = faces.boundaries[1]
+    # The ground reflects beams from the top.
     gain = ground / (1.0 - ground * bottom.outer_reflectance[..., -1])
-    passing = (bottom.transmission * isotropic)[..., :, np.newaxis]
-    reflected: np.ndarray = (
-        2.0 * gain[..., np.newaxis, np.newaxis] * passing * views.transmitted[..., np.newaxis, :]
+    passing = (bottom.transmission * isotropic[-1])[..., :, np.newaxis]
+    rising = np.zeros(upward.shape[1:])
+    rising[..., :n_views] = (
+        2.0 * gain[..., np.newaxis, np.newaxis] * passing * views[0].transmitted[..., np.newaxis, :]
     )
-    return reflected
+    for layer in reversed(range(len(elements))):
+        interface = faces.interfaces[layer] if layer < len(elements) - 1 else None
+        if interface is not None:
+            reflection, passage = add_above(interface, reflection)
+            rising = passage @ rising
+        below, (reflection, passage) = reflection, add_above(elements[layer], reflection)
+        rising = upward[layer] + passage @ (rising + below @ downward[layer])
+    outlet = make_outlet(reflection, top, isotropic[0], n_streams)[..., :-1, :]
+    leaving = outlet @ rising
+    return np.stack([leaving[..., :n_views], leaving[..., n_views:]])

@@ -78,28 +78,38 @@ def compute_reflectance(cosine: np.ndarray, index: np.ndarray) -> np.ndarray:
     return reflectance
 
 
-def refract_directions(cosines: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Return the cosines of directions in dry and wet pores, shape (..., 2, directions)."""
+def refract_directions(cosines: np.ndarray, index: np.ndarray | None) -> np.ndarray:
+    """Return the cosines of directions in dry and wet pores, shape (..., states, directions).
+
+    `index` is the refractive index of water, None for layers without wet pores.
+    """
+    if index is None:
+        return cosines[..., np.newaxis, :]
     sine2 = (1.0 - cosines**2) / np.asarray(index)[..., np.newaxis] ** 2
     refracted = np.sqrt(1.0 - sine2)
     return np.stack(np.broadcast_arrays(cosines, refracted), axis=-2)
 
 
-def make_wet_faces(
-    wet_fractions: Sequence[float], index: np.ndarray, streams: Streams, cosines: np.ndarray
-) -> Faces:
-    """Return the interfaces and boundaries of layers of wet fractions, top first.
+def make_faces(
+    n_layers: int, wet_fractions: Sequence[float], index: np.ndarray | None, streams: Streams,
+    cosines: np.ndarray,
+) -> Faces:  # fmt: skip
+    """Return the interfaces and boundaries of layers, top first.
 
     Parameters
     ----------
+    n_layers : int
     wet_fractions : sequence of float
-        Above 0.
-    index : float, shape (...)
-        Refractive index of water.
+        Above 0, for layers of two states.
+    index : float, shape (...), or None
+        Refractive index of water; None for layers of one state, which neither reflect nor refract.
     streams : Streams
-    cosines : float, shape (directions,)
-        Directions in air.
+    cosines : float, shape (..., directions)
+        Directions in air; (directions,) for layers of two states.
     """
+    if index is None:
+        face = Boundary.make_transparent(streams.cosines.size, cosines.shape[-1])
+        return Faces([None] * (n_layers - 1), (face, face))
     cells = RefractingCells.from_index(index, streams)
     interfaces = [
         None if pair[0] == pair[1] else make_wet_interface(pair, index, cells, cosines)
@@ -146,56 +156,43 @@ def make_wet_interface(
     Pores that are wet in the layer of less water are wet in the other, too.  The rest of the wet
     pores of the other layer begins or ends there.  Scaled radiances make both directions symmetric.
     """
-    streams = _Crossing(
-        cells.transmission / np.sqrt(cells.weights[:, np.newaxis] * cells.weights)
-        / index[..., np.newaxis, np.newaxis],
+    n = index[..., np.newaxis, np.newaxis]
+    streams = cells.transmission / np.sqrt(cells.weights[:, np.newaxis] * cells.weights) / n
+    by_streams = _connect_states(
+        wet_fractions, streams,
         _make_diagonal(1.0 - cells.compute_outer_transmittance()),
-        _make_diagonal(1.0 - cells.compute_inner_transmittance(index)),
+        _make_diagonal(1.0 - cells.compute_inner_transmittance(index)), 1.0,
     )  # fmt: skip
     face = compute_reflectance(cosines, index[..., np.newaxis])
-    beams = _Crossing(
-        _make_diagonal((1.0 - face) / index[..., np.newaxis]),
-        _make_diagonal(face),
-        _make_diagonal(face),
-    )
-    n2 = (index**2)[..., np.newaxis, np.newaxis]
-    by_streams, by_beams = (
-        _connect_states(wet_fractions, crossing, refraction)
-        for crossing, refraction in ((streams, 1.0), (beams, n2))
-    )
+    beams = _make_diagonal((1.0 - face) / index[..., np.newaxis])
+    reflected = _make_diagonal(face)
+    by_beams = _connect_states(wet_fractions, beams, reflected, reflected, n**2)
     above, below, down, up = (
         _join_diagonal(a, b) for a, b in zip(by_streams, by_beams, strict=True)
     )
     return Element(above, below, down, up, None)
 
 
-class _Crossing(NamedTuple):
-    """Light at a face of water: from air to water, and reflected in air and in water."""
-
-    transmission: np.ndarray
-    outer_reflection: np.ndarray
-    inner_reflection: np.ndarray
-
-
 def _connect_states(
-    wet_fractions: tuple[float, float], crossing: _Crossing, refraction: Any
-) -> tuple[np.ndarray, ...]:
+    wet_fractions: tuple[float, float], transmission: np.ndarray, outer_reflection: np.ndarray,
+    inner_reflection: np.ndarray, refraction: Any,
+) -> tuple[np.ndarray, ...]:  # fmt: skip
     """Return the four matrices of an interface, for the streams or for the directions.
 
     Parameters
     ----------
     wet_fractions : (float, float)
         Above and below.
-    crossing : _Crossing
+    transmission, outer_reflection, inner_reflection : float, shape (..., n, n)
+        Light from air to water, and reflected in air and in water.
     refraction : float
         Factor of light that enters water, relative to light that leaves it: 1 for fluxes.
     """
     upper, lower = wet_fractions
     dry, wet, changing = 1.0 - max(upper, lower), min(upper, lower), abs(upper - lower)
     fractions = ((1.0 - upper, upper), (1.0 - lower, lower))
-    size = crossing.outer_reflection.shape[-1]
-    none = np.zeros_like(crossing.outer_reflection)
-    unit = none + np.eye(size)
+    none = np.zeros_like(outer_reflection)
+    unit = none + np.eye(outer_reflection.shape[-1])
 
     def normalize(amount: float, a: float, b: float) -> float:
         return amount / np.sqrt(a * b) if amount else 0.0
@@ -209,13 +206,12 @@ def _connect_states(
     above, below = ([[none, none], [none, none]] for _ in range(2))
     drier, wetter = (0, 1) if lower > upper else (1, 0)
     amount = normalize(changing, fractions[drier][DRY], fractions[wetter][WET])
-    into_water = amount * refraction * crossing.transmission
-    out_of_water = amount * np.swapaxes(crossing.transmission, -1, -2)
     entering, leaving = (down, up) if drier == 0 else (up, down)
-    entering[WET][DRY], leaving[DRY][WET] = into_water, out_of_water
+    entering[WET][DRY] = amount * refraction * transmission
+    leaving[DRY][WET] = amount * np.swapaxes(transmission, -1, -2)
     dry_side, wet_side = (above, below) if drier == 0 else (below, above)
-    dry_side[DRY][DRY] = changing / fractions[drier][DRY] * crossing.outer_reflection
-    wet_side[WET][WET] = changing / fractions[wetter][WET] * crossing.inner_reflection
+    dry_side[DRY][DRY] = changing / fractions[drier][DRY] * outer_reflection
+    wet_side[WET][WET] = changing / fractions[wetter][WET] * inner_reflection
     return tuple(join_blocks(blocks) for blocks in (above, below, down, up))
 
 
@@ -303,15 +299,11 @@ class PlaneLayers(NamedTuple):
 
     def make_faces(self, streams: Streams, cosines: np.ndarray) -> Faces:
         """Return the interfaces and boundaries, for further directions in air."""
-        if self.water_index is None:
-            n_layers = self.optics.thickness.shape[0]
-            return Faces.make_transparent(n_layers, streams.cosines.size, cosines.size)
-        return make_wet_faces(self.wet_fractions, self.water_index, streams, cosines)
+        n_layers = self.optics.thickness.shape[0]
+        return make_faces(n_layers, self.wet_fractions, self.water_index, streams, cosines)
 
     def refract(self, cosines: np.ndarray) -> np.ndarray:
         """Return the cosines within the layers, shape (..., states, directions)."""
-        if self.water_index is None:
-            return cosines[np.newaxis]
         return refract_directions(cosines, self.water_index)
 
     def truncate(self, streams: int) -> PlaneLayers:

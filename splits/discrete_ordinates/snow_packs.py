@@ -24,8 +24,7 @@ from splits.discrete_ordinates.granular_stack import (
 )
 from splits.materials.impurities import make_impurities
 from splits.materials.library import absorption_coefficient, interpolate_ice_density
-from splits.media.natural_snow import MAX_SURFACE_AREA_M2_KG
-from splits.media.snow import Snow
+from splits.media.snow import MAX_SURFACE_AREA_M2_KG, Snow
 from splits.media.snow_packs import SnowPackArrays
 
 # --------------------------------------------------------------------------------------------------
@@ -195,14 +194,6 @@ class SpectraSolution(NamedTuple):
         error: np.ndarray = np.hypot(self.truncation, self.optics_error)
         return error
 
-    @classmethod
-    def make_empty(cls, n_snowpacks: int, n_wavelengths: int, n_values: int) -> SpectraSolution:
-        """Return arrays to be filled."""
-        reflectance, transmittance = np.empty((2, n_snowpacks, n_wavelengths, n_values))
-        truncation, optics_error = np.empty((2, n_snowpacks, n_wavelengths))
-        n_streams = np.zeros(n_snowpacks, dtype=int)
-        return cls(reflectance, transmittance, n_streams, truncation, optics_error)
-
 
 def solve_spectra(
     snowpacks: GranularStack, cosines: np.ndarray, max_error: float
@@ -219,8 +210,10 @@ def solve_spectra(
     max_error : float
         See `splits.discrete_ordinates.granular_stack.solve_spectrum`.
     """
-    n_snowpacks, n_wavelengths = snowpacks.ground.shape
-    result = SpectraSolution.make_empty(n_snowpacks, n_wavelengths, cosines.shape[-1] + 1)
+    shape = n_snowpacks, n_wavelengths = snowpacks.ground.shape
+    reflectance, transmittance = np.empty((2, *shape, cosines.shape[-1] + 1))
+    numbers = np.zeros(n_snowpacks, dtype=int)
+    result = SpectraSolution(reflectance, transmittance, numbers, np.empty(shape), np.empty(shape))
     if snowpacks.is_wet:
         for number in range(n_snowpacks):
             one = solve_spectrum(snowpacks.select(slice(None), number), cosines[number], max_error)

@@ -19,7 +19,6 @@ import numpy as np
 from splits.core.error_target import MIN_REFERENCE_FRACTION, ErrorTarget
 from splits.discrete_ordinates.adding import Budget
 from splits.discrete_ordinates.granular_layers import (
-    MIN_WET_FRACTION,
     N_PEAK_ORDERS,
     estimate_phase_error,
 )
@@ -55,7 +54,6 @@ ADDED_ABSORPTION = 1e-5
 changes with the reflectance."""
 MAX_SENSITIVITY = 2.0
 """Largest relative change of the anisotropy factor, over that of the reflectance."""
-SIDE_NAMES = ("reflectance", "transmittance")
 
 
 class BidirectionalSolution(NamedTuple):
@@ -247,7 +245,7 @@ def solve_relative_spectrum(
     """Return the budget of light to a relative error of one side, see `solve_spectrum`."""
     trial = choose_trial_wavelengths(snowpack.ground.size)
     budget = snowpack.select(trial).solve(cosines, STREAM_NUMBERS[0])
-    smallest = float(getattr(budget, SIDE_NAMES[side]).min())
+    smallest = float((budget.reflectance, budget.transmittance)[side].min())
     return solve_with_exponent_error(snowpack, cosines, relative_error * smallest)
 
 
@@ -315,7 +313,4 @@ def _stack_layers(snowpack: GranularStack, orders: int) -> PlaneLayers:
         orders = N_PEAK_ORDERS
     layers = [layer.compute_optics(orders, in_air=True) for layer in snowpack.layers]
     optics = LayerOptics(*(np.stack(values) for values in zip(*layers, strict=True)))
-    if not snowpack.is_wet:
-        return PlaneLayers(optics, snowpack.ground)
-    wet_fractions = [max(float(layer.wet_fraction), MIN_WET_FRACTION) for layer in snowpack.layers]
-    return PlaneLayers(optics, snowpack.ground, wet_fractions, snowpack.layers[0].water_index)
+    return PlaneLayers(optics, snowpack.ground, snowpack.wet_fractions, snowpack.water_index)

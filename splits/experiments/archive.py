@@ -213,7 +213,7 @@ def list_table_files(settings: Settings) -> list[Path]:
     """Return the users' own tables in an archive: those that its experiments and media name."""
     names: dict[str, str] = {}
     for path in list_configuration_files(settings).values():
-        names |= _name_tables(read_yaml(path)) if _is_yaml(path) else {}
+        names |= _read_settings(path)[1]
     _check_member_names(names.values())
     return sorted(map(expand_path, names))
 
@@ -228,8 +228,7 @@ def make_configuration_members(settings: Settings) -> dict[str, bytes]:
     members: dict[str, bytes] = {}
     for name, path in list_configuration_files(settings).items():
         members[name] = path.read_bytes()
-        content = read_yaml(path) if _is_yaml(path) else {}
-        tables = _name_tables(content)
+        content, tables = _read_settings(path)
         members |= {member: expand_path(table).read_bytes() for table, member in tables.items()}
         if any(member != table for table, member in tables.items()):
             members[name] = dump_yaml(_replace_texts(content, tables)).encode()
@@ -238,14 +237,25 @@ def make_configuration_members(settings: Settings) -> dict[str, bytes]:
     return members
 
 
-def _is_yaml(path: Path) -> bool:
-    return path.suffix in (".yaml", ".yml")
+def _read_settings(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return the content of a file of an experiment or medium, and the tables that it names.
 
-
-def _name_tables(content: Mapping[str, Any]) -> dict[str, str]:
-    """Return the name of the member by path of a table that an experiment or medium names."""
-    paths = [path for path in list_table_paths(content) if expand_path(path).is_file()]
-    return {path: _get_table_member_name(path) for path in paths}
+    The latter are names of members by path: members keep their file name, and files that are read
+    whatever their suffix are text tables.  Other files have neither.
+    """
+    content = read_yaml(path) if path.suffix in (".yaml", ".yml") else {}
+    names = {}
+    for table in list_table_paths(content):
+        if not expand_path(table).is_file():
+            continue
+        member = PurePosixPath(table)
+        is_allowed = member.suffix.lower() in FOLDER_SUFFIXES["config"]
+        if not is_allowed or member.parts[0] != "config" or ".." in member.parts:
+            digest = hashlib.sha256(expand_path(table).read_bytes()).hexdigest()
+            suffix = "" if is_allowed else ".txt"
+            member = PurePosixPath(f"config/tables/{digest[:16]}/{member.name}{suffix}")
+        names[table] = str(member)
+    return content, names
 
 
 def _replace_texts(content: Any, names: Mapping[str, str]) -> Any:
@@ -255,16 +265,3 @@ def _replace_texts(content: Any, names: Mapping[str, str]) -> Any:
     if isinstance(content, list):
         return [_replace_texts(value, names) for value in content]
     return names.get(content, content) if isinstance(content, str) else content
-
-
-def _get_table_member_name(table: str) -> str:
-    """Return the member name of a user's table, which keeps its file name.
-
-    Files that are read whatever their suffix are text tables.
-    """
-    path = PurePosixPath(table)
-    is_allowed = path.suffix.lower() in FOLDER_SUFFIXES["config"]
-    if is_allowed and path.parts[0] == "config" and ".." not in path.parts:
-        return str(path)
-    digest = hashlib.sha256(expand_path(table).read_bytes()).hexdigest()
-    return f"config/tables/{digest[:16]}/{path.name}{'' if is_allowed else '.txt'}"

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from splits.core.arrays import check_increasing, check_named_numbers, read_columns
+from splits.core.arrays import check_named_numbers
 from splits.core.equality import ContentEquality
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.optional import import_optional
 from splits.core.validation import check_choice, invalid, join_names, snap_to_limits, to_text_keys
-from splits.materials.csv_table import read_csv, read_user_table, to_columns
+from splits.materials.csv_table import read_csv, read_tabulated_function, to_columns
 
 # --------------------------------------------------------------------------------------------------
 # Bands of sensors: tables of pyrsr, and Gaussian responses of published centres and widths.
@@ -45,7 +45,6 @@ SENSORS = tuple(sorted((*PYRSR_SENSORS, *GAUSSIAN_SENSORS)))
 HALF_RANGE_WIDTHS = 1.5
 """Range of a Gaussian response on either side of its centre, in widths; it is 1/512 at the ends."""
 N_RESPONSE_POINTS = 37
-_SENSORS_CSV = Path(__file__).with_name("sensors.csv")
 
 
 @reject_unknown_arguments
@@ -96,11 +95,17 @@ def sensor_bands(name: str) -> dict[str, dict[str, np.ndarray]]:
     400.0
     """
     check_choice("sensor", name, SENSORS)
-    return _load_pyrsr_bands(name) if name in PYRSR_SENSORS else _make_gaussian_bands(name)
-
-
-def _load_pyrsr_bands(name: str) -> dict[str, dict[str, np.ndarray]]:
-    """Return the bands of a sensor from the tables of pyrsr."""
+    if name in GAUSSIAN_SENSORS:
+        table = load_band_centres()
+        offset_widths = np.linspace(-HALF_RANGE_WIDTHS, HALF_RANGE_WIDTHS, N_RESPONSE_POINTS)
+        response = np.exp2(-4.0 * offset_widths**2)
+        return {
+            f"{name}_{row.band}": {
+                "wavelength_nm": row.centre_nm + row.width_nm * offset_widths,
+                "response": response.copy(),
+            }
+            for row in table[table.sensor == name].itertuples()
+        }
     rsr = import_optional("pyrsr", "sky", "bands of this sensor need").RSR
     spectral_response = rsr(*PYRSR_SENSORS[name], no_thermal=True)
     wavelengths = np.asarray(spectral_response.rsrs_wvl, dtype=float)
@@ -116,25 +121,10 @@ def _load_pyrsr_bands(name: str) -> dict[str, dict[str, np.ndarray]]:
     return bands
 
 
-def _make_gaussian_bands(name: str) -> dict[str, dict[str, np.ndarray]]:
-    """Return the bands of a sensor in the table of centres and widths."""
-    table = load_band_centres()
-    rows = table[table.sensor == name]
-    offset_widths = np.linspace(-HALF_RANGE_WIDTHS, HALF_RANGE_WIDTHS, N_RESPONSE_POINTS)
-    response = np.exp2(-4.0 * offset_widths**2)
-    return {
-        f"{name}_{row.band}": {
-            "wavelength_nm": row.centre_nm + row.width_nm * offset_widths,
-            "response": response.copy(),
-        }
-        for row in rows.itertuples()
-    }
-
-
 @cache
 def load_band_centres() -> pd.DataFrame:
     """Return the table of Gaussian bands: sensor, band, centre_nm and width_nm (nm)."""
-    table = read_csv("sensors", _SENSORS_CSV)
+    table = read_csv("sensors", Path(__file__).with_name("sensors.csv"))
     columns: dict[str, Any] = {name: table.get_texts(name) for name in ("sensor", "band")}
     columns |= {name: table.get_numbers(name) for name in ("centre_nm", "width_nm")}
     return pd.DataFrame(columns)
@@ -188,24 +178,15 @@ class SpectralBand(ContentEquality):
         ValueError
             For a malformed band.
         """
-        digest, value = "", to_columns(value)
-        if isinstance(value, str | Path):
-            columns, digest = read_user_table(key, value, BAND_COLUMNS)
-        elif isinstance(value, Mapping):
-            if set(value) != set(BAND_COLUMNS):
-                allowed = "its limits (nm), or a mapping of " + ", ".join(BAND_COLUMNS)
-                raise invalid(key, sorted(map(str, value)), allowed)
-            columns = [value[name] for name in BAND_COLUMNS]
-        else:
+        value = to_columns(value)
+        if not isinstance(value, str | Path | Mapping):
             low, high = check_named_numbers(key, value, ("low", "high"))
             if not 0.0 < low < high:
                 raise invalid(key, value, "0 < low < high (nm)")
             return cls.from_limits(low, high)
-        wavelengths, response = read_columns(key, dict(zip(BAND_COLUMNS, columns, strict=True)))
-        check_increasing(f"{key}.wavelength_nm", wavelengths)
-        if not wavelengths.size == response.size >= 2:
-            sizes = f"{wavelengths.size} wavelengths, {response.size} responses"
-            raise invalid(key, sizes, "two lists of the same length, at least 2")
+        (wavelengths, response), digest = read_tabulated_function(
+            key, value, BAND_COLUMNS, "its limits (nm), or "
+        )
         response = snap_to_limits(response, 0.0, np.inf)
         if response.min() < 0.0 or not response.any():
             raise invalid(
@@ -319,15 +300,6 @@ def compute_response_weights(
 
     The spectrum is interpolated by polynomials through the nearest nodes, 2 for a linear one.
     """
-    points, factors = _make_quadrature(name, band, wavelengths)
-    weights: np.ndarray = factors @ interpolate_locally(wavelengths, points, n_nodes)
-    return weights / weights.sum()
-
-
-def _make_quadrature(
-    name: str, band: SpectralBand, wavelengths: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return points (nm) of an integral over a band, and their weights times the response."""
     nodes = snap_to_limits(band.wavelength_nm, wavelengths[0], wavelengths[-1])
     low, high = nodes[[0, -1]].tolist()
     if low < wavelengths[0] or high > wavelengths[-1]:
@@ -340,7 +312,11 @@ def _make_quadrature(
         [breakpoints[:-1], 0.5 * (breakpoints[:-1] + breakpoints[1:]), breakpoints[1:]]
     )
     simpson = np.array([[1.0], [4.0], [1.0]]) * np.diff(breakpoints) / 6.0
-    return points.ravel(), (np.interp(points, nodes, band.response) * simpson).ravel()
+    factors = np.interp(points, nodes, band.response) * simpson
+    weights: np.ndarray = factors.ravel() @ interpolate_locally(
+        wavelengths, points.ravel(), n_nodes
+    )
+    return weights / weights.sum()
 
 
 def interpolate_locally(nodes: np.ndarray, points: np.ndarray, n_nodes: int) -> np.ndarray:

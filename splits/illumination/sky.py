@@ -5,20 +5,25 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from splits.core.arrays import check_array_range, check_increasing, read_columns
+from splits.core.arrays import check_array_range
 from splits.core.equality import ContentEquality
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.optional import import_optional
 from splits.core.validation import check_range, invalid, suggest_name
 from splits.illumination.bands import SpectralBand, as_bands, interpolate_locally
-from splits.materials.csv_table import is_csv_path, read_numeric_csv, read_user_table, to_columns
+from splits.materials.csv_table import (
+    is_csv_path,
+    read_numeric_csv,
+    read_tabulated_function,
+    to_columns,
+)
 from splits.materials.refractive_index import check_wavelength_range
 
 SKY_COLUMNS = ("wavelength_nm", "direct", "diffuse")
@@ -55,19 +60,13 @@ class Sky(ContentEquality):
     relative: bool = False
 
     def __post_init__(self) -> None:
-        def set_attribute(name: str, value: Any) -> None:
-            object.__setattr__(self, name, value)
-
+        put = partial(object.__setattr__, self)
         zenith = check_range("zenith_deg", self.zenith_deg, 0.0, MAX_ZENITH_DEG, "degrees")
-        set_attribute("zenith_deg", zenith)
+        put("zenith_deg", zenith)
         columns = {key: getattr(self, key) for key in SKY_COLUMNS}
-        wavelengths, *light = read_columns("sky", columns)
-        check_increasing("sky.wavelength_nm", wavelengths)
-        if not wavelengths.size == light[0].size == light[1].size >= 2:
-            sizes = f"{wavelengths.size}, {light[0].size} and {light[1].size} numbers"
-            raise invalid("sky", sizes, "three lists of the same length, at least 2")
-        for key, values in zip(SKY_COLUMNS, (wavelengths, *light), strict=True):
-            set_attribute(key, check_array_range(f"sky.{key}", values, 0.0, np.inf))
+        spectra, _ = read_tabulated_function("sky", columns, SKY_COLUMNS)
+        for key, values in zip(SKY_COLUMNS, spectra, strict=True):
+            put(key, check_array_range(f"sky.{key}", values, 0.0, np.inf))
         if not self.total.any():
             raise invalid("sky", "0 everywhere", "light at some wavelength")
 
@@ -98,11 +97,11 @@ class Sky(ContentEquality):
                 )
             return self
         total = check_range("total_w_m2", total_w_m2, 0.0, 1e5, "W m-2", open_low=True)
-        factor = (
-            total / self.compute_weights(self.wavelength_nm, self.make_bands(None)[BROADBAND]).sum()
+        weights = self.compute_weights(self.wavelength_nm, self.make_bands(None)[BROADBAND])
+        factor = total / weights.sum()
+        return replace(
+            self, direct=factor * self.direct, diffuse=factor * self.diffuse, relative=False
         )
-        direct, diffuse = factor * self.direct, factor * self.diffuse
-        return replace(self, direct=direct, diffuse=diffuse, relative=False)
 
     def check_coverage(self, wavelength_nm: np.ndarray) -> None:
         """Check that wavelengths (nm) are within the spectrum of this sky."""
@@ -172,14 +171,12 @@ class Sky(ContentEquality):
             simpson[points] += coefficient * step / 6.0
         integrand = simpson * np.interp(nodes, self.wavelength_nm, self.total)
         integrand *= np.interp(nodes, band.wavelength_nm, band.response)
-        weights: np.ndarray = integrand @ interpolate_locally(wavelength_nm, nodes, n_nodes)
-        return weights
+        return np.asarray(integrand @ interpolate_locally(wavelength_nm, nodes, n_nodes))
 
 
 # --------------------------------------------------------------------------------------------------
 # Spectra of skies: tables of SNICAR, clear skies, the ASTM standard, and those of users.
 
-_SNICAR_CSV = Path(__file__).with_name("skies.csv")
 CLOUDY_SUFFIX = "_cloudy"
 """Suffix of the names of skies whose light is all diffuse."""
 CLEAR_SKY = "clear"
@@ -201,7 +198,7 @@ ATMOSPHERE_PARAMETERS: dict[str, tuple[float, tuple[float, float]]] = {
 
 @cache
 def _load_snicar_skies() -> pd.DataFrame:
-    return read_numeric_csv("skies", _SNICAR_CSV)
+    return read_numeric_csv("skies", Path(__file__).with_name("skies.csv"))
 
 
 def list_sky_names() -> tuple[str, ...]:
@@ -259,111 +256,79 @@ def sky(
     zenith = None
     if zenith_deg is not None:
         zenith = check_range("zenith_deg", zenith_deg, 0.0, MAX_ZENITH_DEG, "degrees")
-    all_parameters = {
-        "pressure_pa": pressure_pa,
-        "precipitable_water_cm": precipitable_water_cm,
-        "ozone_atm_cm": ozone_atm_cm,
-        "turbidity_500nm": turbidity_500nm,
-        "ground_albedo": ground_albedo,
-    }
-    atmosphere = {key: value for key, value in all_parameters.items() if value is not None}
+    given = (pressure_pa, precipitable_water_cm, ozone_atm_cm, turbidity_500nm, ground_albedo)
+    named = zip(ATMOSPHERE_PARAMETERS, given, strict=True)
+    atmosphere = {key: value for key, value in named if value is not None}
     if name == CLEAR_SKY:
         if zenith is None:
             raise invalid(
                 "zenith_deg", None, ZENITH_REQUIREMENT, f'splits.sky("{CLEAR_SKY}", zenith_deg=50)'
             )
-        return _make_clear_sky(zenith, atmosphere)
+        # After Bird & Riordan (1986).
+        parameters = {
+            name: check_range(name, atmosphere.get(name, default), *limits)
+            for name, (default, limits) in ATMOSPHERE_PARAMETERS.items()
+        }
+        compute_air_mass = import_optional(
+            "pvlib.atmosphere", "sky", "clear skies need"
+        ).get_relative_airmass
+        spectra = import_optional("pvlib.spectrum", "sky", "clear skies need").spectrl2(
+            apparent_zenith=zenith,
+            aoi=zenith,
+            surface_tilt=0.0,
+            ground_albedo=parameters["ground_albedo"],
+            surface_pressure=parameters["pressure_pa"],
+            relative_airmass=compute_air_mass(zenith, model="kasten1966"),
+            precipitable_water=parameters["precipitable_water_cm"],
+            ozone=parameters["ozone_atm_cm"],
+            aerosol_turbidity_500nm=parameters["turbidity_500nm"],
+            dayofyear=80,
+        )
+        direct, diffuse = (np.ravel(spectra[key]) for key in ("dni", "dhi"))
+        direct = np.maximum(direct, 0.0) * np.cos(np.radians(zenith))
+        description = ", ".join(f"{name} {value:g}" for name, value in parameters.items())
+        source = f"Bird & Riordan (1986), by pvlib: {description}"
+        wavelengths = np.ravel(spectra["wavelength"])
+        return Sky(CLEAR_SKY, source, zenith, wavelengths, direct, np.maximum(diffuse, 0.0))
     if atmosphere:
         first, value = next(iter(atmosphere.items()))
         raise invalid(first, value, "left out", f"it applies to the sky {CLEAR_SKY} only")
     if name == ASTM_G173:
-        return _make_astm_sky()
-    if isinstance(spectrum, Mapping):
-        if set(spectrum) != set(SKY_COLUMNS):
-            raise invalid(
-                "sky", sorted(map(str, spectrum)), "a mapping of " + ", ".join(SKY_COLUMNS)
-            )
-        return _make_user_sky("table", zenith, [spectrum[name] for name in SKY_COLUMNS])
-    if isinstance(spectrum, Path) or is_csv_path(name):
-        columns, digest = read_user_table("sky", spectrum, SKY_COLUMNS)
-        return _make_user_sky(Path(spectrum).name, zenith, columns, digest)
+        # The standard gives the beam, and the light on a surface tilted towards the sun; the
+        # difference is taken as diffuse.
+        spectrum = import_optional("pvlib.spectrum", "sky", "the standard sky needs")
+        table = spectrum.get_reference_spectra(standard="ASTM G173-03")
+        beam, tilted = table["direct"].to_numpy(), table["global"].to_numpy()
+        cos_tilted = np.cos(np.radians(ASTM_ZENITH_DEG - ASTM_TILT_DEG))
+        diffuse = np.maximum(tilted - beam * cos_tilted, 0.0)
+        direct = beam * np.cos(np.radians(ASTM_ZENITH_DEG))
+        wavelengths = table.index.to_numpy(dtype=float)
+        return Sky(
+            ASTM_G173, "ASTM G173-03, by pvlib", ASTM_ZENITH_DEG, wavelengths, direct, diffuse
+        )
+    polar_angle = SNICAR_ZENITH_DEG if zenith is None else zenith
+    if isinstance(spectrum, Mapping | Path) or is_csv_path(name):
+        columns, digest = read_tabulated_function("sky", spectrum, SKY_COLUMNS)
+        name = "table" if isinstance(spectrum, Mapping) else Path(spectrum).name
+        wavelengths, direct, diffuse = columns
+        user_sky = Sky(name, "given by the user", polar_angle, wavelengths, direct, diffuse)
+        if zenith is None and user_sky.direct.any():
+            hint = "splits.sky(…, zenith_deg=50): this sky has direct light"
+            raise invalid("zenith_deg", None, ZENITH_REQUIREMENT, hint)
+        content = np.stack([user_sky.wavelength_nm, user_sky.direct, user_sky.diffuse])
+        return replace(user_sky, sha256=digest or hashlib.sha256(content.tobytes()).hexdigest())
     if name not in list_sky_names():
         known = [*list_sky_names(), CLEAR_SKY, ASTM_G173]
         allowed = "one of " + ", ".join(known) + ", a mapping or a .csv file"
         raise invalid("sky", spectrum, allowed, suggest_name(spectrum, known))
-    return _make_snicar_sky(name, SNICAR_ZENITH_DEG if zenith is None else zenith)
-
-
-def _make_snicar_sky(name: str, zenith: float) -> Sky:
-    """Return a sky of the tables of SNICAR."""
     table = _load_snicar_skies()
     irradiance = table[name].to_numpy()
-    zeros = np.zeros_like(irradiance)
-    cloudy = name.endswith(CLOUDY_SUFFIX)
-    direct_and_diffuse = (zeros, irradiance) if cloudy else (irradiance, zeros)
-    source = "SNICAR-ADv3 (Flanner et al. 2021)"
+    light = (irradiance, np.zeros_like(irradiance))
     return Sky(
-        name, source, zenith, table["wavelength_nm"].to_numpy(), *direct_and_diffuse, relative=True
+        name,
+        "SNICAR-ADv3 (Flanner et al. 2021)",
+        polar_angle,
+        table["wavelength_nm"].to_numpy(),
+        *(light[::-1] if name.endswith(CLOUDY_SUFFIX) else light),
+        relative=True,
     )
-
-
-def _make_user_sky(name: str, zenith: float | None, columns: list[Any], sha256: str = "") -> Sky:
-    wavelengths, direct, diffuse = columns
-    user_sky = Sky(name, "given by the user", SNICAR_ZENITH_DEG, wavelengths, direct, diffuse)
-    if zenith is None and user_sky.direct.any():
-        raise invalid(
-            "zenith_deg",
-            None,
-            ZENITH_REQUIREMENT,
-            "splits.sky(…, zenith_deg=50): this sky has direct light",
-        )
-    table = np.stack([user_sky.wavelength_nm, user_sky.direct, user_sky.diffuse])
-    digest = sha256 or hashlib.sha256(table.tobytes()).hexdigest()
-    return replace(
-        user_sky, zenith_deg=user_sky.zenith_deg if zenith is None else zenith, sha256=digest
-    )
-
-
-def _make_clear_sky(zenith: float, atmosphere: Mapping[str, float]) -> Sky:
-    """Return a clear sky after Bird & Riordan (1986) from pvlib, after checking its parameters."""
-    parameters = {
-        name: check_range(name, atmosphere.get(name, default), *limits)
-        for name, (default, limits) in ATMOSPHERE_PARAMETERS.items()
-    }
-    compute_air_mass = import_optional(
-        "pvlib.atmosphere", "sky", "clear skies need"
-    ).get_relative_airmass
-    spectra = import_optional("pvlib.spectrum", "sky", "clear skies need").spectrl2(
-        apparent_zenith=zenith,
-        aoi=zenith,
-        surface_tilt=0.0,
-        ground_albedo=parameters["ground_albedo"],
-        surface_pressure=parameters["pressure_pa"],
-        relative_airmass=compute_air_mass(zenith, model="kasten1966"),
-        precipitable_water=parameters["precipitable_water_cm"],
-        ozone=parameters["ozone_atm_cm"],
-        aerosol_turbidity_500nm=parameters["turbidity_500nm"],
-        dayofyear=80,
-    )
-    direct, diffuse = (np.ravel(spectra[key]) for key in ("dni", "dhi"))
-    direct = np.maximum(direct, 0.0) * np.cos(np.radians(zenith))
-    description = ", ".join(f"{name} {value:g}" for name, value in parameters.items())
-    source = f"Bird & Riordan (1986), by pvlib: {description}"
-    wavelengths = np.ravel(spectra["wavelength"])
-    return Sky(CLEAR_SKY, source, zenith, wavelengths, direct, np.maximum(diffuse, 0.0))
-
-
-def _make_astm_sky() -> Sky:
-    """Return ASTM G173 for a horizontal surface.
-
-    The standard gives the beam, and the light on a surface tilted towards the sun; the difference
-    is taken as diffuse.
-    """
-    spectrum = import_optional("pvlib.spectrum", "sky", "the standard sky needs")
-    table = spectrum.get_reference_spectra(standard="ASTM G173-03")
-    beam, tilted = table["direct"].to_numpy(), table["global"].to_numpy()
-    cos_tilted = np.cos(np.radians(ASTM_ZENITH_DEG - ASTM_TILT_DEG))
-    diffuse = np.maximum(tilted - beam * cos_tilted, 0.0)
-    direct = beam * np.cos(np.radians(ASTM_ZENITH_DEG))
-    wavelengths = table.index.to_numpy(dtype=float)
-    return Sky(ASTM_G173, "ASTM G173-03, by pvlib", ASTM_ZENITH_DEG, wavelengths, direct, diffuse)

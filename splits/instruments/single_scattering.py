@@ -12,7 +12,7 @@ from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import check_choice, check_flag, check_integer, invalid
 from splits.media.kinds import check_medium
 from splits.media.medium import GranularMedium
-from splits.media.scattering_matrix import ANGLE, ELEMENTS
+from splits.media.particle_layer import ANGLE, ELEMENTS
 from splits.simulation.grain_optics import (
     GRAIN_RAYS_PER_CHUNK,
     INTERPOLATION_TOLERANCE,

@@ -7,13 +7,14 @@ import hashlib
 import io
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from splits.core.arrays import check_increasing, read_columns
 from splits.core.labels import TIME_EXAMPLE, parse_time
 from splits.core.paths import expand_path
 from splits.core.validation import InvalidValue, format_key, invalid, join_names, suggest_name
@@ -94,18 +95,13 @@ class CsvTable(NamedTuple):
             value = float(field) if _NUMBER_PATTERN.fullmatch(field) else np.nan
             if not math.isfinite(value) and not (is_gap and allow_gaps):
                 content = "a gap" if is_gap else format_key(field)
-                raise self.invalid(
-                    f"line {line}: {format_key(name)} is {content}{_suggest_fix(field)}"
-                )
+                if field.endswith("%"):
+                    content += "; write a fraction, 0.95 for 95 %"
+                elif "," in field:
+                    content += "; write decimals with a point, thousands without commas"
+                raise self.invalid(f"line {line}: {format_key(name)} is {content}")
             numbers.append(value)
         return np.array(numbers)
-
-
-def _suggest_fix(cell: str) -> str:
-    """Return a hint for a field that is nearly a number, or an empty text."""
-    if cell.endswith("%"):
-        return "; write a fraction, 0.95 for 95 %"
-    return "; write decimals with a point, thousands without commas" if "," in cell else ""
 
 
 def is_csv_path(text: str) -> bool:
@@ -145,10 +141,25 @@ def read_csv(key: str, path: str | Path, required: Sequence[str] = ()) -> CsvTab
     for number, line in enumerate(io.StringIO(text, newline=None), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
-        fields = _split_line(table, number, line)
+        # A row may end with a comment.
+        row = line.partition("#")[0]
+        if table.column_names and '"' not in row:
+            line = row
+        try:
+            # Bytes that are not UTF-8 were replaced by the second character.
+            if {"\0", "\ufffd"} & {*line}:
+                raise csv.Error("it is not text in UTF-8")
+            fields = [field.strip() for field in next(csv.reader([line], strict=True))]
+        except csv.Error as error:
+            raise table.invalid(f"line {number}: {error}") from None
         if not table.column_names:
+            if "" in fields:
+                hint = "a comma too many, or numbers of rows? write it with index=False"
+                raise table.invalid(f"a column without a name; {hint}")
+            duplicates = [name for name in fields if fields.count(name) > 1]
+            if duplicates:
+                raise table.invalid(f"two columns {format_key(duplicates[0])}")
             table.column_names.extend(fields)
-            _check_header(table)
             continue
         if len(fields) != len(table.column_names):
             hint = "commas separate columns, points decimals" if fields[-1] else "a comma too many"
@@ -161,30 +172,6 @@ def read_csv(key: str, path: str | Path, required: Sequence[str] = ()) -> CsvTab
     if not table.rows:
         raise table.invalid("it has no rows")
     return table
-
-
-def _split_line(table: CsvTable, number: int, line: str) -> list[str]:
-    """Return the fields of a line, without a comment at the end of a row."""
-    row = line.partition("#")[0]
-    if table.column_names and '"' not in row:
-        line = row
-    try:
-        # Bytes that are not UTF-8 were replaced by the second character.
-        if {"\0", "\ufffd"} & {*line}:
-            raise csv.Error("it is not text in UTF-8")
-        return [field.strip() for field in next(csv.reader([line], strict=True))]
-    except csv.Error as error:
-        raise table.invalid(f"line {number}: {error}") from None
-
-
-def _check_header(table: CsvTable) -> None:
-    """Check that all columns have unique names."""
-    if "" in table.column_names:
-        hint = "a comma too many, or numbers of rows? write it with index=False"
-        raise table.invalid(f"a column without a name; {hint}")
-    duplicates = [name for name in table.column_names if table.column_names.count(name) > 1]
-    if duplicates:
-        raise table.invalid(f"two columns {format_key(duplicates[0])}")
 
 
 def read_numeric_csv(key: str, path: str | Path, required: Sequence[str] = ()) -> pd.DataFrame:
@@ -225,3 +212,42 @@ def read_user_table(
     """
     table = read_csv(key, path, column_names)
     return [table.get_numbers(name) for name in column_names], table.sha256
+
+
+def read_tabulated_function(
+    key: str, value: Any, column_names: Sequence[str], alternative: str = ""
+) -> tuple[list[np.ndarray], str]:
+    """Return the columns of a function that a user tabulates, and the SHA-256 of its file or "".
+
+    Parameters
+    ----------
+    key : str
+        Key named in error messages.
+    value : mapping or path
+        Two lists or more by name, or the path of a CSV file with these columns.
+    column_names : sequence of str
+        Names of the columns; the first one, such as wavelength, increases strictly.
+    alternative : str
+        What else is allowed, for error messages.
+
+    Raises
+    ------
+    ValueError
+        For other names, fewer than two rows, lists of different length, or a first one that does
+        not increase.
+    """
+    digest, columns = "", value
+    if isinstance(value, str | Path):
+        arrays, digest = read_user_table(key, value, column_names)
+        columns = dict(zip(column_names, arrays, strict=True))
+    elif not isinstance(value, Mapping) or set(value) != {*column_names}:
+        given = sorted(map(str, value)) if isinstance(value, Mapping) else value
+        names = ", ".join(column_names)
+        raise invalid(key, given, f"{alternative}a mapping of {names}, lists of the same length")
+    arrays = read_columns(key, {name: columns[name] for name in column_names})
+    check_increasing(f"{key}.{column_names[0]}", arrays[0])
+    sizes = [array.size for array in arrays]
+    if min(sizes) < max(*sizes, 2):
+        counts = [f"{size} {name}" for size, name in zip(sizes, column_names, strict=True)]
+        raise invalid(key, ", ".join(counts), "lists of the same length, at least 2")
+    return arrays, digest

@@ -14,12 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
-from splits.core.arrays import check_array_range, check_increasing, read_columns
+from splits.core.arrays import check_array_range
 from splits.core.equality import ContentEquality
 from splits.core.validation import check_range, invalid, suggest_name
-from splits.materials.csv_table import read_numeric_csv, read_user_table
+from splits.materials.csv_table import read_numeric_csv, read_tabulated_function
 from splits.materials.refractive_index import check_wavelength_range
 
 ALGAE_NAMES = ("ice_algae", "snow_algae")
@@ -30,10 +29,8 @@ CELLS_PER_KG_PER_CELL_ML = 1e3
 """Cells per kg of ice of 1 cell per ml of meltwater, with 1 g of meltwater per ml."""
 MAX_NG_G = 1e8
 MAX_CELLS_ML = 1e9
-USER_IMPURITY_KEYS = ({"ng_g", "table"}, {"ng_g", "wavelength_nm", "absorption_m2_kg"})
 USER_IMPURITY_NAME_PATTERN = re.compile(r"(?!ground$|refractive_index)[^/]{1,80}")
 HALF_BAND_WIDTH_NM = 5.0
-_TABLE_FILE = Path(__file__).with_suffix(".csv")
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,13 +66,19 @@ class Impurity(ContentEquality):
 
 
 @cache
-def _load_known_impurities() -> pd.DataFrame:
-    return read_numeric_csv("impurities", _TABLE_FILE).set_index("wavelength_nm")
+def _load_known_impurities() -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return the wavelengths (nm) and the absorption of the tabulated impurities by name."""
+    file = Path(__file__).with_suffix(".csv")
+    table = read_numeric_csv("impurities", file).set_index("wavelength_nm")
+    w = table.index.to_numpy()
+    # The outermost bands extend half a band width past their centres.
+    w = np.concatenate([[w[0] - HALF_BAND_WIDTH_NM], w, [w[-1] + HALF_BAND_WIDTH_NM]])
+    return {str(name): (w, np.pad(table[name].to_numpy(), 1, mode="edge")) for name in table}
 
 
 def list_impurities() -> tuple[str, ...]:
     """Return the names of the tabulated impurities whose amount is a mass."""
-    return tuple(name for name in _load_known_impurities().columns if name not in ALGAE_NAMES)
+    return tuple(name for name in _load_known_impurities() if name not in ALGAE_NAMES)
 
 
 def make_impurities(mass_ng_g: Any, cells_ml: Any) -> tuple[Impurity, ...]:
@@ -130,38 +133,24 @@ def describe_impurities(impurities: Sequence[Impurity], location: str) -> dict[s
 
 def _make_mass_impurity(name: Any, value: Any) -> Impurity:
     key = f"impurities_ng_g.{name}"
-    is_user_defined = isinstance(value, Mapping)
-    if is_user_defined and set(value) not in USER_IMPURITY_KEYS:
+    if not isinstance(value, Mapping):
+        amount = MASS_RATIO_PER_NG_G * check_range(key, value, 0.0, MAX_NG_G)
+        return _make_tabulated_impurity("impurities_ng_g", name, amount, list_impurities())
+    if set(value) not in ({"ng_g", "table"}, {"ng_g", "wavelength_nm", "absorption_m2_kg"}):
         allowed = "ng_g and table, or ng_g, wavelength_nm and absorption_m2_kg"
         raise invalid(key, sorted(map(str, value)), allowed)
-    amount = check_range(
-        f"{key}.ng_g" if is_user_defined else key,
-        value["ng_g"] if is_user_defined else value,
-        0.0,
-        MAX_NG_G,
-    )
-    if not is_user_defined:
-        return _make_tabulated_impurity(
-            "impurities_ng_g", name, MASS_RATIO_PER_NG_G * amount, list_impurities()
-        )
-    if name in _load_known_impurities().columns:
+    amount = MASS_RATIO_PER_NG_G * check_range(f"{key}.ng_g", value["ng_g"], 0.0, MAX_NG_G)
+    if name in _load_known_impurities():
         raise invalid("impurities_ng_g", name, "a new name for a user table")
     if not (USER_IMPURITY_NAME_PATTERN.fullmatch(str(name)) and str(name).isprintable()):
         allowed = "a name of at most 80 characters without /, not ground or refractive_index"
         raise invalid("impurities_ng_g", name, allowed, "it names attributes of datasets")
-    digest = ""
-    if "table" in value:
-        names = ("wavelength_nm", "absorption_m2_kg")
-        (w, values), digest = read_user_table(f"{key}.table", value["table"], names)
-    else:
-        w, values = value["wavelength_nm"], value["absorption_m2_kg"]
-    w, values = read_columns(key, {"wavelength_nm": w, "absorption_m2_kg": values})
-    check_increasing(f"{key}.wavelength_nm", w)
-    if w.size != values.size or w.size < 2:
-        sizes = f"{w.size} wavelengths, {values.size} values"
-        raise invalid(key, sizes, "two columns of the same length, at least 2")
+    columns = {name: given for name, given in value.items() if name != "ng_g"}
+    table_key, table = (f"{key}.table", value["table"]) if "table" in value else (key, columns)
+    names = ("wavelength_nm", "absorption_m2_kg")
+    (w, values), digest = read_tabulated_function(table_key, table, names)
     values = check_array_range(f"{key}.absorption_m2_kg", values, 0.0, np.inf, "m2/kg")
-    return Impurity(str(name), MASS_RATIO_PER_NG_G * amount, w, values, digest, is_user_defined)
+    return Impurity(str(name), amount, w, values, digest, is_user_defined=True)
 
 
 def _make_tabulated_impurity(
@@ -169,18 +158,8 @@ def _make_tabulated_impurity(
 ) -> Impurity:
     if name not in known_names:
         hint = suggest_name(name, list(known_names))
-        if name in _load_known_impurities().columns:
+        if name in _load_known_impurities():
             keyword = "algae_cells_ml" if name in ALGAE_NAMES else "impurities_ng_g"
             hint = f"its amount belongs to {keyword}"
         raise invalid(key, name, "one of " + ", ".join(known_names), hint)
-    return Impurity(name, amount_per_kg_ice, *_load_absorption(name))
-
-
-@cache
-def _load_absorption(name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the wavelengths (nm) and the absorption of a tabulated impurity."""
-    column = _load_known_impurities()[name]
-    w = column.index.to_numpy()
-    # The outermost bands extend half a band width past their centres.
-    w = np.concatenate([[w[0] - HALF_BAND_WIDTH_NM], w, [w[-1] + HALF_BAND_WIDTH_NM]])
-    return w, np.pad(column.to_numpy(), 1, mode="edge")
+    return Impurity(name, amount_per_kg_ice, *_load_known_impurities()[name])

@@ -16,12 +16,13 @@ import numpy as np
 
 from splits.core.arrays import read_columns
 from splits.core.validation import (
-    InvalidValue,
     as_scalar,
     check_choice,
     check_number,
     check_range,
     invalid,
+    join_names,
+    suggest_name,
 )
 from splits.materials.csv_table import is_csv_path, read_user_table, to_columns
 from splits.materials.refractive_index import (
@@ -88,7 +89,6 @@ _GHOSH_REFERENCE = (
     "G. Ghosh. Dispersion-equation coefficients for the refractive index and birefringence of "
     "calcite and quartz crystals. Opt. Commun. 163, 95-102 (1999)"
 )
-_GHOSH_RANGE_NM = (198.0, 2053.1)
 
 
 def _load_columns(file: str) -> tuple[np.ndarray, str]:
@@ -140,18 +140,8 @@ def _load_ice_picard_2016() -> TabulatedIndex:
     return TabulatedIndex("warren_brandt_2008_picard_2016", source, w, n, k)
 
 
-def _make_quartz_ordinary() -> SellmeierIndex:
-    terms = (1.07044083, 1.00585997e-2), (1.10202242, 100.0)
-    return SellmeierIndex(
-        "ghosh_1999_ordinary", _GHOSH_REFERENCE, _GHOSH_RANGE_NM, 0.28604141, terms
-    )
-
-
-def _make_quartz_extraordinary() -> SellmeierIndex:
-    terms = (1.09509924, 1.02101864e-2), (1.15662475, 100.0)
-    return SellmeierIndex(
-        "ghosh_1999_extraordinary", _GHOSH_REFERENCE, _GHOSH_RANGE_NM, 0.28851804, terms
-    )
+def _make_quartz(axis: str, constant: float, *terms: tuple[float, float]) -> SellmeierIndex:
+    return SellmeierIndex(f"ghosh_1999_{axis}", _GHOSH_REFERENCE, (198.0, 2053.1), constant, terms)
 
 
 def _make_hematite_mean() -> TabulatedIndex:
@@ -186,8 +176,16 @@ _DATASET_LOADERS: dict[str, dict[str, Callable[[], RefractiveIndex]]] = {
         "segelstein_1981": partial(_load_table, "water", "segelstein_1981"),
     },
     "quartz": {
-        "ghosh_1999_ordinary": _make_quartz_ordinary,
-        "ghosh_1999_extraordinary": _make_quartz_extraordinary,
+        "ghosh_1999_ordinary": partial(
+            _make_quartz, "ordinary", 0.28604141, (1.07044083, 1.00585997e-2), (1.10202242, 100.0)
+        ),
+        "ghosh_1999_extraordinary": partial(
+            _make_quartz,
+            "extraordinary",
+            0.28851804,
+            (1.09509924, 1.02101864e-2),
+            (1.15662475, 100.0),
+        ),
     },
     "hematite": {
         "querry_1985": _make_hematite_mean,
@@ -252,9 +250,17 @@ def make_refractive_index(material: str, spec: Any = None) -> RefractiveIndex:
     names = list_datasets(material)
     if spec is None:
         return load_dataset(material, names[0])
-    if isinstance(spec, Mapping) and {"dataset", "k_factor"} & set(spec):
-        return _make_scaled_index(f"refractive_index[{material}]", material, spec)
-    return parse_refractive_index(material, spec, names)
+    if not isinstance(spec, Mapping) or {"dataset", "k_factor"}.isdisjoint(spec):
+        return parse_refractive_index(material, spec, names)
+    key = f"refractive_index[{material}]"
+    if set(spec) - {"dataset", "k_factor"}:
+        raise invalid(key, dict(spec), "a mapping of dataset and k_factor only")
+    dataset = check_choice(f"{key}.dataset", spec.get("dataset", names[0]), names)
+    index = load_dataset(material, dataset)
+    if "k_factor" not in spec:
+        return index
+    factor = check_range(f"{key}.k_factor", spec["k_factor"], 0.0, np.inf, open_low=True)
+    return ScaledIndex(index, factor)
 
 
 def parse_refractive_index(
@@ -265,18 +271,30 @@ def parse_refractive_index(
     if isinstance(spec, str):
         if spec in dataset_names:
             return load_dataset(material, spec)
-        if is_csv_path(spec):
-            return _load_user_index(key, Path(spec))
-        try:
-            return ConstantIndex(complex(spec.replace(" ", "")))
-        except InvalidValue:
-            raise
-        except ValueError:
-            check_choice(key, spec, [*dataset_names, "a complex number", "a .csv file"])
-    if isinstance(spec, Path):
-        return _load_user_index(key, spec)
+        if not is_csv_path(spec):
+            try:
+                number = complex(spec.replace(" ", ""))
+            except ValueError:
+                names = sorted([*dataset_names, "a complex number", "a .csv file"])
+                allowed = f"one of {join_names(names)}"
+                raise invalid(key, spec, allowed, suggest_name(spec, names)) from None
+            return ConstantIndex(number)
+    if isinstance(spec, str | Path):
+        (w, n, k), digest = read_user_table(key, spec, ("wavelength_nm", "n", "k"))
+        return TabulatedIndex(Path(spec).name, "table of the user", w, n, k, digest)
     if isinstance(spec, Mapping):
-        return _make_user_index(key, material, spec)
+        if set(spec) - {"wavelength_nm", "n", "k"} or "n" not in spec:
+            allowed = (
+                "a mapping of n, k and, for a table, wavelength_nm, or of dataset and k_factor"
+            )
+            raise invalid(key, dict(spec), allowed)
+        columns = {name: spec.get(name, 0.0) for name in ("wavelength_nm", "n", "k")}
+        if "wavelength_nm" not in spec:
+            parts = (check_number(f"{key}.{name}", columns[name]) for name in ("n", "k"))
+            return ConstantIndex(complex(*parts))
+        w, n, k = read_columns(key, columns)
+        k = np.broadcast_to(k, w.shape) if k.size == 1 else k
+        return TabulatedIndex(f"user table for {material}", "given by the user", w, n, k)
     spec = as_scalar(spec)
     if isinstance(spec, (int, float, complex)) and not isinstance(spec, bool):
         return ConstantIndex(
@@ -285,39 +303,6 @@ def parse_refractive_index(
     if callable(spec) and hasattr(spec, "name"):
         return spec
     raise invalid(key, spec, "a dataset name, a complex constant, a table or a CSV file")
-
-
-def _make_scaled_index(key: str, material: str, spec: Mapping[str, Any]) -> RefractiveIndex:
-    if set(spec) - {"dataset", "k_factor"}:
-        raise invalid(key, dict(spec), "a mapping of dataset and k_factor only")
-    names = list_datasets(material)
-    index = load_dataset(
-        material, check_choice(f"{key}.dataset", spec.get("dataset", names[0]), names)
-    )
-    if "k_factor" not in spec:
-        return index
-    factor = check_range(f"{key}.k_factor", spec["k_factor"], 0.0, np.inf, open_low=True)
-    return ScaledIndex(index, factor)
-
-
-def _make_user_index(key: str, material: str, spec: Mapping[str, Any]) -> RefractiveIndex:
-    if set(spec) - {"wavelength_nm", "n", "k"} or "n" not in spec:
-        allowed = "a mapping of n, k and, for a table, wavelength_nm, or of dataset and k_factor"
-        raise invalid(key, dict(spec), allowed)
-    k = spec.get("k", 0.0)
-    if "wavelength_nm" not in spec:
-        return ConstantIndex(
-            complex(check_number(f"{key}.n", spec["n"]), check_number(f"{key}.k", k))
-        )
-    columns = {"wavelength_nm": spec["wavelength_nm"], "n": spec["n"], "k": k}
-    w, n, k = read_columns(key, columns)
-    k = np.broadcast_to(k, w.shape) if k.size == 1 else k
-    return TabulatedIndex(f"user table for {material}", "given by the user", w, n, k)
-
-
-def _load_user_index(key: str, path: Path) -> TabulatedIndex:
-    (w, n, k), digest = read_user_table(key, path, ("wavelength_nm", "n", "k"))
-    return TabulatedIndex(path.name, "table of the user", w, n, k, digest)
 
 
 def absorption_coefficient(index: np.ndarray, wavelength_nm: np.ndarray) -> np.ndarray:

@@ -44,24 +44,17 @@ def check_wavelength_range(wavelength_nm: Any, low: float, high: float, name: st
     w = snap_to_limits(as_float_array("wavelength_nm", wavelength_nm, allow_gaps=True), low, high)
     inside = (w >= low) & (w <= high)
     if not inside.all():
+        # The example is near the wavelengths requested.
+        valid = w[inside] if inside.sum() > 1 else np.array([low, high])
+        first, last = math.ceil(valid.min()), math.floor(valid.max())
         raise invalid(
             "wavelength_nm",
             float(w[~inside].flat[0]),
             f"in [{low:g}, {high:g}] nm, the range of {name}",
-            f"give wavelengths within it, such as {_suggest_wavelengths(w[inside], low, high)}, "
-            "or choose other data",
+            "give wavelengths within it, such as "
+            f"wavelength_nm=range({first}, {last + 1}, 10), or choose other data",
         )
     return w
-
-
-def _suggest_wavelengths(valid_wavelengths: np.ndarray, low: float, high: float) -> str:
-    """Return an example of wavelengths in a range (nm), near those requested."""
-    first, last = (
-        (valid_wavelengths.min(), valid_wavelengths.max())
-        if valid_wavelengths.size > 1
-        else (low, high)
-    )
-    return f"wavelength_nm=range({math.ceil(first)}, {math.floor(last) + 1}, 10)"
 
 
 @dataclass(frozen=True)
@@ -481,7 +474,17 @@ def compute_group_index(
     inner = np.abs(steps) <= 0.5 * FIT_HALF_WIDTH * (1.0 + 1e-9)
     slopes, errors = [], []
     for wavelength in wavelength_nm:
-        values = _evaluate_around(compute_index, wavelength, steps)
+        try:
+            values = compute_index(wavelength * np.exp(steps)).real
+        except InvalidValue as error:
+            # An error at the wavelength itself says more.
+            compute_index(np.array([wavelength]))
+            known = str(error).partition("must be ")[2].partition(" (")[0]
+            raise invalid(
+                "wavelength_nm", float(wavelength),
+                f"{100 * FIT_HALF_WIDTH:.0f} % inside the range of all refractive indices",
+                f"their dispersion gives the group velocity; one of them is known {known}",
+            ) from None  # fmt: skip
         wide, narrow, left, right = (
             np.polynomial.polynomial.polyfit(steps[part], values[part], degree)[1]
             for part, degree in (
@@ -535,21 +538,4 @@ def _compute_iapws(wavelength_nm: np.ndarray, temperature_k: float, density: flo
     )
     slope = 2.0 * d * (a3 * x**2 * t - a4 / x**2 - a5 * x**2 / below**2 - a6 * x**2 / above**2)
     index = np.sqrt((1.0 + 2.0 * lorentz) / (1.0 - lorentz))
-    group: np.ndarray = index - 1.5 * slope / (index * (1.0 - lorentz) ** 2)
-    return group
-
-
-def _evaluate_around(
-    compute_index: Callable[[np.ndarray], np.ndarray], wavelength: float, steps: np.ndarray
-) -> np.ndarray:
-    """Return refractive indices at wavelengths around one (nm), by steps of ln λ."""
-    try:
-        return compute_index(wavelength * np.exp(steps)).real
-    except InvalidValue as error:
-        compute_index(np.array([wavelength]))
-        known = str(error).partition("must be ")[2].partition(" (")[0]
-        raise invalid(
-            "wavelength_nm", float(wavelength),
-            f"{100 * FIT_HALF_WIDTH:.0f} % inside the range of all refractive indices",
-            f"their dispersion gives the group velocity; one of them is known {known}",
-        ) from None  # fmt: skip
+    return np.asarray(index - 1.5 * slope / (index * (1.0 - lorentz) ** 2))

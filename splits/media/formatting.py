@@ -47,13 +47,13 @@ def format_input(value: Any) -> str:
     if isinstance(value, Real) and not isinstance(value, bool):
         return f"{value:.10g}"
     if isinstance(value, Mapping):
-        return (
-            "{"
-            + ", ".join(f"{format_input(key)}: {format_input(item)}" for key, item in value.items())
-            + "}"
-        )
+        pairs = [f"{format_input(key)}: {format_input(item)}" for key, item in value.items()]
+        return f"{{{', '.join(pairs)}}}"
     if isinstance(value, (np.ndarray, Sequence)) and not isinstance(value, str):
-        return _format_sequence(value)
+        if len(value) > MAX_SHOWN_NUMBERS:
+            return f"[{format_input(value[0])}, ..., {format_input(value[-1])}]"
+        text = ", ".join(format_input(item) for item in value)
+        return f"({text})" if isinstance(value, tuple) else f"[{text}]"
     # Refractive indices are shown by name.
     return short_repr(value.name if callable(value) and hasattr(value, "name") else value)
 
@@ -63,13 +63,6 @@ def count_digits(value: Any) -> int:
     return max(
         len(format_input(x).partition("e")[0].replace(".", "").strip("0")) for x in np.ravel(value)
     )
-
-
-def _format_sequence(values: Any) -> str:
-    if len(values) > MAX_SHOWN_NUMBERS:
-        return f"[{format_input(values[0])}, ..., {format_input(values[-1])}]"
-    text = ", ".join(format_input(value) for value in values)
-    return f"({text})" if isinstance(values, tuple) else f"[{text}]"
 
 
 # --------------------------------------------------------------------------------------------------

@@ -106,12 +106,9 @@ def compute_size_attenuation(smallest: float, largest: float) -> float:
 def compute_shape_attenuation(minimum: float, maximum: float, mean: float, sd: float) -> float:
     """Return K2, the mean of A(Ψ)/4 for a truncated normal sphericity (SPLITSnow Eq A.8)."""
     if sd == 0.0 or minimum == maximum:
-        return float(surface_to_volume_ratio(_get_single_value(minimum, maximum, mean))) / 4.0
-    low, high = _standardize_limits(minimum, maximum, mean, sd)
-    weighted, _ = integrate_with_quantiles(
-        _make_weighted_normal(minimum, maximum, mean, sd), low, high
-    )
-    norm, _ = integrate_with_quantiles(lambda t: np.exp(-0.5 * t * t), low, high)
+        return float(surface_to_volume_ratio(minimum if minimum == maximum else mean)) / 4.0
+    weighted, _ = _integrate_normal(surface_to_volume_ratio, minimum, maximum, mean, sd)
+    norm, _ = _integrate_normal(np.ones_like, minimum, maximum, mean, sd)
     return weighted / norm / 4.0
 
 
@@ -141,52 +138,47 @@ def tabulate_hit_sphericities(minimum: float, maximum: float, mean: float, sd: f
 
     Density ∝ A(Ψ) times the normal density within [minimum, maximum].
     """
-    if sd == 0.0 or minimum == maximum:
-        return np.full(N_TABLE_POINTS, _get_single_value(minimum, maximum, mean))
-    _, score = integrate_with_quantiles(
-        _make_weighted_normal(minimum, maximum, mean, sd),
-        *_standardize_limits(minimum, maximum, mean, sd),
-        _PROBABILITIES,
-    )
-    return np.clip(mean + sd * score, minimum, maximum)
+    return _tabulate_normal(surface_to_volume_ratio, minimum, maximum, mean, sd)
 
 
 @cache
 def tabulate_truncated_normal(minimum: float, maximum: float, mean: float, sd: float) -> np.ndarray:
     """Return the quantile function of a normal distribution truncated to [minimum, maximum]."""
+    return _tabulate_normal(np.ones_like, minimum, maximum, mean, sd)
+
+
+def _tabulate_normal(
+    weight: Callable[[np.ndarray], np.ndarray],
+    minimum: float,
+    maximum: float,
+    mean: float,
+    sd: float,
+) -> np.ndarray:
+    """Return the quantile function of a weight times the truncated normal density."""
     if sd == 0.0 or minimum == maximum:
-        return np.full(N_TABLE_POINTS, _get_single_value(minimum, maximum, mean))
-    _, score = integrate_with_quantiles(
-        lambda t: np.exp(-0.5 * t * t),
-        *_standardize_limits(minimum, maximum, mean, sd),
-        _PROBABILITIES,
-    )
+        return np.full(N_TABLE_POINTS, minimum if minimum == maximum else mean)
+    _, score = _integrate_normal(weight, minimum, maximum, mean, sd, _PROBABILITIES)
     return np.clip(mean + sd * score, minimum, maximum)
 
 
-def _get_single_value(minimum: float, maximum: float, mean: float) -> float:
-    return minimum if minimum == maximum else mean
+def _integrate_normal(
+    weight: Callable[[np.ndarray], np.ndarray],
+    minimum: float,
+    maximum: float,
+    mean: float,
+    sd: float,
+    probability: np.ndarray | None = None,
+) -> tuple[float, np.ndarray]:
+    """Return the integral and the quantiles of a weight times the truncated normal density.
 
-
-def _standardize_limits(
-    minimum: float, maximum: float, mean: float, sd: float
-) -> tuple[float, float]:
-    """Return the limits in standard deviations from the mean, without negligible tails.
-
-    In these units the quadrature resolves the peak however narrow it is between the limits.
+    They are those over the standard score.  In its units the quadrature resolves the peak however
+    narrow it is between the limits; negligible tails are cut off.
     """
-    with np.errstate(over="ignore"):
-        low, high = np.divide([minimum - mean, maximum - mean], sd)
-    return max(float(low), -_TAIL_SIGMA), min(float(high), _TAIL_SIGMA)
-
-
-def _make_weighted_normal(
-    minimum: float, maximum: float, mean: float, sd: float
-) -> Callable[[np.ndarray], np.ndarray]:
-    """Return A(Ψ) times the normal density, up to a factor, as a function of standard score."""
 
     def density(score: np.ndarray) -> np.ndarray:
-        psi = np.clip(mean + sd * score, minimum, maximum)
-        return np.exp(-0.5 * score**2) * surface_to_volume_ratio(psi)
+        return np.exp(-0.5 * score**2) * weight(np.clip(mean + sd * score, minimum, maximum))
 
-    return density
+    with np.errstate(over="ignore"):
+        low, high = np.divide([minimum - mean, maximum - mean], sd)
+    limits = max(float(low), -_TAIL_SIGMA), min(float(high), _TAIL_SIGMA)
+    return integrate_with_quantiles(density, *limits, probability)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -13,24 +12,16 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.core.arrays import (
-    check_array_range,
-    check_increasing,
-    check_named_numbers,
-    read_columns,
-)
+from splits.core.arrays import check_array_range
 from splits.core.equality import ContentEquality
 from splits.core.units import check_nanometres
-from splits.core.validation import (
-    as_scalar,
-    check_number,
-    check_range,
-    invalid,
-    snap_to_limits,
-    suggest_name,
+from splits.core.validation import check_number, check_range, invalid, suggest_name
+from splits.materials.csv_table import (
+    is_csv_path,
+    read_numeric_csv,
+    read_tabulated_function,
+    to_columns,
 )
-from splits.materials import RefractiveIndex, make_refractive_index, parse_refractive_index
-from splits.materials.csv_table import is_csv_path, read_numeric_csv, read_user_table, to_columns
 from splits.materials.refractive_index import check_wavelength_range
 from splits.media.formatting import format_input
 
@@ -42,7 +33,6 @@ WAVELENGTH_DIM = "wavelength"
 """Name of the wavelengths (nm) of arrays with labels."""
 BLACK_OPTICAL_DEPTH = 1e4
 """Optical depth of a reflection from a black ground; exp(−1e4) underflows to 0."""
-_SOILS_FILE = Path(__file__).with_name("soils.csv")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -93,19 +83,21 @@ class Ground(ContentEquality):
                 value = value.to_series()
             value = value.sort_index()
             value = {"wavelength_nm": value.index.to_numpy(), "albedo": value.to_numpy()}
-        if isinstance(value, Path) or (isinstance(value, str) and is_csv_path(value)):
-            path = Path(value)
-            (w, values), digest = read_user_table("ground", path, ("wavelength_nm", "albedo"))
-            return _make_tabulated_ground(path.name, "table of the user", w, values, digest)
+        if isinstance(value, Mapping | Path) or (isinstance(value, str) and is_csv_path(value)):
+            names = ("wavelength_nm", "albedo")
+            (w, values), digest = read_tabulated_function("ground", value, names)
+            values = check_array_range("ground.albedo", values, 0.0, 1.0)
+            if isinstance(value, Mapping):
+                return Ground(TABLE_NAME, "given by the user", values, w)
+            return Ground(Path(value).name, "table of the user", values, w, digest)
         if isinstance(value, str):
-            return _find_ground(value)
-        if isinstance(value, Mapping):
-            if set(value) != {"wavelength_nm", "albedo"}:
-                keys = sorted(map(str, value))
-                raise invalid("ground", keys, "a mapping of wavelength_nm and albedo, lists")
-            return _make_tabulated_ground(
-                TABLE_NAME, "given by the user", value["wavelength_nm"], value["albedo"]
-            )
+            if value in (OPEN, BLACK):
+                return None if value == OPEN else Ground(BLACK, "given by the user", np.zeros(1))
+            soils = load_soils()
+            if value not in soils:
+                hint = suggest_name(value, [OPEN, BLACK, *soils]) or "soils: " + ", ".join(soils)
+                raise invalid("ground", value, _ALLOWED_INPUT, hint)
+            return soils[value]
         if np.ndim(value):
             hint = 'a spectrum is {"wavelength_nm": [...], "albedo": [...]}'
             raise invalid("ground", value, _ALLOWED_INPUT, hint)
@@ -118,7 +110,8 @@ class Ground(ContentEquality):
             return {"wavelength_nm": self.wavelength_nm, "albedo": self.albedo_values}
         if self.wavelength_nm is None:
             return BLACK if self.name == BLACK else float(self.albedo_values[0])
-        return self.name if self.sha256 else _get_soil_name(self.name)
+        # Columns of soils are named SOIL_SAMPLE.
+        return self.name if self.sha256 else self.name.partition("_")[0]
 
     def __repr__(self) -> str:
         """Return the call that constructs the ground, on one line."""
@@ -177,75 +170,14 @@ _ALLOWED_INPUT = (
 @cache
 def load_soils() -> dict[str, Ground]:
     """Return the soils by name, with their measured directional reflectance at 10 degrees."""
-    table = read_numeric_csv("soils", _SOILS_FILE)
-    lines = _SOILS_FILE.read_text(encoding="utf-8").splitlines()
+    file = Path(__file__).with_name("soils.csv")
+    table, lines = read_numeric_csv("soils", file), file.read_text(encoding="utf-8").splitlines()
     source = " ".join(line.lstrip("# ") for line in lines if line.startswith("#"))
     w = table["wavelength_nm"].to_numpy(dtype=float)
-    columns = [name for name in table.columns if name != "wavelength_nm"]
     return {
-        _get_soil_name(name): Ground(name, source, table[name].to_numpy(dtype=float), w)
-        for name in columns
+        name.partition("_")[0]: Ground(name, source, table[name].to_numpy(dtype=float), w)
+        for name in table.columns.drop("wavelength_nm")
     }
-
-
-def _get_soil_name(name: str) -> str:
-    """Return the short name of the soil of a column."""
-    return name.partition("_")[0]
-
-
-def _find_ground(name: str) -> Ground | None:
-    if name == OPEN:
-        return None
-    if name == BLACK:
-        return Ground(BLACK, "given by the user", np.zeros(1))
-    soils = load_soils()
-    if name not in soils:
-        hint = suggest_name(name, [OPEN, BLACK, *soils]) or "soils: " + ", ".join(soils)
-        raise invalid("ground", name, _ALLOWED_INPUT, hint)
-    return soils[name]
-
-
-def _make_tabulated_ground(
-    name: str, source: str, wavelength_nm: Any, albedo: Any, sha256: str = ""
-) -> Ground:
-    """Return the ground of a validated table."""
-    columns = {"wavelength_nm": wavelength_nm, "albedo": albedo}
-    w, values = read_columns("ground", columns)
-    check_increasing("ground.wavelength_nm", w)
-    if w.size != values.size or w.size < 2:
-        allowed = "two lists of the same length, at least 2"
-        raise invalid("ground", f"{w.size} wavelengths, {values.size} albedos", allowed)
-    values = check_array_range("ground.albedo", values, 0.0, 1.0)
-    return Ground(name, source, values, w, sha256)
-
-
-# --------------------------------------------------------------------------------------------------
-# Validation and description of inputs common to several media.
-
-EXPANDED_INPUTS = (
-    "refractive_index", "interpretation", "ground", "pores",
-    "impurities_ng_g", "algae_cells_ml", "impurities_in",
-)  # fmt: skip
-"""Inputs that expand to several dataset attributes."""
-_TRUNCATED_NORMAL_NAMES = ("min", "max", "mean", "sd")
-
-
-def check_truncated_normal(key: str, value: Any, low: float) -> tuple[float, ...]:
-    """Return the validated (min, max, mean, sd) of a truncated normal distribution in [low, 1]."""
-    *limits_and_mean, sd = check_named_numbers(key, value, _TRUNCATED_NORMAL_NAMES)
-    minimum, maximum, mean = snap_to_limits(limits_and_mean, low, 1.0).tolist()
-    if not low <= minimum <= mean <= maximum <= 1.0:
-        raise invalid(key, value, f"{low:g} <= min <= mean <= max <= 1 (min, max, mean, sd)")
-    check_range(f"{key} (sd)", sd, 0.0, 1.0)
-    return minimum, maximum, mean, sd
-
-
-def check_sample_depth(depth_m: Any) -> float:
-    """Return the validated thickness of a granular layer (m), above 0 to 1e4 or infinite."""
-    hint = "or infinite: .inf in YAML, math.inf in Python"
-    if isinstance(as_scalar(depth_m), float) and depth_m == math.inf:
-        return math.inf
-    return check_range("depth_m", depth_m, 0.0, 1e4, "m", open_low=True, hint=hint)
 
 
 def check_ground_reached(
@@ -255,63 +187,3 @@ def check_ground_reached(
     if ground is not None and is_semi_infinite:
         hint = f"no light reaches it below {above}: give depth_m"
         raise invalid("ground", ground.name, "left out", hint)
-
-
-def make_refractive_indices(
-    materials: Iterable[str], given: Any, pore_fluids: Iterable[str] = ()
-) -> dict[str, RefractiveIndex]:
-    """Return the refractive index of every material, by default that of its default dataset.
-
-    Parameters
-    ----------
-    materials : iterable of str
-    given : mapping
-        Refractive indices by material; air may be among them and is 1 otherwise.
-    pore_fluids : iterable of str, optional
-        Other pore fluids; each must be given.
-
-    Raises
-    ------
-    ValueError
-        If `given` is not a mapping, or for a material that the medium does not have.
-    """
-    solids = list(materials)
-    optional_materials = (
-        [*pore_fluids, "air"]
-        if isinstance(given, Mapping) and "air" in given
-        else list(pore_fluids)
-    )
-    names = solids + optional_materials
-    if not isinstance(given, Mapping):
-        raise invalid("refractive_index", given, "a mapping by material")
-    for name in given:
-        if name not in names:
-            raise invalid(
-                "refractive_index",
-                name,
-                "a mapping with keys " + ", ".join(names),
-                suggest_name(name, names),
-            )
-    return {m: make_refractive_index(m, given.get(m)) for m in solids} | {
-        m: parse_refractive_index(m, given[m]) for m in optional_materials
-    }
-
-
-def describe_inputs(medium: Any) -> dict[str, Any]:
-    """Return the inputs of a medium as dataset attributes.
-
-    Parameters
-    ----------
-    medium : dataclass
-        With the fields ``refractive_index``, ``interpretation`` and ``ground``, among others.
-    """
-    inputs = {
-        f.name: getattr(medium, f.name) for f in fields(medium) if f.name not in EXPANDED_INPUTS
-    }
-    inputs |= {f"pores_{name}": fraction for name, fraction in medium.pores.items()}
-    for material, index in medium.refractive_index.items():
-        inputs[f"refractive_index_{material}"] = index.name
-        if digest := getattr(index, "sha256", ""):
-            inputs[f"refractive_index_{material}_sha256"] = digest
-    inputs |= {f"interpretation_{k}": v for k, v in medium.interpretation.as_dict().items()}
-    return inputs | describe_ground(medium.ground)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
-from typing import Any, TypeVar
+from typing import Any, Self
 
 from splits.core.keywords import reject_unknown_keywords
 from splits.core.validation import check_choice, invalid, join_names, suggest_name
@@ -80,9 +80,6 @@ def merge_interpretations(given: Sequence[Any]) -> Any:
     return merged[SET_KEY] if list(merged) == [SET_KEY] else merged
 
 
-Kind = TypeVar("Kind", bound="TransportInterpretation")
-
-
 @dataclass(frozen=True)
 class TransportInterpretation:
     """Interpretation of the transport model common to SPLITS and SPLITSnow.
@@ -147,7 +144,7 @@ class TransportInterpretation:
                 raise invalid(f"interpretation.{name}", rule, "keep with grain_extent point", hint)
 
     @classmethod
-    def from_input(cls: type[Kind], value: Any) -> Kind:
+    def from_input(cls, value: Any) -> Self:
         """Return the interpretation for a user's input.
 
         Parameters
@@ -163,30 +160,21 @@ class TransportInterpretation:
         """
         if isinstance(value, cls):
             return value
-        if isinstance(value, str):
-            return cls(
-                **INTERPRETATION_SETS[check_choice("interpretation", value, INTERPRETATION_SETS)]
-            )
-        if not isinstance(value, Mapping):
-            raise invalid(
-                "interpretation",
-                value,
-                f"a mapping of named choices, or one of {join_names(INTERPRETATION_SETS)}",
-            )
+        given = {SET_KEY: value} if isinstance(value, str) else value
+        if not isinstance(given, Mapping):
+            allowed = f"a mapping of named choices, or one of {join_names(INTERPRETATION_SETS)}"
+            raise invalid("interpretation", value, allowed)
+        if SET_KEY in given:
+            key = "interpretation" if isinstance(value, str) else f"interpretation.{SET_KEY}"
+            name = check_choice(key, given[SET_KEY], INTERPRETATION_SETS)
+            own_choices = {key: choice for key, choice in given.items() if key != SET_KEY}
+            given = {**INTERPRETATION_SETS[name], **own_choices}
         names = [f.name for f in fields(cls)]
-        if SET_KEY in value:
-            base = INTERPRETATION_SETS[
-                check_choice(f"interpretation.{SET_KEY}", value[SET_KEY], INTERPRETATION_SETS)
-            ]
-            return cls.from_input(
-                {**base, **{key: choice for key, choice in value.items() if key != SET_KEY}}
-            )
-        for name in value:
+        for name in given:
             if name not in names:
-                raise invalid(
-                    "interpretation", name, "one of " + ", ".join(names), suggest_name(name, names)
-                )
-        return cls(**value)
+                allowed = "one of " + ", ".join(names)
+                raise invalid("interpretation", name, allowed, suggest_name(name, names))
+        return cls(**given)
 
     def to_sampling_rules(self, analog: bool = False) -> SamplingRules:
         """Return the sampling rules in the form the kernels take."""
@@ -204,10 +192,6 @@ class TransportInterpretation:
     def as_dict(self) -> dict[str, str]:
         """Return all choices by name."""
         return asdict(self)
-
-    def to_transport_dict(self) -> dict[str, str]:
-        """Return the choices of the transport model common to SPLITS and SPLITSnow."""
-        return {field.name: getattr(self, field.name) for field in fields(TransportInterpretation)}
 
     def as_input(self) -> str | dict[str, str]:
         """Return the name of the matching set, or the choices that differ from the defaults."""

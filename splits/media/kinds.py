@@ -14,10 +14,9 @@ from splits.core.paths import expand_path
 from splits.core.validation import check_choice, format_limit, invalid, key_prefix
 from splits.media.formatting import NAMED_MEDIA, NAMED_MEDIA_FOLDER, suggest_medium
 from splits.media.medium import GranularMedium, Medium
-from splits.media.natural_snow import override_keywords
 from splits.media.particle_layer import ParticleLayer
 from splits.media.sand import Sand
-from splits.media.snow import Snow
+from splits.media.snow import Snow, override_keywords
 from splits.media.snow_packs import SnowPacks
 from splits.media.stack import Stack
 
@@ -30,11 +29,6 @@ MEDIUM_NAMES: dict[type, tuple[str, ...]] = {
     ParticleLayer: ("ParticleLayer",),
 }
 """Names of the media of each class, for messages."""
-INFINITE_DEPTH_HINT = (
-    "give depth_m; infinite depth is for estimator spectral, albedos, profiles and delays, and "
-    "with solver discrete_ordinates (natural snow, point grains) for BRDFs and HDRFs"
-)
-"""Where a semi-infinite medium is allowed."""
 
 
 def check_medium(
@@ -54,28 +48,28 @@ def check_medium(
         Key in error messages.
     """
     if isinstance(medium, kind):
-        check_thickness(medium)
+        largest = medium.largest_grain_m
+        if medium.depth_m <= largest:
+            hint = "such a grain must fit between the boundaries"
+            allowed = f"more than the largest grain, {format_limit(largest, medium.depth_m)} m"
+            raise invalid("depth_m", medium.depth_m, allowed, hint)
         is_traceable = not (medium.is_semi_infinite and medium.lowest_layer.has_grains)
         if not (is_traceable or allow_semi_infinite):
-            raise invalid("depth_m", math.inf, "finite", INFINITE_DEPTH_HINT)
+            hint = (
+                "give depth_m; infinite depth is for estimator spectral, albedos, profiles and "
+                "delays, and with solver discrete_ordinates (natural snow, point grains) for BRDFs "
+                "and HDRFs"
+            )
+            raise invalid("depth_m", math.inf, "finite", hint)
         return
     names = MEDIUM_NAMES[kind]
     if isinstance(medium, SnowPacks):
-        hint = "packs.make_stack(label) returns one of the snowpacks"
-        hint += "" if kind is Medium else ", and its layers are media"
+        more = "" if kind is Medium else ", and its layers are media"
+        hint = f"packs.make_stack(label) returns one of the snowpacks{more}"
         raise invalid(key, medium, "one medium", hint)
     kind_name = medium if callable(medium) else getattr(medium, "kind", medium)
     allowed = " or ".join(f"splits.{name}(...)" for name in names)
     raise invalid(key, kind_name, allowed, suggest_medium(medium, names))
-
-
-def check_thickness(medium: Any) -> None:
-    """Check that a medium is thicker than its largest grain."""
-    largest = medium.largest_grain_m
-    if medium.depth_m <= largest:
-        hint = "such a grain must fit between the boundaries"
-        limit = format_limit(largest, medium.depth_m)
-        raise invalid("depth_m", medium.depth_m, f"more than the largest grain, {limit} m", hint)
 
 
 # --------------------------------------------------------------------------------------------------
@@ -90,7 +84,7 @@ LAYER_CLASSES: dict[str, Any] = {
 }
 """Media that a stack may hold."""
 MEDIUM_CLASSES: dict[str, Any] = {**LAYER_CLASSES, "stack": Stack}
-MEDIUM_FACTORIES: dict[str, Callable[..., Any]] = LAYER_CLASSES | {"natural_snow": Snow.natural}
+MEDIUM_FACTORIES: dict[str, Callable[..., Medium]] = LAYER_CLASSES | {"natural_snow": Snow.natural}
 """Functions that make a layer from its keywords, by kind."""
 
 
@@ -110,10 +104,20 @@ def make_medium(kind: str, keywords: Mapping[str, Any]) -> Medium:
         For an unknown keyword.
     """
     check_choice("kind", kind, MEDIUM_CLASSES)
-    medium: Medium = (
-        _make_stack(keywords) if kind == "stack" else MEDIUM_FACTORIES[kind](**keywords)
-    )
-    return medium
+    if kind != "stack":
+        return MEDIUM_FACTORIES[kind](**keywords)
+    media = []
+    for key, layer in iter_layers(LAYERS_KEY, keywords.get(LAYERS_KEY)):
+        with key_prefix(key):
+            kind = check_choice("kind", get_kind(layer), LAYER_CLASSES)
+            settings = {name: value for name, value in layer.items() if name != "kind"}
+            if "bottom_albedo" in settings:
+                given, hint = settings["bottom_albedo"], "give ground to the stack"
+                raise invalid("bottom_albedo", given, "left out in a stack", hint)
+            # Below all layers is the stack's ground.
+            bottom = {"bottom_albedo": None} if kind == "particle_layer" else {}
+            media.append(make_medium(kind, {**settings, **bottom}))
+    return Stack(**{**keywords, LAYERS_KEY: tuple(media)})
 
 
 def iter_layers(key: str, layers: Any) -> Iterator[tuple[str, Mapping[str, Any]]]:
@@ -134,26 +138,8 @@ def iter_layers(key: str, layers: Any) -> Iterator[tuple[str, Mapping[str, Any]]
         yield layer_key, layer
 
 
-def _make_stack(keywords: Mapping[str, Any]) -> Stack:
-    media = []
-    for key, layer in iter_layers(LAYERS_KEY, keywords.get(LAYERS_KEY)):
-        with key_prefix(key):
-            kind = check_choice("kind", get_kind(layer), LAYER_CLASSES)
-            settings = {name: value for name, value in layer.items() if name != "kind"}
-            if "bottom_albedo" in settings:
-                given, hint = settings["bottom_albedo"], "give ground to the stack"
-                raise invalid("bottom_albedo", given, "left out in a stack", hint)
-            # Below all layers is the stack's ground.
-            bottom = {"bottom_albedo": None} if kind == "particle_layer" else {}
-            media.append(MEDIUM_FACTORIES[kind](**settings, **bottom))
-    return Stack(**{**keywords, LAYERS_KEY: tuple(media)})
-
-
 # --------------------------------------------------------------------------------------------------
 # Named media of the package, in the files ``named/NAME.toml``, and media in files of users.
-
-DOCUMENTATION_KEYS = ("description", "source")
-"""Keys of the files of named media that are not keywords of a medium."""
 
 
 def list_media() -> dict[str, str]:
@@ -217,7 +203,8 @@ def read_named_medium(name: Any) -> dict[str, Any]:
         For an unknown name.
     """
     content = _read_named_file(check_choice("name", name, NAMED_MEDIA))
-    return {key: value for key, value in content.items() if key not in DOCUMENTATION_KEYS}
+    # The others are not keywords of a medium.
+    return {key: value for key, value in content.items() if key not in ("description", "source")}
 
 
 def _read_named_file(name: str) -> dict[str, Any]:

@@ -10,18 +10,27 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid
+from splits.core.arrays import check_named_numbers
+from splits.core.validation import (
+    ROUNDING_TOLERANCE,
+    as_scalar,
+    check_range,
+    invalid,
+    snap_to_limits,
+    suggest_name,
+)
 from splits.kernels.phase_function import PhaseFunction
 from splits.kernels.rough_surface.realization import HeightFields
 from splits.kernels.scene import DRY_PORE, GrainPopulation
-from splits.materials import RefractiveIndex
-from splits.media.ground import Ground
+from splits.materials import make_refractive_index, parse_refractive_index
+from splits.media.ground import Ground, check_ground_reached, describe_ground
 from splits.media.interpretations import TransportInterpretation
 
 
@@ -149,6 +158,11 @@ class HomogeneousLayer(Medium):
     pores: Mapping[str, float] = MappingProxyType({})
 
     @property
+    def scene_layers(self) -> tuple[Any]:
+        """The layer itself."""
+        return (self,)
+
+    @property
     def is_semi_infinite(self) -> bool:
         """Whether the layer is infinite."""
         return math.isinf(self.depth_m)
@@ -194,6 +208,24 @@ class HomogeneousLayer(Medium):
         return np.zeros((np.size(wavelength_nm), len(self.list_materials())))
 
 
+EXPANDED_INPUTS = (
+    "refractive_index", "interpretation", "ground", "pores",
+    "impurities_ng_g", "algae_cells_ml", "impurities_in",
+)  # fmt: skip
+"""Inputs that expand to several dataset attributes."""
+AIR, WATER = "air", "water"
+
+
+def check_truncated_normal(key: str, value: Any, low: float) -> tuple[float, ...]:
+    """Return the validated (min, max, mean, sd) of a truncated normal distribution in [low, 1]."""
+    *limits_and_mean, sd = check_named_numbers(key, value, ("min", "max", "mean", "sd"))
+    minimum, maximum, mean = snap_to_limits(limits_and_mean, low, 1.0).tolist()
+    if not low <= minimum <= mean <= maximum <= 1.0:
+        raise invalid(key, value, f"{low:g} <= min <= mean <= max <= 1 (min, max, mean, sd)")
+    check_range(f"{key} (sd)", sd, 0.0, 1.0)
+    return minimum, maximum, mean, sd
+
+
 class GranularMedium(HomogeneousLayer):
     """Layer of grains: its population, boundaries, optical constants.
 
@@ -201,6 +233,8 @@ class GranularMedium(HomogeneousLayer):
     ----------
     saturation : float
         Fraction of the pore space filled with water.
+    sphericity : (min, max, mean, sd)
+        Sphericity of the grains, a truncated normal distribution.
     refractive_index : mapping
         Refractive indices of grains and pores, by material.
     interpretation : TransportInterpretation
@@ -208,13 +242,58 @@ class GranularMedium(HomogeneousLayer):
     """
 
     saturation: float
+    sphericity: tuple[float, float, float, float]
     refractive_index: Mapping[str, Any]
     interpretation: TransportInterpretation
 
-    @property
-    def scene_layers(self) -> tuple[GranularMedium]:
-        """The layer itself."""
-        return (self,)
+    def _check_inputs(self, grain_materials: Iterable[str]) -> None:
+        """Check the inputs of all media of grains, and set them in their final form.
+
+        Air has a refractive index of 1 unless it is given; each other pore fluid must be given.
+
+        Parameters
+        ----------
+        grain_materials : iterable of str
+            Names of the materials of grains, which pore fluids cannot have.
+        """
+        put = partial(object.__setattr__, self)
+        put("saturation", check_range("saturation", self.saturation, 0.0, 1.0))
+        put("sphericity", check_truncated_normal("sphericity", self.sphericity, 0.1))
+        put("ground", Ground.from_input(self.ground))
+        depth_m = as_scalar(self.depth_m)
+        if not (isinstance(depth_m, float) and depth_m == math.inf):
+            hint = "or infinite: .inf in YAML, math.inf in Python"
+            depth_m = check_range("depth_m", depth_m, 0.0, 1e4, "m", open_low=True, hint=hint)
+        put("depth_m", depth_m)
+        check_ground_reached(self.ground, self.is_semi_infinite)
+        pores, given = self.pores, self.refractive_index
+        if not isinstance(pores, Mapping):
+            raise invalid("pores", pores, "a mapping of fractions of the pore space by medium")
+        reserved = (AIR, WATER, *grain_materials)
+        fractions = {}
+        for name, fraction in pores.items():
+            if not isinstance(name, str) or not name.isidentifier() or name in reserved:
+                hint = "saturation is the fraction of water, and air fills the rest"
+                raise invalid("pores", name, f"names other than {', '.join(reserved)}", hint)
+            fractions[name] = check_range(f"pores.{name}", fraction, 0.0, 1.0, open_low=True)
+            if not isinstance(given, Mapping) or name not in given:
+                hint = f"give refractive_index of {name}: n + kj or a table"
+                raise invalid("pores", name, "media of known refractive index", hint)
+        if self.saturation + sum(fractions.values()) > 1.0 + ROUNDING_TOLERANCE:
+            raise invalid("pores", dict(pores), "fractions that add up to at most 1 - saturation")
+        put("pores", fractions)
+        if not isinstance(given, Mapping):
+            raise invalid("refractive_index", given, "a mapping by material")
+        materials = [*grain_materials, WATER]
+        fluids = [*fractions, *([AIR] if AIR in given else [])]
+        for name in given:
+            if name not in (*materials, *fluids):
+                allowed = "a mapping with keys " + ", ".join([*materials, *fluids])
+                hint = suggest_name(name, [*materials, *fluids])
+                raise invalid("refractive_index", name, allowed, hint)
+        indices = {name: make_refractive_index(name, given.get(name)) for name in materials}
+        indices |= {name: parse_refractive_index(name, given[name]) for name in fluids}
+        put("refractive_index", indices)
 
     @property
     def has_grains(self) -> Literal[True]:
@@ -255,11 +334,9 @@ class GranularMedium(HomogeneousLayer):
         it is free path.  Between point grains the free path is the whole distance
         (see `pore_fraction`).
         """
-        interpretation = self.interpretation
-        whole_distance = (
-            interpretation.mean_free_path == "pore_only" or interpretation.grain_extent == "point"
-        )
-        return self.mean_grain_distance_m * (1.0 if whole_distance else self.porosity)
+        rules = self.interpretation
+        is_whole = rules.mean_free_path == "pore_only" or rules.grain_extent == "point"
+        return self.mean_grain_distance_m * (1.0 if is_whole else self.porosity)
 
     @property
     def pore_fraction(self) -> float:
@@ -269,15 +346,46 @@ class GranularMedium(HomogeneousLayer):
         1 − 𝓔, and the absorption coefficient per metre of path is that of radiative transfer,
         (1 − 𝓔) times that of the material.
         """
-        includes_grain = (
-            self.interpretation.mean_free_path == "including_grain"
-            and self.interpretation.grain_extent == "point"
-        )
-        return self.porosity if includes_grain else 1.0
+        rules = self.interpretation
+        is_part = rules.mean_free_path == "including_grain" and rules.grain_extent == "point"
+        return self.porosity if is_part else 1.0
+
+    @cached_property
+    def pore_fluids(self) -> PoreFluids:
+        """Fluids in the pore space, weighted by the probability of path segments in each."""
+        return PoreFluids.from_saturation(self.wet_fraction, self.pores)
 
     @abstractmethod
     def make_grain_population(self) -> GrainPopulation:
         """Return the grains."""
+
+    def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
+        """Return complex refractive indices, shape (wavelengths, materials); 1 where not given.
+
+        Those of grains are 1.
+        """
+        index = np.ones((np.size(wavelength_nm), len(self.list_materials())), dtype=complex)
+        fluids = zip(self.pore_fluids.names, self.pore_fluids.fractions, strict=True)
+        for column, (name, fraction) in enumerate(fluids):
+            if name in self.refractive_index and (fraction > 0.0 or column == DRY_PORE):
+                index[:, column] = self.refractive_index[name](wavelength_nm)
+        return index
+
+    def describe(self) -> dict[str, Any]:
+        """Return the inputs of all media of grains as dataset attributes."""
+        layer: Any = self
+        inputs = {
+            field.name: getattr(self, field.name)
+            for field in fields(layer)
+            if field.name not in EXPANDED_INPUTS
+        }
+        inputs |= {f"pores_{name}": fraction for name, fraction in self.pores.items()}
+        for material, index in self.refractive_index.items():
+            inputs[f"refractive_index_{material}"] = index.name
+            if digest := getattr(index, "sha256", ""):
+                inputs[f"refractive_index_{material}_sha256"] = digest
+        inputs |= {f"interpretation_{k}": v for k, v in self.interpretation.as_dict().items()}
+        return inputs | describe_ground(self.ground)
 
     def truncate(self, depth_m: float, ground: Ground | None) -> GranularMedium:
         """Return a layer of another depth (m), over a ground."""
@@ -296,11 +404,6 @@ class ParticleMedium(HomogeneousLayer):
     """
 
     refractive_index: float
-
-    @property
-    def scene_layers(self) -> tuple[ParticleMedium]:
-        """The layer itself."""
-        return (self,)
 
     @property
     def has_grains(self) -> Literal[False]:
@@ -326,8 +429,6 @@ Layer = GranularMedium | ParticleMedium
 
 # --------------------------------------------------------------------------------------------------
 # Fluids in the pore space between grains: air, water and others.
-
-AIR, WATER = "air", "water"
 
 
 class PoreFluids(NamedTuple):
@@ -369,47 +470,3 @@ class PoreFluids(NamedTuple):
             for column, fraction in enumerate(self.fractions)
             if with_fresnel and column != DRY_PORE and fraction > 0.0
         ]
-
-    def fill_refractive_indices(
-        self,
-        index: np.ndarray,
-        refractive_index: Mapping[str, RefractiveIndex],
-        wavelength_nm: np.ndarray,
-    ) -> None:
-        """Write the refractive indices of the fluids present into their columns."""
-        for column, (name, fraction) in enumerate(zip(self.names, self.fractions, strict=True)):
-            if name in refractive_index and (fraction > 0.0 or column == DRY_PORE):
-                index[:, column] = refractive_index[name](wavelength_nm)
-
-
-def check_other_fluids(
-    pores: Any, saturation: float, refractive_index: Any, grain_materials: Iterable[str]
-) -> dict[str, float]:
-    """Return the validated fractions of fluids other than air and water.
-
-    Parameters
-    ----------
-    pores : mapping
-        Fractions of the pore space by name.
-    saturation : float
-    refractive_index : mapping
-        As given by the user; it must define each of these fluids.
-    grain_materials : iterable of str
-        Names of the materials of grains, which are reserved.
-    """
-    if not isinstance(pores, Mapping):
-        raise invalid("pores", pores, "a mapping of fractions of the pore space by medium")
-    reserved = (AIR, WATER, *grain_materials)
-    fractions = {}
-    for name, fraction in pores.items():
-        if not isinstance(name, str) or not name.isidentifier() or name in reserved:
-            hint = "saturation is the fraction of water, and air fills the rest"
-            raise invalid("pores", name, f"names other than {', '.join(reserved)}", hint)
-        fractions[name] = check_range(f"pores.{name}", fraction, 0.0, 1.0, open_low=True)
-        if not isinstance(refractive_index, Mapping) or name not in refractive_index:
-            hint = f"give refractive_index of {name}: n + kj or a table"
-            raise invalid("pores", name, "media of known refractive index", hint)
-    total = saturation + sum(fractions.values())
-    if total > 1.0 + ROUNDING_TOLERANCE:
-        raise invalid("pores", dict(pores), "fractions that add up to at most 1 - saturation")
-    return fractions

@@ -18,7 +18,7 @@ from splits.core.parameter_names import IMPURITY_KEYWORDS, describe_parameter
 from splits.core.validation import check_choice, check_range, invalid, suggest_name, unknown_key
 from splits.materials.impurities import ALGAE_NAMES, list_impurities
 from splits.media.ground import Ground
-from splits.media.natural_snow import (
+from splits.media.snow import (
     GRAIN_SIZE_RANGE_UM,
     LIQUID_WATER_KEY,
     OPTICAL_RADIUS_KEY,
@@ -64,19 +64,20 @@ class _ParameterLocation(NamedTuple):
 def list_parameters(medium: Any) -> list[str]:
     """Return the names of the parameters of a medium, with one example for each amount."""
     if isinstance(medium, Stack):
-        names = ["ground"] if _get_constant_albedo(medium) is not None else []
+        names = ["ground"] if _has_constant_albedo(medium) else []
         return names + [
             f"layers.{i}.{n}"
             for i, layer in enumerate(medium.layers)
             for n in list_parameters(layer)
         ]
-    parameters = [f.name for f in fields(medium) if _is_number(getattr(medium, f.name))]
+    values = {f.name: getattr(medium, f.name) for f in fields(medium)}
+    parameters = [n for n, v in values.items() if isinstance(v, Real) and not isinstance(v, bool)]
     parameters += [name for name in SHIFTABLE_DISTRIBUTIONS if hasattr(medium, name)]
     parameters += [n for n in getattr(medium, "OTHER_KEYWORDS", ()) if hasattr(medium, n)]
     for key, components in FRACTION_PARAMETERS.items():
         if hasattr(medium, key):
             parameters += [f"{key}.{component}" for component in components]
-    if _get_constant_albedo(medium) is not None:
+    if _has_constant_albedo(medium):
         parameters.append("ground")
     examples = {"impurities_ng_g": "black_carbon", "algae_cells_ml": "snow_algae"}
     return parameters + [
@@ -96,23 +97,17 @@ def get_parameter(medium: Any, name: str, other_names: Sequence[str] = ()) -> fl
     """
     location = _locate_parameter(medium, name, other_names)
     owner = medium if location.layer is None else medium.layers[location.layer]
-    if location.key in FRACTION_PARAMETERS:
-        return float(
-            getattr(owner, location.key)[
-                FRACTION_PARAMETERS[location.key].index(location.component)
-            ]
-        )
-    if location.component:
-        amount = getattr(owner, location.key).get(location.component, 0.0)
-        return float(amount["ng_g"] if isinstance(amount, Mapping) else amount)
-    if location.key == "ground":
-        return float(owner.ground.albedo_values[0])
-    value = getattr(owner, location.key)
-    return float(
-        value[SHIFTABLE_DISTRIBUTIONS[location.key] - 1]
-        if location.key in SHIFTABLE_DISTRIBUTIONS
-        else value
-    )
+    key, value = location.key, getattr(owner, location.key)
+    if key in FRACTION_PARAMETERS:
+        value = value[FRACTION_PARAMETERS[key].index(location.component)]
+    elif location.component:
+        amount = value.get(location.component, 0.0)
+        value = amount["ng_g"] if isinstance(amount, Mapping) else amount
+    elif key == "ground":
+        value = value.albedo_values[0]
+    elif key in SHIFTABLE_DISTRIBUTIONS:
+        value = value[SHIFTABLE_DISTRIBUTIONS[key] - 1]
+    return float(value)
 
 
 def replace_parameter(medium: Any, name: str, value: float) -> Any:
@@ -176,7 +171,16 @@ def _compute_change(
     """Return new keywords of a medium for a value of a parameter, after other changes."""
     key = location.key
     if key in FRACTION_PARAMETERS:
-        return {key: _rescale_fractions(owner, location, value)}
+        name, fractions = f"{key}.{location.component}", getattr(owner, key)
+        index = FRACTION_PARAMETERS[key].index(location.component)
+        value = check_range(name, value, 0.0, 1.0)
+        # The other fractions keep their ratios.
+        remainder = sum(fraction for i, fraction in enumerate(fractions) if i != index)
+        if remainder == 0.0:
+            hint = f"which of the others grows is not known: give {key} with some of each"
+            raise invalid(name, value, "below 1 to begin with", hint)
+        factor = (1.0 - value) / remainder
+        return {key: tuple(value if i == index else factor * x for i, x in enumerate(fractions))}
     if location.component:
         amounts = dict(changes.get(key, getattr(owner, key)))
         amount = amounts.get(location.component)
@@ -190,35 +194,19 @@ def _compute_change(
         shift = value - old_values[n_shifted - 1]
         return {key: (*(x + shift for x in old_values[:n_shifted]), *old_values[n_shifted:])}
     if key in (SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY):
-        factor = _compute_size_factor(owner, key, value)
+        (low, high), (smallest, largest) = GRAIN_SIZE_RANGE_UM, owner.grain_size_um
+        old = getattr(owner, key)
+        # Size is proportional to radius, and inversely proportional to surface area.
+        if key == OPTICAL_RADIUS_KEY:
+            limits = old * low / smallest, old * high / largest
+            factor = check_range(key, value, *limits, "µm") / old
+        else:
+            limits = old * largest / high, old * smallest / low
+            factor = old / check_range(key, value, *limits, "m2/kg")
         return {"grain_size_um": tuple(factor * x for x in owner.grain_size_um)}
     if key == LIQUID_WATER_KEY:
         return {"saturation": value / owner.porosity}
     return {key: value}
-
-
-def _compute_size_factor(owner: Any, key: str, value: float) -> float:
-    """Return the ratio of new to old grain sizes for a new surface area or optical radius."""
-    (low, high), (smallest, largest) = GRAIN_SIZE_RANGE_UM, owner.grain_size_um
-    old = getattr(owner, key)
-    if key == OPTICAL_RADIUS_KEY:
-        return check_range(key, value, old * low / smallest, old * high / largest, "µm") / old
-    return old / check_range(key, value, old * largest / high, old * smallest / low, "m2/kg")
-
-
-def _rescale_fractions(owner: Any, location: _ParameterLocation, value: float) -> tuple[float, ...]:
-    """Return fractions with one set to a value; the others keep their ratios."""
-    fractions, index = (
-        getattr(owner, location.key),
-        FRACTION_PARAMETERS[location.key].index(location.component),
-    )
-    value = check_range(f"{location.key}.{location.component}", value, 0.0, 1.0)
-    remainder = sum(fraction for i, fraction in enumerate(fractions) if i != index)
-    if remainder == 0.0:
-        hint = f"which of the others grows is not known: give {location.key} with some of each"
-        raise invalid(f"{location.key}.{location.component}", value, "below 1 to begin with", hint)
-    factor = (1.0 - value) / remainder
-    return tuple(value if i == index else factor * fraction for i, fraction in enumerate(fractions))
 
 
 def _locate_parameter(
@@ -228,52 +216,36 @@ def _locate_parameter(
     if not isinstance(name, str):
         raise invalid("parameter", name, "a name, such as depth_m")
     match = _LAYER_PATTERN.fullmatch(name)
-    if not isinstance(medium, Stack):
-        if match:
-            raise invalid("parameter", name, "without layers: this medium is not a stack")
-        return _locate_own_parameter(medium, name, name, None, other_names)
-    if name == "ground" and _get_constant_albedo(medium) is not None:
-        return _ParameterLocation(None, "ground", "")
-    number = int(match[1]) if match else -1
-    if not match or not 0 <= number < len(medium.layers):
-        last = len(medium.layers) - 1
-        hint = suggest_name(name, [*list_parameters(medium), *other_names])
-        raise invalid("parameter", name, f"of one of layers.0 to layers.{last}", hint)
-    return _locate_own_parameter(medium.layers[number], match[2], name, number)
-
-
-def _locate_own_parameter(
-    owner: Any, own_name: str, name: str, layer: int | None, other_names: Sequence[str] = ()
-) -> _ParameterLocation:
-    """Return the location of a parameter of a medium without layers."""
+    owner, own_name, layer = medium, name, None
+    if isinstance(medium, Stack):
+        if name == "ground" and _has_constant_albedo(medium):
+            return _ParameterLocation(None, "ground", "")
+        if not match or int(match[1]) >= len(medium.layers):
+            last = len(medium.layers) - 1
+            hint = suggest_name(name, [*list_parameters(medium), *other_names])
+            raise invalid("parameter", name, f"of one of layers.0 to layers.{last}", hint)
+        layer, own_name, other_names = int(match[1]), match[2], ()
+        owner = medium.layers[layer]
+    elif match:
+        raise invalid("parameter", name, "without layers: this medium is not a stack")
     key, _, component = own_name.partition(".")
     if component and key in IMPURITY_KEYWORDS:
         if not hasattr(owner, key):
             raise invalid("parameter", name, "of a medium with impurities: snow")
         if component not in getattr(owner, key):
-            check_choice(
-                f"parameter {key}",
-                component,
-                ALGAE_NAMES if key == "algae_cells_ml" else list_impurities(),
-            )
+            kinds = ALGAE_NAMES if key == "algae_cells_ml" else list_impurities()
+            check_choice(f"parameter {key}", component, kinds)
         return _ParameterLocation(layer, key, component)
     if key in FRACTION_PARAMETERS and component and hasattr(owner, key):
-        return _ParameterLocation(
-            layer, key, check_choice(f"parameter {key}", component, FRACTION_PARAMETERS[key])
-        )
+        check_choice(f"parameter {key}", component, FRACTION_PARAMETERS[key])
+        return _ParameterLocation(layer, key, component)
     known = list_parameters(owner)
     if own_name not in known:
         raise unknown_key(f"parameter {name}", [*known, *other_names])
     return _ParameterLocation(layer, own_name, "")
 
 
-def _get_constant_albedo(medium: Any) -> float | None:
-    """Return the albedo of a spectrally constant ground, or None."""
+def _has_constant_albedo(medium: Any) -> bool:
+    """Return whether a medium lies over a ground that is the same at all wavelengths."""
     ground = getattr(medium, "ground", None)
-    if not isinstance(ground, Ground) or ground.wavelength_nm is not None:
-        return None
-    return float(ground.albedo_values[0])
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool)
+    return isinstance(ground, Ground) and ground.wavelength_nm is None

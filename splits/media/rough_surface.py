@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.core.arrays import as_float_array, read_columns
+from splits.core.arrays import as_float_array, check_increasing
 from splits.core.equality import ContentEquality
 from splits.core.keywords import reject_unknown_keywords
 from splits.core.validation import (
@@ -24,6 +24,7 @@ from splits.core.validation import (
 )
 from splits.kernels.rng import make_table_probabilities, start_stream
 from splits.kernels.rough_surface import realization as kernels
+from splits.materials.csv_table import read_tabulated_function
 from splits.media.formatting import format_call, format_input
 
 # --------------------------------------------------------------------------------------------------
@@ -104,35 +105,8 @@ HEIGHT_SPECTRA = {
     ),
 }
 CORRELATIONS = (*HEIGHT_SPECTRA, "spectrum")
-
-
-def compute_quantiles(wave_number: np.ndarray, density: np.ndarray) -> np.ndarray:
-    """Return the quantile function of the density p(λ) λ, with p linear between nodes."""
-    slope = np.diff(density) / np.diff(wave_number)
-
-    def mass(interval: np.ndarray, upper: np.ndarray) -> np.ndarray:
-        """Return ∫ p λ dλ from the start of an interval, exact for linear p."""
-        step = upper - wave_number[interval]
-        p, a = density[interval], wave_number[interval]
-        return step * (
-            p * a + step * (0.5 * (p + slope[interval] * a) + step * slope[interval] / 3.0)
-        )
-
-    intervals = np.arange(wave_number.size - 1)
-    cumulative = np.concatenate([[0.0], np.cumsum(mass(intervals, wave_number[1:]))])
-    target = make_table_probabilities(N_QUANTILES) * cumulative[-1]
-    # Intervals without mass hold no quantiles except those at 0 and 1.
-    interval = np.clip(
-        np.searchsorted(cumulative, target, side="left") - 1, 0, wave_number.size - 2
-    )
-    first = np.flatnonzero(np.diff(cumulative) > 0.0)[0]
-    interval = np.maximum(interval, first)
-    low, high = wave_number[interval], wave_number[interval + 1]
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        below = cumulative[interval] + mass(interval, middle) < target
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
-    return 0.5 * (low + high)
+MAX_WAVES = 100_000
+SPECTRUM_COLUMNS = ("wave_number_per_m", "density")
 
 
 def average_over_quantiles(
@@ -220,9 +194,7 @@ class RandomHeightField(ContentEquality):
     spectrum: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
-        def put(name: str, value: Any) -> None:
-            object.__setattr__(self, name, value)
-
+        put = partial(object.__setattr__, self)
         put("rms_height_m", check_range("rms_height_m", self.rms_height_m, 0.0, 1e6, "m"))
         check_choice("correlation", self.correlation, CORRELATIONS)
         put("waves", check_integer("waves", self.waves, 1, MAX_WAVES))
@@ -230,51 +202,95 @@ class RandomHeightField(ContentEquality):
             for key in ("wave_number_per_m", "band_limit_per_m"):
                 if getattr(self, key) is not None:
                     raise invalid(key, getattr(self, key), "left out", "the spectrum has its own")
-            put("spectrum", _read_spectrum(self.spectrum))
+            if not isinstance(self.spectrum, Mapping):
+                allowed = f"a mapping of {', '.join(SPECTRUM_COLUMNS)}, lists of the same length"
+                raise invalid("spectrum", self.spectrum, allowed)
+            (k, density), _ = read_tabulated_function("spectrum", self.spectrum, SPECTRUM_COLUMNS)
+            k = check_increasing("spectrum.wave_number_per_m", snap_to_limits(k, 0.0, math.inf))
+            if k[0] < 0.0:
+                raise invalid("spectrum.wave_number_per_m", k.tolist(), "0 or more and increasing")
+            density = snap_to_limits(density, 0.0, math.inf)
+            if (density < 0.0).any() or not density[k > 0.0].any():
+                allowed = "0 or more, and positive somewhere"
+                raise invalid("spectrum.density", density.tolist(), allowed)
+            columns = (tuple(k.tolist()), tuple(density.tolist()))
+            put("spectrum", dict(zip(SPECTRUM_COLUMNS, columns, strict=True)))
             return
         if self.spectrum is not None:
             raise invalid("spectrum", self.spectrum, 'left out unless correlation is "spectrum"')
-        key, k0 = "wave_number_per_m", self.wave_number_per_m
+        k0, limit = self.wave_number_per_m, self.band_limit_per_m
         if k0 is None:
-            raise invalid(key, None, "given (1/m)", "the inverse of the correlation length")
-        put(key, k0 := check_range(key, k0, 1e-9, 1e9, "1/m"))
-        key, limit = "band_limit_per_m", self.band_limit_per_m
+            hint = "the inverse of the correlation length"
+            raise invalid("wave_number_per_m", None, "given (1/m)", hint)
+        k0 = check_range("wave_number_per_m", k0, 1e-9, 1e9, "1/m")
+        put("wave_number_per_m", k0)
         if limit is None and self.correlation == "exponential":
             raise invalid(
-                key, None, "given (1/m)",
+                "band_limit_per_m", None, "given (1/m)",
                 "slopes, about rms_height_m √(k0 limit), grow without bound with it and change "
                 "reflectance; give the largest wave number of the surface, or infinity; only the "
                 'default correlation "exponential" needs it, "gaussian" does not',
             )  # fmt: skip
-        if limit is None or limit == math.inf:
-            put(key, math.inf)
-        else:
-            put(key, check_range(key, limit, 1e-3 * k0, math.inf, "1/m"))
+        if limit not in (None, math.inf):
+            limit = check_range("band_limit_per_m", limit, 1e-3 * k0, math.inf, "1/m")
+        put("band_limit_per_m", math.inf if limit is None else limit)
 
     def as_input(self) -> dict[str, Any]:
         """Return the keywords that differ from their defaults."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        values = {
+            field.name: getattr(self, field.name)
+            for field in fields(self)
+            if getattr(self, field.name) != field.default
+        }
         # Only the exponential correlation requires a limit, so an infinite one is shown.
         if self.band_limit_per_m == math.inf and self.correlation != "exponential":
             del values["band_limit_per_m"]
-        defaults = {field.name: field.default for field in fields(self)}
-        return {name: value for name, value in values.items() if value != defaults[name]}
+        return values
 
     def __repr__(self) -> str:
         """Return the call that constructs the field, on one line."""
         return format_call("RandomHeightField", self.as_input())
 
     @property
-    def _relative_band_limit(self) -> float:
-        """Band limit in units of k0."""
+    def _height_spectrum(self) -> tuple[HeightSpectrum, float, float]:
+        """Distribution of wave numbers, k0 (1/m), and the band limit in units of k0."""
         assert self.band_limit_per_m is not None and self.wave_number_per_m is not None
-        return self.band_limit_per_m / self.wave_number_per_m
+        k0 = self.wave_number_per_m
+        return HEIGHT_SPECTRA[self.correlation], k0, self.band_limit_per_m / k0
 
     @cached_property
     def wave_number_quantiles(self) -> np.ndarray:
-        """Quantile function of the wave numbers (1/m) at `rng.make_table_probabilities`."""
+        """Quantile function of the wave numbers (1/m) at `rng.make_table_probabilities`.
+
+        It is that of the density p(λ) λ, with p linear between the nodes of the spectrum.
+        """
         assert self.spectrum is not None
-        return compute_quantiles(*(np.array(self.spectrum[key]) for key in SPECTRUM_COLUMNS))
+        wave_number, density = (np.array(self.spectrum[key]) for key in SPECTRUM_COLUMNS)
+        slope = np.diff(density) / np.diff(wave_number)
+
+        def mass(interval: np.ndarray, upper: np.ndarray) -> np.ndarray:
+            """Return ∫ p λ dλ from the start of an interval, exact for linear p."""
+            step = upper - wave_number[interval]
+            p, a = density[interval], wave_number[interval]
+            return step * (
+                p * a + step * (0.5 * (p + slope[interval] * a) + step * slope[interval] / 3.0)
+            )
+
+        intervals = np.arange(wave_number.size - 1)
+        cumulative = np.concatenate([[0.0], np.cumsum(mass(intervals, wave_number[1:]))])
+        target = make_table_probabilities(N_QUANTILES) * cumulative[-1]
+        # Intervals without mass hold no quantiles except those at 0 and 1.
+        interval = np.clip(
+            np.searchsorted(cumulative, target, side="left") - 1, 0, wave_number.size - 2
+        )
+        first = np.flatnonzero(np.diff(cumulative) > 0.0)[0]
+        interval = np.maximum(interval, first)
+        low, high = wave_number[interval], wave_number[interval + 1]
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            below = cumulative[interval] + mass(interval, middle) < target
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        return 0.5 * (low + high)
 
     def compute_correlation(self, r_m: np.ndarray) -> np.ndarray:
         """Return the expected correlation of heights at distances (m) for sampled waves."""
@@ -283,44 +299,19 @@ class RandomHeightField(ContentEquality):
             return np.array(
                 [average_bessel_j0(self.wave_number_quantiles, x) for x in r.ravel()]
             ).reshape(r.shape)
-        spectrum = HEIGHT_SPECTRA[self.correlation]
-        assert self.wave_number_per_m is not None
-        r = self.wave_number_per_m * r
-        if spectrum.cdf(self._relative_band_limit) == 1.0:
+        spectrum, k0, limit = self._height_spectrum
+        r = k0 * r
+        if spectrum.cdf(limit) == 1.0:
             return spectrum.correlation(r)
-        integrals = [
-            integrate_bessel_j0(spectrum.density, self._relative_band_limit, x) for x in r.ravel()
-        ]
-        return np.array(integrals).reshape(r.shape) / spectrum.cdf(self._relative_band_limit)
+        integrals = [integrate_bessel_j0(spectrum.density, limit, x) for x in r.ravel()]
+        return np.array(integrals).reshape(r.shape) / spectrum.cdf(limit)
 
     def mean_square_wave_number(self) -> float:
         """Return the mean λ² of a wave (1/m²)."""
         if self.correlation == "spectrum":
             return average_over_quantiles(self.wave_number_quantiles, lambda k: k * k)
-        assert self.wave_number_per_m is not None
-        return self.wave_number_per_m**2 * HEIGHT_SPECTRA[self.correlation].mean_square(
-            self._relative_band_limit
-        )
-
-
-MAX_WAVES = 100_000
-SPECTRUM_COLUMNS = ("wave_number_per_m", "density")
-
-
-def _read_spectrum(given: Any) -> dict[str, tuple[float, ...]]:
-    """Return the validated columns of a spectrum."""
-    allowed = "a mapping of equally many numbers " + " and ".join(SPECTRUM_COLUMNS)
-    if not isinstance(given, Mapping) or set(given) != set(SPECTRUM_COLUMNS):
-        raise invalid("spectrum", given, allowed)
-    k, density = read_columns("spectrum", {key: given[key] for key in SPECTRUM_COLUMNS})
-    if k.shape != density.shape or k.size < 2:
-        raise invalid("spectrum", dict(given), allowed, "two rows at least")
-    k, density = (snap_to_limits(row, 0.0, math.inf) for row in (k, density))
-    if k[0] < 0.0 or (np.diff(k) <= 0.0).any():
-        raise invalid("spectrum.wave_number_per_m", k.tolist(), "0 or more and increasing")
-    if (density < 0.0).any() or not density[k > 0.0].any():
-        raise invalid("spectrum.density", density.tolist(), "0 or more, and positive somewhere")
-    return dict(zip(SPECTRUM_COLUMNS, (tuple(k.tolist()), tuple(density.tolist())), strict=True))
+        spectrum, k0, limit = self._height_spectrum
+        return k0**2 * spectrum.mean_square(limit)
 
 
 # --------------------------------------------------------------------------------------------------
@@ -353,9 +344,23 @@ class RoughSurface:
             given = [given]
         if isinstance(given, (str, bytes)) or not isinstance(given, Sequence) or not given:
             raise invalid("surface", given, "one field, or a list of fields, of keys and values")
-        keys = [f"surface[{i}]" for i in range(len(given))] if len(given) > 1 else ["surface"]
-        height_fields = tuple(_make_height_field(*pair) for pair in zip(keys, given, strict=True))
-        object.__setattr__(self, "fields", height_fields)
+        names = [f.name for f in fields(RandomHeightField)]
+        allowed = "one of " + ", ".join(names)
+        height_fields = []
+        for number, value in enumerate(given):
+            key = f"surface[{number}]" if len(given) > 1 else "surface"
+            if not isinstance(value, RandomHeightField):
+                if not isinstance(value, Mapping):
+                    raise invalid(key, value, "a mapping of keys, each " + allowed)
+                for name in value:
+                    if name not in names:
+                        raise invalid(key, name, allowed, suggest_name(name, names))
+                if "rms_height_m" not in value:
+                    raise invalid(f"{key}.rms_height_m", None, "given (m)")
+                with key_prefix(key):
+                    value = RandomHeightField(**value)
+            height_fields.append(value)
+        object.__setattr__(self, "fields", tuple(height_fields))
 
     @classmethod
     def from_input(cls, value: Any) -> RoughSurface:
@@ -379,15 +384,12 @@ class RoughSurface:
     def correlation(self, r_m: Any) -> np.ndarray:
         """Return the expected correlation of heights at distances (m); 1 for a plane."""
         r = as_float_array("r_m", r_m, "numbers in metres")
-        if self.rms_height_m == 0.0:
+        total = self.rms_height_m
+        if total == 0.0:
             return np.ones_like(r)
-        variance_fractions = (
-            (field.rms_height_m / self.rms_height_m) ** 2 for field in self.fields
-        )
-        terms = zip(variance_fractions, self.fields, strict=True)
-        return np.sum(
-            [fraction * field.compute_correlation(r) for fraction, field in terms], axis=0
-        )
+        # The correlations of the fields add, weighted by their fractions of the variance.
+        terms = [(f.rms_height_m / total) ** 2 * f.compute_correlation(r) for f in self.fields]
+        return np.sum(terms, axis=0)
 
     def rms_slope(self) -> float:
         """Return the rms slope √⟨|∇Ψ|²⟩; it may be infinite without a band limit."""
@@ -405,9 +407,8 @@ class RoughSurface:
             if field.spectrum is not None:
                 quantiles[i] = field.wave_number_quantiles
                 continue
-            spectrum = HEIGHT_SPECTRA[field.correlation]
-            law[i], wave_numbers[i] = spectrum.kernel_code, field.wave_number_per_m
-            band_fraction[i] = spectrum.cdf(field._relative_band_limit)
+            spectrum, wave_numbers[i], limit = field._height_spectrum
+            law[i], band_fraction[i] = spectrum.kernel_code, spectrum.cdf(limit)
         return kernels.HeightFields(
             rms_height=np.array([field.rms_height_m for field in self.fields]),
             n_waves=np.array([field.waves for field in self.fields], dtype=np.int64),
@@ -422,17 +423,12 @@ class RoughSurface:
 
         The rows are those of `splits.kernels.rough_surface.realization`, which evaluates them.
         """
-        seed, ray_number = (
-            check_integer("seed", seed, 0),
-            check_integer("number", ray_number, 0),
-        )
         state = np.zeros(1, dtype=np.uint64)
-        start_stream(state, seed, 0, ray_number)
+        ray = check_integer("number", ray_number, 0)
+        start_stream(state, check_integer("seed", seed, 0), 0, ray)
         height_fields = self.make_height_fields()
-        waves: np.ndarray = kernels.sample_realization(
-            state, height_fields, kernels.allocate_realization(height_fields)
-        ).waves
-        return waves
+        realization = kernels.allocate_realization(height_fields)
+        return np.asarray(kernels.sample_realization(state, height_fields, realization).waves)
 
     def describe(self) -> dict[str, Any]:
         """Return the inputs, a list each, and the rms slope as dataset attributes."""
@@ -447,20 +443,3 @@ class RoughSurface:
         for key in SPECTRUM_COLUMNS if tables else ():
             inputs[f"spectrum_{key}"] = [x for table in tables for x in table[key]]
         return inputs | {"rms_slope": self.rms_slope()}
-
-
-def _make_height_field(key: str, value: Any) -> RandomHeightField:
-    """Return a height field; errors carry `key`."""
-    if isinstance(value, RandomHeightField):
-        return value
-    names = [f.name for f in fields(RandomHeightField)]
-    allowed = "one of " + ", ".join(names)
-    if not isinstance(value, Mapping):
-        raise invalid(key, value, "a mapping of keys, each " + allowed)
-    for name in value:
-        if name not in names:
-            raise invalid(key, name, allowed, suggest_name(name, names))
-    if "rms_height_m" not in value:
-        raise invalid(f"{key}.rms_height_m", None, "given (m)")
-    with key_prefix(key):
-        return RandomHeightField(**value)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property, partial
 from itertools import pairwise
 from typing import Any
 
@@ -18,16 +18,8 @@ from splits.kernels.scene import WET_PORE, GrainPopulation, GrainTypes
 from splits.materials import MINERAL_DENSITY_KG_M3, MIXING_RULES
 from splits.media import grain_statistics as statistics
 from splits.media.formatting import find_differences, format_call
-from splits.media.ground import (
-    Ground,
-    check_ground_reached,
-    check_sample_depth,
-    check_truncated_normal,
-    describe_inputs,
-    make_refractive_indices,
-)
 from splits.media.interpretations import SandInterpretation
-from splits.media.medium import WATER, GranularMedium, Interface, PoreFluids, check_other_fluids
+from splits.media.medium import WATER, GranularMedium, Interface
 from splits.media.sand_composition import (
     SOIL_SEPARATES,
     SandComposition,
@@ -132,19 +124,13 @@ class Sand(ContentEquality, GranularMedium):
     pores: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        def put(name: str, value: Any) -> None:
-            object.__setattr__(self, name, value)
-
+        put = partial(object.__setattr__, self)
         put("interpretation", SandInterpretation.from_input(self.interpretation))
-        put("saturation", check_range("saturation", self.saturation, 0.0, 1.0))
-        put(
-            "porosity",
-            check_range("porosity", self.porosity, 0.0, 1.0, open_low=True, open_high=True),
-        )
+        porosity = check_range("porosity", self.porosity, 0.0, 1.0, open_low=True, open_high=True)
+        put("porosity", porosity)
         mean, sd = check_named_numbers("roundness", self.roundness, ("mean", "sd"))
         mean = check_range("roundness (mean)", mean, 0.0, 1.0)
         put("roundness", (mean, check_range("roundness (sd)", sd, 0.0, 1.0)))
-        put("sphericity", check_truncated_normal("sphericity", self.sphericity, 0.1))
         thickness = check_range(
             "relative_coating_thickness",
             self.relative_coating_thickness,
@@ -154,26 +140,21 @@ class Sand(ContentEquality, GranularMedium):
             hint="coatings are treated as flat slabs, so they must be thin",
         )
         put("relative_coating_thickness", thickness)
-        kinds = ("pure", "mixed", "coated")
-        put("partition", check_named_numbers("partition", self.partition, kinds, (0.0, 1.0)))
-        put("texture", check_named_numbers("texture", self.texture, SOIL_SEPARATES, (0.0, 1.0)))
-        put("ground", Ground.from_input(self.ground))
-        put("depth_m", check_sample_depth(self.depth_m))
-        check_ground_reached(self.ground, self.is_semi_infinite)
-        for name in ("iron_oxide", "hematite_ratio", "magnetite"):
+        for name, parts in (
+            ("partition", ("pure", "mixed", "coated")),
+            ("texture", SOIL_SEPARATES),
+        ):
+            put(name, check_named_numbers(name, getattr(self, name), parts, (0.0, 1.0)))
+        for name in ("iron_oxide", "hematite_ratio"):
             put(name, check_range(name, getattr(self, name), 0.0, 1.0))
-        indices = self.refractive_index
-        put(
-            "pores", check_other_fluids(self.pores, self.saturation, indices, MINERAL_DENSITY_KG_M3)
-        )
+        hint = "the sum of all mass fractions is 1"
+        magnetite = check_range("magnetite", self.magnetite, 0.0, 1.0 - self.iron_oxide, hint=hint)
+        put("magnetite", magnetite)
+        self._check_inputs(MINERAL_DENSITY_KG_M3)
         if self.pores and self.interpretation.water != "whole_pores":
             hint = "which pores these fluids fill is not known: leave interpretation.water out"
             allowed = f"empty with interpretation.water {self.interpretation.water}"
             raise invalid("pores", dict(self.pores), allowed, hint)
-        put(
-            "refractive_index",
-            make_refractive_indices([*MINERAL_DENSITY_KG_M3, "water"], indices, self.pores),
-        )
         # Validates the size distribution and the composition.
         _ = self.size_distribution, self.composition
 
@@ -191,15 +172,12 @@ class Sand(ContentEquality, GranularMedium):
     @cached_property
     def composition(self) -> SandComposition:
         """Particle types with their mass fractions, volume fractions and densities."""
-        coating_fraction = compute_coating_fraction(
-            self.sphericity[2], self.relative_coating_thickness
-        )
         return make_composition(
             self.iron_oxide,
             self.hematite_ratio,
             self.magnetite,
             self.partition,
-            coating_fraction,
+            compute_coating_fraction(self.sphericity[2], self.relative_coating_thickness),
             self.interpretation.excess_magnetite,
         )
 
@@ -223,12 +201,8 @@ class Sand(ContentEquality, GranularMedium):
     @property
     def mean_grain_distance_m(self) -> float:
         """Mean distance between the grains that a ray hits (m), SPLITS Eq 21."""
-        solid = (
-            1.0 - self.porosity
-            if self.interpretation.attenuation_factor == "solid_fraction"
-            else 1.0
-        )
-        return 1.0 / (solid * self.attenuation_per_m)
+        as_printed = self.interpretation.attenuation_factor == "as_printed"
+        return 1.0 / ((1.0 if as_printed else 1.0 - self.porosity) * self.attenuation_per_m)
 
     @property
     def specific_surface_area_m2_kg(self) -> float:
@@ -256,11 +230,6 @@ class Sand(ContentEquality, GranularMedium):
         """Return the names of the materials, in the order of the columns of index arrays."""
         minerals = dict.fromkeys(m for layers in self._shell_materials for m in layers)
         return (*self.pore_fluids.names, *minerals)
-
-    @cached_property
-    def pore_fluids(self) -> PoreFluids:
-        """Fluids in the pore space, weighted by the probability of path segments in each."""
-        return PoreFluids.from_saturation(self.wet_fraction, self.pores)
 
     def make_grain_population(self) -> GrainPopulation:
         """Return the grain population; all types have the same sizes and shapes."""
@@ -308,18 +277,14 @@ class Sand(ContentEquality, GranularMedium):
 
     def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, materials)."""
-        wavelength_nm = np.asarray(wavelength_nm, dtype=float)
         mix = MIXING_RULES[self.interpretation.mixing]
-        index = np.ones((wavelength_nm.size, len(self.list_materials())), dtype=complex)
-        self.pore_fluids.fill_refractive_indices(index, self.refractive_index, wavelength_nm)
+        index = super().compute_refractive_indices(wavelength_nm)
         # Only the filled fraction of a wet path segment absorbs.
         index[:, WET_PORE].imag *= self._water.filled_fraction
-        minerals: dict[str, np.ndarray] = {}
 
+        @cache
         def pure(mineral: str) -> np.ndarray:
-            if mineral not in minerals:
-                minerals[mineral] = self.refractive_index[mineral](wavelength_nm)
-            return minerals[mineral]
+            return np.asarray(self.refractive_index[mineral](wavelength_nm))
 
         if self._water.relative_film_thickness:
             index[:, self.list_materials().index(WATER_FILM)] = pure(WATER)
@@ -334,7 +299,7 @@ class Sand(ContentEquality, GranularMedium):
 
     def describe(self) -> dict[str, Any]:
         """Return the inputs and derived quantities as dataset attributes."""
-        return describe_inputs(self) | {
+        return super().describe() | {
             "particle_types": ", ".join(t.name for t in self.composition.particle_types),
             "particle_volume_fractions": self.composition.volume_fractions,
             "particle_density_kg_m3": self.density_kg_m3,

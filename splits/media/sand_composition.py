@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from statistics import NormalDist
@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.core.arrays import check_named_numbers
 from splits.core.equality import ContentEquality
 from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid
 from splits.kernels.rng import make_table_probabilities
@@ -69,34 +68,23 @@ class TruncatedLogNormal:
         return np.exp(-0.5 * score**2 + power * (x - np.log(self.min_size_m)))
 
     @property
+    @lru_cache(maxsize=1024)  # noqa: B019 - by value, few
     def mean_inverse_size_per_m(self) -> float:
         """Mass-weighted mean of 1/s (1/m): the quotient of integrals in Eq 23."""
-        return _compute_mean_inverse_size(self)
+        # The closed form is not used: its error functions cancel when the limits of a separate lie
+        # close together in probability, while this integrand is always smooth.
+        low, high = float(np.log(self.min_size_m)), float(np.log(self.max_size_m))
+        weighted, _ = integrate_with_quantiles(lambda x: self._relative_density(x, -1.0), low, high)
+        norm, _ = integrate_with_quantiles(self._relative_density, low, high)
+        return weighted / norm / self.min_size_m
 
     def compute_hit_sizes(self, probability: np.ndarray) -> np.ndarray:
         """Return quantiles of the size of hit particles (m): density ∝ s⁻² f_g(s), Eq 25."""
         low, high = float(np.log(self.min_size_m)), float(np.log(self.max_size_m))
-        return np.exp(
-            integrate_with_quantiles(
-                lambda x: self._relative_density(x, -1.0), low, high, probability
-            )[1]
+        _, log_size = integrate_with_quantiles(
+            lambda x: self._relative_density(x, -1.0), low, high, probability
         )
-
-
-@lru_cache(maxsize=1024)
-def _compute_mean_inverse_size(distribution: TruncatedLogNormal) -> float:
-    """Return `TruncatedLogNormal.mean_inverse_size_per_m`, cached for repeated use in fits."""
-    # The closed form is not used: its error functions cancel when the limits of a separate lie
-    # close together in probability, while this integrand is always smooth.
-    low, high = float(np.log(distribution.min_size_m)), float(np.log(distribution.max_size_m))
-    weighted, _ = integrate_with_quantiles(
-        lambda x: distribution._relative_density(x, -1.0), low, high
-    )
-    return (
-        weighted
-        / integrate_with_quantiles(distribution._relative_density, low, high)[0]
-        / distribution.min_size_m
-    )
+        return np.exp(log_size)
 
 
 @dataclass(frozen=True)
@@ -115,33 +103,27 @@ class SoilSizeDistribution:
         """Volume-weighted mean of 1/s (1/m): K1 of Eq 23 without v_j."""
         return sum(s.mass_fraction * s.mean_inverse_size_per_m for s in self.separates)
 
+    @lru_cache(maxsize=64)  # noqa: B019 - by value, few
     def tabulate_hit_inverse_sizes(self) -> np.ndarray:
         """Return the quantile function of 1/s of hit particles, shape (N_TABLE_POINTS,).
 
         The table is linear between the outermost quantiles of two separates, as within one.  For
         clay and sand without silt, about 0.1 % of the particles that are hit fall in the gap.
         """
-        return _tabulate_hit_inverse_sizes(self).copy()
-
-
-@lru_cache(maxsize=64)
-def _tabulate_hit_inverse_sizes(distribution: SoilSizeDistribution) -> np.ndarray:
-    u = make_table_probabilities(N_TABLE_POINTS)
-    weights = np.array(
-        [s.mass_fraction * s.mean_inverse_size_per_m for s in distribution.separates]
-    )[::-1]
-    edges = np.concatenate([[0.0], np.cumsum(weights) / weights.sum()])
-    edges[-1] = 1.0
-    inverse_size = np.empty(u.shape)
-    for i, separate in enumerate(reversed(distribution.separates)):
-        inside = (u >= edges[i]) & (u <= edges[i + 1])
-        fraction = (u[inside] - edges[i]) / (edges[i + 1] - edges[i])
-        inverse_size[inside] = 1.0 / separate.compute_hit_sizes(1.0 - fraction)
-    return inverse_size
+        u = make_table_probabilities(N_TABLE_POINTS)
+        weights = np.array([s.mass_fraction * s.mean_inverse_size_per_m for s in self.separates])
+        edges = np.concatenate([[0.0], np.cumsum(weights[::-1]) / weights[::-1].sum()])
+        edges[-1] = 1.0
+        inverse_size = np.empty(u.shape)
+        for i, separate in enumerate(reversed(self.separates)):
+            inside = (u >= edges[i]) & (u <= edges[i + 1])
+            fraction = (u[inside] - edges[i]) / (edges[i + 1] - edges[i])
+            inverse_size[inside] = 1.0 / separate.compute_hit_sizes(1.0 - fraction)
+        return inverse_size
 
 
 def make_size_distribution(
-    texture: object, tail_mass: float = 1e-4, size_model: str = "separates"
+    texture: tuple[float, ...], tail_mass: float = 1e-4, size_model: str = "separates"
 ) -> SoilSizeDistribution:
     """Return the particle size distribution of a sand of given texture.
 
@@ -162,24 +144,33 @@ def make_size_distribution(
     ValueError
         For a texture that is not that of a sand.
     """
-    clay, silt, sand = check_named_numbers("texture", texture, SOIL_SEPARATES, (0.0, 1.0))
+    clay, silt, sand = texture
     if min(clay, silt, sand) < 0.0 or abs(clay + silt + sand - 1.0) > 1e-9:
         raise invalid("texture", texture, "three fractions (clay, silt, sand) that add up to 1")
     if silt + 1.5 * clay > MAX_FINES_FRACTION + 1e-9:
-        raise invalid(
-            "texture",
-            texture,
-            f"silt + 1.5 clay at most {MAX_FINES_FRACTION:g}",
-            "more is not a sand",
-        )
+        allowed = f"silt + 1.5 clay at most {MAX_FINES_FRACTION:g}"
+        raise invalid("texture", texture, allowed, "more is not a sand")
     tail_mass = check_range("size_tail", tail_mass, 1e-6, 0.01)
     cumulative = np.clip(
         [tail_mass, clay, clay + silt, 1.0 - tail_mass], tail_mass, 1.0 - tail_mass
     )
+    if size_model == "single":
+        # The moments are those of the midpoints of the separates.
+        masses = np.array([clay, silt, sand])
+        log_midpoint = np.log([0.5 * (a + b) for a, b in pairwise((0.0, *SEPARATE_LIMITS_M[1:]))])
+        mean = float(masses @ log_midpoint)
+        sd = float(np.sqrt(max(masses @ log_midpoint**2 - mean**2, 0.0)))
+        present = np.flatnonzero(masses)
+        low, high = SEPARATE_LIMITS_M[present[0]], SEPARATE_LIMITS_M[present[-1] + 1]
+        if present.size == 1:
+            raise invalid(
+                "interpretation.size_distribution", "single",
+                "'separates' for a texture of one separate alone",
+                "its standard deviation would be zero",
+            )  # fmt: skip
+        return SoilSizeDistribution((TruncatedLogNormal(low, high, 1.0, mean, sd),))
     score = [NormalDist().inv_cdf(c) for c in cumulative]
     x = np.log(SEPARATE_LIMITS_M)
-    if size_model == "single":
-        return SoilSizeDistribution((_make_single_log_normal((clay, silt, sand)),))
     separates = []
     for i, mass in enumerate((clay, silt, sand)):
         if mass > 0.0 and score[i + 1] > score[i]:
@@ -192,30 +183,8 @@ def make_size_distribution(
             )
     total = sum(s.mass_fraction for s in separates)
     return SoilSizeDistribution(
-        tuple(
-            TruncatedLogNormal(
-                s.min_size_m, s.max_size_m, s.mass_fraction / total, s.log_mean, s.log_sd
-            )
-            for s in separates
-        )
+        tuple(replace(s, mass_fraction=s.mass_fraction / total) for s in separates)
     )
-
-
-def _make_single_log_normal(texture: tuple[float, float, float]) -> TruncatedLogNormal:
-    """Return a single log-normal distribution, from the midpoints of the separates."""
-    mass = np.array(texture)
-    log_midpoint = np.log([0.5 * (a + b) for a, b in pairwise((0.0, *SEPARATE_LIMITS_M[1:]))])
-    mean = float(mass @ log_midpoint)
-    sd = float(np.sqrt(max(mass @ log_midpoint**2 - mean**2, 0.0)))
-    present = np.flatnonzero(mass)
-    low, high = SEPARATE_LIMITS_M[present[0]], SEPARATE_LIMITS_M[present[-1] + 1]
-    if present.size == 1:
-        raise invalid(
-            "interpretation.size_distribution", "single",
-            "'separates' for a texture of one separate alone",
-            "its standard deviation would be zero",
-        )  # fmt: skip
-    return TruncatedLogNormal(low, high, 1.0, mean, sd)
 
 
 # --------------------------------------------------------------------------------------------------
@@ -233,8 +202,6 @@ MAX_RELATIVE_FILM_THICKNESS = 0.05
 """Relative thickness up to which a film is treated as a flat slab."""
 MAX_SERIES_SATURATION = 1e-6
 """Saturation up to which a series gives the wet fraction."""
-N_NEWTON_STEPS = 40
-"""Number of Newton steps; about ten suffice close to full saturation."""
 
 
 class WaterDistribution(NamedTuple):
@@ -316,7 +283,8 @@ def narrow_pore_fraction(saturation: float) -> float:
     x = math.sqrt(2.0 * saturation) + 2.0 * saturation / 3.0
     if saturation > MAX_SERIES_SATURATION:
         x = max(x, -math.log1p(-saturation))
-        for _ in range(N_NEWTON_STEPS):
+        # About ten steps suffice close to full saturation.
+        for _ in range(40):
             dry_fraction = math.exp(-x)
             x += (saturation - 1.0 + (1.0 + x) * dry_fraction) / (x * dry_fraction)
     return -math.expm1(-x)
@@ -499,7 +467,7 @@ def make_composition(
     iron_oxide: float,
     hematite_ratio: float,
     magnetite: float,
-    partition: tuple[float, float, float],
+    partition: tuple[float, ...],
     coating_fraction: float,
     excess_magnetite: str = "first",
 ) -> SandComposition:
@@ -527,21 +495,15 @@ def make_composition(
     Raises
     ------
     ValueError
-        For a value outside its range.
+        For a partition that does not add up to 1, or too much iron oxide for coatings.
     """
-    iron_oxide = check_range("iron_oxide", iron_oxide, 0.0, 1.0)
-    ratio = check_range("hematite_ratio", hematite_ratio, 0.0, 1.0)
-    magnetite = check_range(
-        "magnetite", magnetite, 0.0, 1.0 - iron_oxide, hint="the sum of all mass fractions is 1"
-    )
-    kinds = ("pure", "mixed", "coated")
-    pure, mixed, coated = check_named_numbers("partition", partition, kinds, (0.0, 1.0))
+    pure, mixed, coated = partition
     if min(pure, mixed, coated) < 0.0 or abs(pure + mixed + coated - 1.0) > 2e-9:
         raise invalid(
             "partition", partition, "three numbers of at least 0 that add up to 1",
             f"these make {pure + mixed + coated:.10g}; YAML has no 1/3, write 0.3333333333",
         )  # fmt: skip
-    oxide_fractions = {"hematite": ratio, "goethite": 1.0 - ratio}
+    oxide_fractions = {"hematite": hematite_ratio, "goethite": 1.0 - hematite_ratio}
     iron = iron_oxide * pure  # Eq 8
     quartz = pure - magnetite - iron  # Eq 9
     scale = 1.0

@@ -1,41 +1,193 @@
-"""Snow: one type of ice grain in pores of air and water (SPLITSnow)."""
+"""Snow: one type of ice grain in pores of air and water (SPLITSnow), and natural snow.
+
+Natural snow consists of grains with the optical shape derived from tomography.  Their facetness and
+sphericity are those whose absorption enhancement B and asymmetry parameter g are closest to those
+of natural snow (Robledano et al. 2023, Nature Communications 14, 3955: B 1.68 ± 0.02, g 0.65 ± 0.03
+over 33 samples at 900 nm).  `benchmarks/grain_shape.py --search` found them from single scattering
+alone; no albedo was fitted.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+import math
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, field, fields
+from functools import cached_property, partial, wraps
+from inspect import Parameter, Signature, signature
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from splits.core.arrays import check_named_numbers
 from splits.core.equality import ContentEquality
-from splits.core.keywords import reject_unknown_keywords
+from splits.core.keywords import reject_unknown_arguments, reject_unknown_keywords
 from splits.core.validation import check_choice, check_range, invalid, suggest_unit
 from splits.kernels.scene import GrainPopulation, GrainTypes
 from splits.materials import ice_density
 from splits.materials.impurities import Impurity, describe_impurities, make_impurities
 from splits.media import grain_statistics as statistics
-from splits.media.formatting import find_differences, format_call
-from splits.media.ground import (
-    Ground,
-    check_ground_reached,
-    check_sample_depth,
-    check_truncated_normal,
-    describe_inputs,
-    make_refractive_indices,
+from splits.media.formatting import count_digits, find_differences, format_call
+from splits.media.interpretations import Interpretation, merge_interpretations
+from splits.media.medium import GranularMedium, Interface, check_truncated_normal
+
+# --------------------------------------------------------------------------------------------------
+# Measured quantities that replace model parameters: surface area, optical radius, water content.
+#
+# Specific surface area scales the range of grain sizes; liquid water content is the volume of water
+# per volume of snow, in place of saturation.
+
+Kind = TypeVar("Kind")
+
+SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY, LIQUID_WATER_KEY = (
+    "specific_surface_area_m2_kg",
+    "optical_radius_um",
+    "liquid_water_content",
 )
-from splits.media.interpretations import Interpretation
-from splits.media.medium import GranularMedium, Interface, PoreFluids, check_other_fluids
-from splits.media.natural_snow import (
-    GRAIN_SIZE_RANGE_UM,
-    accepts_measured_inputs,
-    describe_grain_shape,
-    is_natural,
-    make_natural_snow,
-    to_shortest_keywords,
-)
+REPLACED_FIELDS = {
+    SURFACE_AREA_KEY: "grain_size_um",
+    OPTICAL_RADIUS_KEY: "grain_size_um",
+    LIQUID_WATER_KEY: "saturation",
+}
+"""Field replaced by each keyword."""
+GRAIN_SIZE_RANGE_UM = (1.0, 1e5)
+"""Limits of the sizes of grains (µm)."""
+MIN_SURFACE_AREA_M2_KG, MAX_SURFACE_AREA_M2_KG = 0.2, 2000.0
+"""Limits of specific surface area (m²/kg): grains of a few cm and of a few µm."""
+
+
+def accepts_measured_inputs(kind: type[Kind]) -> type[Kind]:
+    """Add `REPLACED_FIELDS` to the keywords of a snow dataclass."""
+    construct: Callable[..., None] = kind.__init__  # type: ignore[misc]
+
+    @wraps(construct)
+    def construct_measured(self: Any, *values: Any, **keywords: Any) -> None:
+        keywords = {k: v for k, v in keywords.items() if k not in REPLACED_FIELDS or v is not None}
+        if any(name in keywords for name in REPLACED_FIELDS):
+            names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+            keywords = {**dict(zip(names, values, strict=False)), **keywords}
+            values = ()
+            check_no_equivalents(keywords)
+            keywords = to_model_keywords(kind, keywords)
+        construct(self, *values, **keywords)
+
+    extras = [Parameter(n, Parameter.KEYWORD_ONLY, default=None, annotation="float | None")
+              for n in REPLACED_FIELDS]  # fmt: skip
+    full = Signature([*signature(construct).parameters.values(), *extras], return_annotation=None)
+    construct_measured.__signature__ = full  # type: ignore[attr-defined]
+    kind.__init__ = construct_measured  # type: ignore[method-assign,misc]
+    kind.OTHER_KEYWORDS = tuple(REPLACED_FIELDS)  # type: ignore[attr-defined]
+    return kind
+
+
+def override_keywords(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `base` updated by `overrides`; keywords equivalent to overrides are removed."""
+    overridden = {REPLACED_FIELDS.get(name, name) for name in overrides}
+    remaining = {
+        name: v for name, v in base.items() if REPLACED_FIELDS.get(name, name) not in overridden
+    }
+    return {**remaining, **overrides}
+
+
+def check_no_equivalents(keywords: dict[str, Any]) -> None:
+    """Check that no two keywords, or parameters of a layer, set the same field."""
+    seen: dict[str, str] = {}
+    for name, value in keywords.items():
+        layer, _, own_name = name.rpartition(".")
+        field = f"{layer}.{REPLACED_FIELDS.get(own_name, own_name)}"
+        if field in seen:
+            raise invalid(
+                name, value, f"left out where {seen[field]} is given", "they set the same field"
+            )
+        seen[field] = name
+
+
+def to_model_keywords(kind: Callable[..., Any], keywords: dict[str, Any]) -> dict[str, Any]:
+    """Return keywords with grain size and saturation in place of measured quantities.
+
+    Specific surface area is inversely proportional to size; sizes keep the ratio of the defaults.
+    """
+    model_keywords = {
+        name: value for name, value in keywords.items() if name not in REPLACED_FIELDS
+    }
+    default_medium = kind(**model_keywords)
+    if LIQUID_WATER_KEY in keywords:
+        water = check_range(
+            LIQUID_WATER_KEY, keywords[LIQUID_WATER_KEY], 0.0, default_medium.porosity,
+            hint="volume of water per volume of snow, at most that of its pores",
+        )  # fmt: skip
+        model_keywords["saturation"] = water / default_medium.porosity
+    if SURFACE_AREA_KEY in keywords or OPTICAL_RADIUS_KEY in keywords:
+        if SURFACE_AREA_KEY in keywords:
+            hint = "m2/kg: about 60 for fresh snow, 10 for old snow, 3 for melting snow"
+            area = check_range(
+                SURFACE_AREA_KEY,
+                keywords[SURFACE_AREA_KEY],
+                MIN_SURFACE_AREA_M2_KG,
+                MAX_SURFACE_AREA_M2_KG,
+                hint=hint,
+            )
+        else:
+            # Spheres of radius r have the specific surface area 3/(ρ_ice r).
+            ice = ice_density(default_medium.temperature_c)
+            low, high = 3e6 / (ice * MAX_SURFACE_AREA_M2_KG), 3e6 / (ice * MIN_SURFACE_AREA_M2_KG)
+            radius = check_range(OPTICAL_RADIUS_KEY, keywords[OPTICAL_RADIUS_KEY], low, high, "µm")
+            area = 3e6 / (ice * radius)
+        factor = default_medium.specific_surface_area_m2_kg / area
+        model_keywords["grain_size_um"] = tuple(
+            factor * size for size in default_medium.grain_size_um
+        )
+    return model_keywords
+
+
+def to_shortest_keywords(snow: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the inputs of snow with each in the equivalent keyword that needs the fewest digits.
+
+    Sizes in the default ratio are equivalent to a surface area and to a radius.
+    """
+    shortest = dict(inputs)
+    default_size = type(snow)().grain_size_um
+    ratios = [largest / smallest for smallest, largest in (snow.grain_size_um, default_size)]
+    scaled = abs(ratios[0] / ratios[1] - 1.0) < 1e-9
+    for own, measured in (
+        ("grain_size_um", (SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY)),
+        ("saturation", (LIQUID_WATER_KEY,)),
+    ):
+        if own in inputs and (scaled or own != "grain_size_um"):
+            best = min((*measured, own), key=lambda name: count_digits(getattr(snow, name)))
+            del shortest[own]
+            shortest = {best: getattr(snow, best), **shortest}
+    return shortest
+
+
+# --------------------------------------------------------------------------------------------------
+# Natural snow: optical shape of its grains.
+
+
+class NaturalGrainShape(NamedTuple):
+    """Optical shape of dry grains at 900 nm; see `splits.analysis.theory.grain_shape`."""
+
+    absorption_enhancement: float
+    absorption_enhancement_stderr: float
+    asymmetry_parameter: float
+    asymmetry_parameter_stderr: float
+
+
+NATURAL_GRAIN_SHAPE = NaturalGrainShape(1.661, 0.003, 0.678, 0.001)
+
+MIN_NATURAL_DENSITY_KG_M3 = 10.0
+"""Lower limit of the density of natural snow (kg/m³)."""
+
+NATURAL_REFRACTIVE_INDICES = {"ice": "warren_brandt_2008_picard_2016", "water": "segelstein_1981"}
+
+NATURAL_GRAINS: dict[str, Any] = {
+    "facetness": (0.05, 0.05, 0.05, 0.0),
+    "sphericity": (0.75, 0.75, 0.75, 0.0),
+}
+NATURAL_INTERPRETATION = "radiative_transfer"
+
+
+# --------------------------------------------------------------------------------------------------
+# Snow, after SPLITSnow and as in nature.
 
 MIN_DENSITY_KG_M3 = 1e-12
 """Lower limit of the density: about one grain per 1e11 m of path, well within double precision."""
@@ -158,7 +310,87 @@ class Snow(ContentEquality, GranularMedium):
             liquid_water_content: float | None = ...,
         ) -> None: ...
 
-    natural = classmethod(make_natural_snow)
+    @classmethod
+    @reject_unknown_arguments
+    def natural(
+        cls,
+        *,
+        specific_surface_area_m2_kg: float | None = None,
+        optical_radius_um: float | None = None,
+        grain_size_um: tuple[float, float] | None = None,
+        density_kg_m3: float = 300.0,
+        depth_m: float = math.inf,
+        temperature_c: float = -1.0,
+        saturation: float | None = None,
+        liquid_water_content: float | None = None,
+        impurities_ng_g: Mapping[str, Any] | None = None,
+        algae_cells_ml: Mapping[str, float] | None = None,
+        impurities_in: str = "ice",
+        ground: Any = None,
+        facetness: tuple[float, float, float, float] | None = None,
+        sphericity: tuple[float, float, float, float] | None = None,
+        pores: Mapping[str, float] | None = None,
+        refractive_index: Mapping[str, Any] | None = None,
+        interpretation: Interpretation | str | Mapping[str, Any] | None = None,
+    ) -> Snow:
+        """Return modelled natural snow; dry, clean and semi-infinite by default.
+
+        The grains have the absorption enhancement B and the asymmetry parameter measured for
+        natural snow at 900 nm (`splits.media.snow`).  They are point scatterers (interpretation
+        ``radiative_transfer``).  The reflectance of dry semi-infinite snow therefore does not
+        depend on its density, the BRDF is reciprocal, and the mean path length in ice follows from
+        B.  The absorption of ice below 600 nm is that of Picard et al. (2016), and the refractive
+        index of water is that of Segelstein (1981).
+
+        Parameters
+        ----------
+        specific_surface_area_m2_kg, optical_radius_um, grain_size_um
+            Size of the grains, by one of the three; see `Snow`.
+        density_kg_m3 : float
+            Mass of ice per volume of snow, from 10 kg/m³ to below the density of ice.
+        depth_m : float
+            Thickness (m).  An infinite depth is allowed for spectra, albedos, profiles and delays,
+            and for BRDFs and HDRFs by discrete ordinates.
+
+        Raises
+        ------
+        ValueError
+            If no size is given, or for a value outside its range.
+
+        Notes
+        -----
+        The other keywords are those of `Snow`; by default the snow is dry and clean.
+
+        Examples
+        --------
+        >>> from splits import Snow
+        >>> snow = Snow.natural(specific_surface_area_m2_kg=20, density_kg_m3=250, depth_m=1)
+        >>> round(snow.optical_radius_um, 1)
+        163.6
+        """
+        keywords = {**locals()}
+        keywords.pop("cls")
+        defaults = {
+            **NATURAL_GRAINS, "interpretation": NATURAL_INTERPRETATION,
+            "density_kg_m3": 300.0, "depth_m": math.inf,
+        }  # fmt: skip
+        if saturation is None and liquid_water_content is None:
+            defaults["saturation"] = 0.0
+        keywords = {**defaults, **{k: value for k, value in keywords.items() if value is not None}}
+        if {SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY, "grain_size_um"}.isdisjoint(keywords):
+            raise invalid(
+                SURFACE_AREA_KEY, None, "given, or optical_radius_um",
+                "m2/kg: 40 and more for fresh snow, 10 for old snow, 3 for melting snow",
+            )  # fmt: skip
+        temperature = keywords.get("temperature_c", -1.0)
+        temperature = check_range("temperature_c", temperature, -40.0, 0.0, "°C")
+        _check_density(keywords["density_kg_m3"], MIN_NATURAL_DENSITY_KG_M3, temperature)
+        if isinstance(interpretation, Mapping):
+            given = [NATURAL_INTERPRETATION, interpretation]
+            keywords["interpretation"] = merge_interpretations(given)
+        if refractive_index is None or isinstance(refractive_index, Mapping):
+            keywords["refractive_index"] = NATURAL_REFRACTIVE_INDICES | {**(refractive_index or {})}
+        return cls(**keywords)
 
     def __repr__(self) -> str:
         """Return the call that constructs the snow, on one line."""
@@ -169,13 +401,10 @@ class Snow(ContentEquality, GranularMedium):
         return format_call("Snow", to_shortest_keywords(self, find_differences(self, type(self)())))
 
     def __post_init__(self) -> None:
-        def put(name: str, value: Any) -> None:
-            object.__setattr__(self, name, value)
-
-        sizes = check_named_numbers(
+        put = partial(object.__setattr__, self)
+        smallest, largest = check_named_numbers(
             "grain_size_um", self.grain_size_um, ("min", "max"), GRAIN_SIZE_RANGE_UM
         )
-        smallest, largest = sizes
         low, high = GRAIN_SIZE_RANGE_UM
         if not low <= smallest <= largest <= high:
             allowed = f"{low:g} <= min <= max <= {high:g} micrometres"
@@ -185,23 +414,11 @@ class Snow(ContentEquality, GranularMedium):
             raise invalid("grain_size_um", self.grain_size_um, "max <= 1000 min")
         put("grain_size_um", (smallest, largest))
         put("facetness", check_truncated_normal("facetness", self.facetness, 0.0))
-        put("sphericity", check_truncated_normal("sphericity", self.sphericity, 0.1))
-        put("saturation", check_range("saturation", self.saturation, 0.0, 1.0))
         put("temperature_c", check_range("temperature_c", self.temperature_c, -40.0, 0.0, "°C"))
-        ice = ice_density(self.temperature_c)
-        hint = f"ice at {self.temperature_c:g} °C has {ice:g}"
-        key, density = "density_kg_m3", self.density_kg_m3
-        put(
-            key,
-            check_range(key, density, MIN_DENSITY_KG_M3, ice, "kg/m3", hint=hint, open_high=True),
-        )
-        put("ground", Ground.from_input(self.ground))
-        put("depth_m", check_sample_depth(self.depth_m))
-        check_ground_reached(self.ground, self.is_semi_infinite)
+        density = _check_density(self.density_kg_m3, MIN_DENSITY_KG_M3, self.temperature_c)
+        put("density_kg_m3", density)
         put("interpretation", Interpretation.from_input(self.interpretation))
-        indices = self.refractive_index
-        put("pores", check_other_fluids(self.pores, self.saturation, indices, ("ice",)))
-        put("refractive_index", make_refractive_indices(("ice", "water"), indices, self.pores))
+        self._check_inputs(["ice"])
         check_choice("impurities_in", self.impurities_in, ("ice", "pores"))
         # Validates the impurities.
         _ = self._impurities
@@ -289,11 +506,6 @@ class Snow(ContentEquality, GranularMedium):
         """Return the names of the materials, in the order of the columns of index arrays."""
         return (*self.pore_fluids.names, "ice")
 
-    @cached_property
-    def pore_fluids(self) -> PoreFluids:
-        """Fluids in the pore space."""
-        return PoreFluids.from_saturation(self.saturation, self.pores)
-
     @property
     def _ice_column(self) -> int:
         """Column of ice in index arrays."""
@@ -308,9 +520,7 @@ class Snow(ContentEquality, GranularMedium):
 
     def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, materials); 1 where not given."""
-        wavelength_nm = np.asarray(wavelength_nm, dtype=float)
-        index = np.ones((wavelength_nm.size, self._ice_column + 1), dtype=complex)
-        self.pore_fluids.fill_refractive_indices(index, self.refractive_index, wavelength_nm)
+        index = super().compute_refractive_indices(wavelength_nm)
         index[:, self._ice_column] = self.refractive_index["ice"](wavelength_nm)
         return index
 
@@ -333,14 +543,36 @@ class Snow(ContentEquality, GranularMedium):
 
     def describe(self) -> dict[str, Any]:
         """Return the inputs and derived quantities as dataset attributes."""
-        return (
-            describe_inputs(self)
-            | describe_impurities(self._impurities, self.impurities_in)
-            | {
-                "mean_grain_distance_m": self.mean_grain_distance_m,
-                "specific_surface_area_m2_kg": self.specific_surface_area_m2_kg,
-                "optical_radius_um": self.optical_radius_um,
-                "liquid_water_content": self.liquid_water_content,
+        attrs = super().describe() | describe_impurities(self._impurities, self.impurities_in)
+        attrs |= {
+            "mean_grain_distance_m": self.mean_grain_distance_m,
+            "specific_surface_area_m2_kg": self.specific_surface_area_m2_kg,
+            "optical_radius_um": self.optical_radius_um,
+            "liquid_water_content": self.liquid_water_content,
+        }
+        if is_natural(self):
+            shape = NATURAL_GRAIN_SHAPE
+            attrs |= {
+                "absorption_enhancement_900nm_dry": shape.absorption_enhancement,
+                "absorption_enhancement_900nm_dry_stderr": shape.absorption_enhancement_stderr,
+                "asymmetry_parameter_900nm_dry": shape.asymmetry_parameter,
+                "asymmetry_parameter_900nm_dry_stderr": shape.asymmetry_parameter_stderr,
             }
-            | describe_grain_shape(self)
-        )
+        return attrs
+
+
+def _check_density(density_kg_m3: Any, lowest: float, temperature_c: float) -> float:
+    """Return the validated mass of ice per volume of snow, below the density of ice."""
+    ice = ice_density(temperature_c)
+    hint = f"ice at {temperature_c:g} °C has {ice:g}"
+    return check_range(
+        "density_kg_m3", density_kg_m3, lowest, ice, "kg/m3", hint=hint, open_high=True
+    )
+
+
+def is_natural(snow: Any) -> bool:
+    """Return whether snow has the grains and the interpretation of natural snow."""
+    same_grains = all(getattr(snow, name) == value for name, value in NATURAL_GRAINS.items())
+    return same_grains and snow.interpretation == type(snow.interpretation).from_input(
+        NATURAL_INTERPRETATION
+    )

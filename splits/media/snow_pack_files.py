@@ -20,7 +20,7 @@ from splits.io.crocus import THICKNESS, WATER_DENSITY_KG_M3, read_crocus_output
 from splits.io.layer_profiles import average_over_layers, interpolate_to_layers
 from splits.io.netcdf import NETCDF_SUFFIXES, SCHEMA_ATTRIBUTE, load, open_foreign
 from splits.materials.csv_table import read_csv
-from splits.media.natural_snow import SURFACE_AREA_KEY
+from splits.media.snow import SURFACE_AREA_KEY
 from splits.media.snow_pack_input import (
     DEFAULT_LABEL,
     DEFAULTS,
@@ -253,8 +253,7 @@ def _compute_sun_zenith(packs: SnowPacks, latitude_deg: Any, longitude_deg: Any)
         raise invalid("latitude_deg", latitude_deg, "left out for snowpacks without times", hint)
     positions = import_optional("pvlib.solarposition", "sky", "positions of the sun need")
     sun = positions.get_solarposition(labels.tz_localize("UTC"), latitude_deg, longitude_deg)
-    zenith: np.ndarray = sun["apparent_zenith"].to_numpy()
-    return zenith
+    return np.asarray(sun["apparent_zenith"])
 
 
 def _read_csv(path: Path) -> pd.DataFrame:

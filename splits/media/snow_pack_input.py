@@ -22,7 +22,7 @@ from splits.core.arrays import (
 from splits.core.labels import check_direction, normalize_attributes, normalize_labels
 from splits.core.parameter_names import describe_parameter, parse_impurity_parameter
 from splits.core.units import check_nanometres, convert_units
-from splits.core.validation import invalid, join_names, suggest_name, unknown_key
+from splits.core.validation import as_scalar, invalid, join_names, suggest_name, unknown_key
 from splits.materials.impurities import list_impurities
 from splits.materials.refractive_index import check_wavelength_range
 from splits.media.ground import (
@@ -33,7 +33,7 @@ from splits.media.ground import (
     Ground,
     is_ground_spectrum,
 )
-from splits.media.natural_snow import OPTICAL_RADIUS_KEY, SURFACE_AREA_KEY
+from splits.media.snow import OPTICAL_RADIUS_KEY, SURFACE_AREA_KEY
 
 # --------------------------------------------------------------------------------------------------
 # Ground below the snowpacks of `splits.SnowPacks`: one for all, or an albedo for each.
@@ -76,22 +76,16 @@ class PackGround(NamedTuple):
         labels : pandas.Index
             Labels of the snowpacks.
         """
-        if is_ground_spectrum(value):
-            return cls(Ground.from_input(value))
-        if isinstance(value, xr.DataArray) and value.ndim:
-            return cls._from_array(value, label, labels)
+        is_array = isinstance(value, xr.DataArray) and bool(value.ndim)
         is_row = isinstance(value, np.ndarray | pd.Series | Sequence) and not isinstance(value, str)
-        if not is_row or not np.ndim(value):
+        if is_ground_spectrum(value) or not (is_array or (is_row and np.ndim(value))):
             return cls(Ground.from_input(value))
-        albedo = align_to_labels(GROUND_KEY, value, labels.tolist(), allow_gaps=True)
-        if albedo.shape != (labels.size,):
-            given = f"numbers of shape {albedo.shape}"
-            raise invalid(GROUND_KEY, given, f"one ground, or {labels.size} albedos")
-        return cls(albedo=albedo)
-
-    @classmethod
-    def _from_array(cls, value: xr.DataArray, label: str, labels: pd.Index) -> PackGround:
-        """Return the ground of an array over the label, or over the label and wavelength."""
+        if not is_array:
+            albedo = align_to_labels(GROUND_KEY, value, labels.tolist(), allow_gaps=True)
+            if albedo.shape != (labels.size,):
+                given = f"numbers of shape {albedo.shape}"
+                raise invalid(GROUND_KEY, given, f"one ground, or {labels.size} albedos")
+            return cls(albedo=albedo)
         if not {label} <= set(value.dims) <= {label, WAVELENGTH_DIM}:
             allowed = f"{label}, or {label} and {WAVELENGTH_DIM}, with coordinates"
             raise invalid(f"{GROUND_KEY} dimensions", value.dims, allowed)
@@ -211,9 +205,8 @@ class PackGround(NamedTuple):
         """
         shape = (positions.size, wavelength_nm.size)
         if self.albedo is None:
-            is_open = self.common is None or not self.common.is_reflecting
-            common = 0.0 if is_open or self.common is None else self.common.albedo(wavelength_nm)
-            return np.broadcast_to(common, shape)
+            ground = self.common if self.common and self.common.is_reflecting else None
+            return np.broadcast_to(ground.albedo(wavelength_nm) if ground else 0.0, shape)
         if self.wavelength_nm is None:
             return np.broadcast_to(self.albedo[positions, np.newaxis], shape)
         first, last = self.wavelength_nm[[0, -1]]
@@ -254,10 +247,6 @@ KNOWN_NAMES = (
     THICKNESS_KEY, DENSITY_KEY, SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY, *DEFAULTS, DEPTH_KEY,
     ZENITH_KEY, GROUND_KEY,
 )  # fmt: skip
-OTHER_NAMES = (
-    *KNOWN_NAMES, LAYER_DIM, WAVELENGTH_DIM, FLAG_NAME, LAYER_FLAG_NAME, GROUND_ATTRIBUTE,
-)  # fmt: skip
-"""Names that the dimension of the snowpacks cannot have."""
 
 
 class SnowPackInput(NamedTuple):
@@ -305,7 +294,17 @@ def read_input(data: Any, label: str | None, ground: Any) -> SnowPackInput:
     own_names = (*KNOWN_NAMES, GROUND_ATTRIBUTE)
     data = data.reset_coords([name for name in own_names if name in data.coords])
     check_names(name for name in data.data_vars if name != GROUND_ATTRIBUTE)
-    label = _find_label(data, label)
+    dims = [str(dim) for dim in data[THICKNESS_KEY].dims]
+    others = [dim for dim in dims if dim != LAYER_DIM]
+    if LAYER_DIM not in dims or len(others) != 1 or label not in (None, *others):
+        hint = "stack other dimensions: dataset.stack(snowpack=('time', 'point'))"
+        allowed = f"over {label or 'time, or another label,'} and {LAYER_DIM}"
+        raise invalid(f"{THICKNESS_KEY} dimensions", tuple(dims), allowed, hint)
+    for name, size in data[THICKNESS_KEY].sizes.items():
+        if size == 0:
+            raise invalid(str(name), "no values", "at least one")
+    label = others[0]
+    _check_label_name(label)
     data = _normalize_coordinates(data, label)
     pack_ground, data = _read_ground(data, label, ground)
     if LAYER_DIM in data.coords:
@@ -314,14 +313,35 @@ def read_input(data: Any, label: str | None, ground: Any) -> SnowPackInput:
         number = data[LAYER_DIM].values.astype(float)
         check_increasing(LAYER_DIM, number)
         check_direction(data[LAYER_DIM], "down")
-    names = [str(name) for name in data.data_vars]
-    layered = {name for name in names if LAYER_DIM in data[name].dims}
-    values = {name: _read_variable(data, name, label) for name in names}
+    layered: set[str] = set()
+    values = {}
+    for name in map(str, data.data_vars):
+        variable = data[name]
+        expected = (label,) if name == ZENITH_KEY else (label, LAYER_DIM)
+        if not set(variable.dims) <= set(expected):
+            raise invalid(f"{name} dimensions", variable.dims, f"among {', '.join(expected)}")
+        if LAYER_DIM in variable.dims:
+            layered.add(name)
+        numbers = as_float_array(name, variable, allow_gaps=True)
+        numbers[~np.isfinite(numbers)] = np.nan
+        unit = variable.attrs.get("units")
+        numbers = convert_units(name, numbers, unit, describe_variable(name)[1])
+        sizes = {dim: data.sizes[dim] for dim in expected}
+        full = xr.Variable(variable.dims, numbers).set_dims(sizes).transpose(*expected)
+        values[name] = np.array(full.values)
     zenith = values.pop(ZENITH_KEY, None)
-    if DEPTH_KEY in values:
-        _check_depths(values.pop(DEPTH_KEY), data.get_index(label))
-    others = [name for name, v in data.coords.items() if not set(v.dims) <= {label}]
-    coordinates = data.drop_vars([*data.data_vars, *others])
+    depths_m = values.pop(DEPTH_KEY, np.empty((0, 1)))
+    # The depths of each snowpack increase; absent layers may have none.
+    deepest = np.fmax.accumulate(depths_m, axis=1)
+    rows, layers = np.nonzero(depths_m[:, 1:] <= deepest[:, :-1])
+    if rows.size:
+        row, layer = rows[0], layers[0]
+        pair = [float(deepest[row, layer]), float(depths_m[row, layer + 1])]
+        place = f"layer {layer + 1} of the snowpack at {data.get_index(label)[row]}"
+        allowed = "strictly increasing from the surface down"
+        raise invalid(DEPTH_KEY, pair, allowed, f"{place}; {LAYER_DIM} 0 is at the top")
+    elsewhere = [name for name, v in data.coords.items() if not set(v.dims) <= {label}]
+    coordinates = data.drop_vars([*data.data_vars, *elsewhere])
     return SnowPackInput(label, coordinates, values, layered - {DEPTH_KEY}, zenith, pack_ground)
 
 
@@ -329,7 +349,8 @@ def _check_label_name(label: Any) -> None:
     """Check that a label is a text, and no name of another dimension or of a variable."""
     if not isinstance(label, str):
         raise invalid("label", label, "a text, the name of a dimension or column")
-    if label in OTHER_NAMES or label.startswith(f"{IMPURITIES_KEY}."):
+    others = (LAYER_DIM, WAVELENGTH_DIM, FLAG_NAME, LAYER_FLAG_NAME, GROUND_ATTRIBUTE)
+    if label in (*KNOWN_NAMES, *others) or label.startswith(f"{IMPURITIES_KEY}."):
         hint = f"rename it: data.rename({{{label!r}: 'time'}})"
         raise invalid("label", label, "a name that no variable of snowpacks has", hint)
 
@@ -338,7 +359,12 @@ def _normalize_coordinates(data: xr.Dataset, label: str) -> xr.Dataset:
     """Return a dataset whose labels, and other coordinates of snowpacks, files can hold."""
     index = data.get_index(label)
     labels = normalize_labels(label, index)
-    _check_labels(label, labels)
+    if labels.to_frame().isna().to_numpy().any():
+        raise invalid(label, "a gap", "a label for each snowpack", "masked, NaN or missing")
+    duplicates = labels[labels.duplicated()]
+    if duplicates.size:
+        hint = f"{duplicates.size} of {labels.size} labels repeat an earlier one"
+        raise invalid(label, str(duplicates[0]), "different for each snowpack", hint)
     if isinstance(labels, pd.MultiIndex):
         return data.assign_coords(xr.Coordinates.from_pandas_multiindex(labels, label))
     for name in map(str, data.coords):
@@ -396,56 +422,6 @@ def check_names(given: Iterable[Hashable]) -> None:
         raise invalid(OPTICAL_RADIUS_KEY, "given", f"left out where {SURFACE_AREA_KEY} is given")
 
 
-def _find_label(data: xr.Dataset, label: str | None) -> str:
-    """Return the dimension of the snowpacks."""
-    dims = [str(dim) for dim in data[THICKNESS_KEY].dims]
-    others = [dim for dim in dims if dim != LAYER_DIM]
-    if LAYER_DIM not in dims or len(others) != 1 or label not in (None, *others):
-        hint = "stack other dimensions: dataset.stack(snowpack=('time', 'point'))"
-        allowed = f"over {label or 'time, or another label,'} and {LAYER_DIM}"
-        raise invalid(f"{THICKNESS_KEY} dimensions", tuple(dims), allowed, hint)
-    for name, size in data[THICKNESS_KEY].sizes.items():
-        if size == 0:
-            raise invalid(str(name), "no values", "at least one")
-    _check_label_name(others[0])
-    return others[0]
-
-
-def _check_labels(label: str, index: pd.Index) -> None:
-    """Check that each snowpack has a label of its own."""
-    if index.to_frame().isna().to_numpy().any():
-        raise invalid(label, "a gap", "a label for each snowpack", "masked, NaN or missing")
-    duplicates = index[index.duplicated()]
-    if duplicates.size:
-        hint = f"{duplicates.size} of {index.size} labels repeat an earlier one"
-        raise invalid(label, str(duplicates[0]), "different for each snowpack", hint)
-
-
-def _read_variable(data: xr.Dataset, name: str, label: str) -> np.ndarray:
-    """Return the numbers of a variable in its unit, over snowpacks and layers if it has layers."""
-    variable = data[name]
-    expected = (label,) if name == ZENITH_KEY else (label, LAYER_DIM)
-    if not set(variable.dims) <= set(expected):
-        raise invalid(f"{name} dimensions", variable.dims, f"among {', '.join(expected)}")
-    numbers = as_float_array(name, variable, allow_gaps=True)
-    numbers[~np.isfinite(numbers)] = np.nan
-    numbers = convert_units(name, numbers, variable.attrs.get("units"), describe_variable(name)[1])
-    sizes = {dim: data.sizes[dim] for dim in expected}
-    full = xr.Variable(variable.dims, numbers).set_dims(sizes).transpose(*expected)
-    return np.array(full.values)
-
-
-def _check_depths(depths_m: np.ndarray, index: pd.Index) -> None:
-    """Check that the depths of each snowpack increase; absent layers may have none."""
-    deepest = np.fmax.accumulate(depths_m, axis=1)
-    rows, layers = np.nonzero(depths_m[:, 1:] <= deepest[:, :-1])
-    if rows.size:
-        row, layer = rows[0], layers[0]
-        pair = [float(deepest[row, layer]), float(depths_m[row, layer + 1])]
-        hint = f"layer {layer + 1} of the snowpack at {index[row]}; {LAYER_DIM} 0 is at the top"
-        raise invalid(DEPTH_KEY, pair, "strictly increasing from the surface down", hint)
-
-
 def _pivot_frame(frame: pd.DataFrame, label: str | None) -> xr.Dataset:
     """Return the dataset of a table with one row per layer; rows that do not exist are NaN."""
     if any(name is not None for name in frame.index.names):
@@ -467,8 +443,8 @@ def _pivot_frame(frame: pd.DataFrame, label: str | None) -> xr.Dataset:
     repeated = table.duplicated().to_numpy()
     if repeated.any():
         position = int(np.flatnonzero(repeated)[0])
-        pair = f"{labels[rows[position]]}, {number[position]:g}"
-        raise invalid(f"{label}, {LAYER_DIM}", pair, "different in each row", "rows repeat")
+        place = f"{labels[rows[position]]}, {number[position]:g}"
+        raise invalid(f"{label}, {LAYER_DIM}", place, "different in each row", "rows repeat")
     if len(labels) > 1 and len(table) > len(labels) and table.number.is_unique:
         hint = "frame.groupby(label).cumcount() counts the layers of each snowpack"
         allowed = "numbers that begin again in each snowpack, 0 at the top"
@@ -480,37 +456,23 @@ def _pivot_frame(frame: pd.DataFrame, label: str | None) -> xr.Dataset:
     dataset = xr.Dataset(coords={label: index, LAYER_DIM: layers})
     for column in frame.columns.drop([label, LAYER_DIM]):
         if column == GROUND_ATTRIBUTE:
-            dataset[column] = (label, _find_ground_names(frame[column].to_numpy(), rows, index))
-            continue
-        numbers = as_float_array(str(column), frame[column], allow_gaps=True)
-        table = np.full((index.size, layers.size), np.nan)
-        table[rows, columns] = numbers
-        if column in (ZENITH_KEY, GROUND_KEY):
-            dataset[column] = (label, _reduce_to_snowpacks(str(column), table, index))
+            values = frame[column].to_numpy(dtype=object)
         else:
+            values = as_float_array(str(column), frame[column], allow_gaps=True)
+        if column in (GROUND_ATTRIBUTE, ZENITH_KEY, GROUND_KEY):
+            # Each snowpack has one value, whatever the number of its layers.
+            is_given = ~pd.isna(values)
+            found = np.full(index.size, np.nan, dtype=values.dtype)
+            found[rows[is_given]] = values[is_given]
+            different = np.flatnonzero(is_given & (found[rows] != values))
+            if different.size:
+                row = different[0]
+                pair = [as_scalar(one) for one in (values[row], found[rows[row]])]
+                allowed = "the same for all layers of a snowpack"
+                raise invalid(str(column), pair, allowed, f"at {index[rows[row]]}")
+            dataset[column] = (label, found)
+        else:
+            table = np.full((index.size, layers.size), np.nan)
+            table[rows, columns] = values
             dataset[str(column)] = ((label, LAYER_DIM), table)
     return dataset
-
-
-def _find_ground_names(names: np.ndarray, rows: np.ndarray, index: pd.Index) -> np.ndarray:
-    """Return the name of the ground below each snowpack from those in the rows of its layers."""
-    found = np.empty(index.size, dtype=object)
-    found[rows] = names
-    different = np.flatnonzero((found[rows] != names) & ~pd.isna(names))
-    if different.size:
-        row = different[0]
-        pair = [names[row], found[rows[row]]]
-        allowed = "the same for all layers of a snowpack"
-        raise invalid(GROUND_ATTRIBUTE, pair, allowed, f"at {index[rows[row]]}")
-    return found
-
-
-def _reduce_to_snowpacks(key: str, table: np.ndarray, index: pd.Index) -> np.ndarray:
-    """Return the only number of each row, NaN for rows without numbers."""
-    lowest, highest = np.fmin.reduce(table, axis=1), np.fmax.reduce(table, axis=1)
-    different = np.flatnonzero(lowest < highest)
-    if different.size:
-        row = different[0]
-        pair = [float(lowest[row]), float(highest[row])]
-        raise invalid(key, pair, "the same for all layers of a snowpack", f"at {index[row]}")
-    return lowest

@@ -26,14 +26,14 @@ from splits.io.netcdf import ANCILLARY_ATTRIBUTE
 from splits.materials.impurities import MAX_NG_G
 from splits.materials.library import interpolate_ice_density
 from splits.media.ground import OPEN
-from splits.media.natural_snow import (
+from splits.media.snow import (
     MAX_SURFACE_AREA_M2_KG,
     MIN_NATURAL_DENSITY_KG_M3,
     MIN_SURFACE_AREA_M2_KG,
     OPTICAL_RADIUS_KEY,
     SURFACE_AREA_KEY,
+    Snow,
 )
-from splits.media.snow import Snow
 from splits.media.snow_pack_input import (
     DEFAULTS,
     DENSITY_KEY,
@@ -179,7 +179,16 @@ def compute_flags(
     is_missing = np.any(
         [(np.isnan(numbers) & ~is_absent).any(axis=1) for numbers in values.values()], axis=0
     )
-    is_outside = find_values_out_of_range(values).any(axis=1)
+    # A layer outside the range of `splits.Snow.natural`.
+    ice = interpolate_ice_density(values[TEMPERATURE_KEY])
+    porosity = 1.0 - values[DENSITY_KEY] / ice
+    has_outlier = values[DENSITY_KEY] >= ice
+    has_outlier |= values[WATER_KEY] > porosity * (1.0 + ROUNDING_TOLERANCE)
+    for name, numbers in values.items():
+        low, high = RANGES.get(name, (0.0, MAX_NG_G))
+        snapped = snap_to_limits(numbers, low, high)
+        has_outlier |= (snapped < low) | (snapped > high)
+    is_outside = has_outlier.any(axis=1)
     flags = np.full(is_missing.size, FLAGS["good"], dtype=np.int8)
     sun_zenith_deg, albedo = given.sun_zenith_deg, given.ground.albedo
     if albedo is not None:
@@ -194,20 +203,6 @@ def compute_flags(
     flags[is_missing] = FLAGS["missing_value"]
     flags[is_absent.all(axis=1)] = FLAGS["no_snow"]
     return flags
-
-
-def find_values_out_of_range(values: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return which layers have a value outside the range of `splits.Snow.natural`."""
-    is_outside = np.zeros(values[THICKNESS_KEY].shape, dtype=bool)
-    for name, numbers in values.items():
-        low, high = RANGES.get(name, (0.0, MAX_NG_G))
-        snapped = snap_to_limits(numbers, low, high)
-        is_outside |= (snapped < low) | (snapped > high)
-    ice = interpolate_ice_density(values[TEMPERATURE_KEY])
-    porosity = 1.0 - values[DENSITY_KEY] / ice
-    is_outside |= values[DENSITY_KEY] >= ice
-    is_outside |= values[WATER_KEY] > porosity * (1.0 + ROUNDING_TOLERANCE)
-    return is_outside
 
 
 def count_missing_results(dataset: xr.Dataset) -> str:
@@ -253,39 +248,9 @@ class SnowPackArrays(NamedTuple):
     impurities_ng_g: dict[str, np.ndarray]
     sun_zenith_deg: np.ndarray | None
 
-    @classmethod
-    def from_dataset(
-        cls, dataset: xr.Dataset, positions: np.ndarray, label: str, impurities: tuple[str, ...]
-    ) -> SnowPackArrays:
-        """Return the snowpacks at positions along the label of a checked dataset."""
-        rows = dataset.isel({label: positions})
-        is_present = rows[LAYER_FLAG_NAME].values == LAYER_FLAGS["present"]
-        n_layers = is_present.sum(axis=1)
-        depth = int(n_layers.max(initial=0))
-        # Below the last layer, its properties are repeated.
-        source = np.minimum(np.arange(depth), n_layers[:, np.newaxis] - 1)
-
-        def fill(name: str) -> np.ndarray:
-            return np.take_along_axis(rows[name].values, source, axis=1)
-
-        return cls(
-            positions,
-            n_layers,
-            np.where(is_present[:, :depth], fill(THICKNESS_KEY), 0.0),
-            fill(DENSITY_KEY),
-            fill(SURFACE_AREA_KEY),
-            fill(TEMPERATURE_KEY),
-            fill(WATER_KEY),
-            {kind: fill(f"{IMPURITIES_KEY}.{kind}") for kind in impurities},
-            rows[ZENITH_KEY].values if ZENITH_KEY in rows else None,
-        )
-
 
 # --------------------------------------------------------------------------------------------------
 # Snowpacks of a season or of several sites: layers over time, with a quality flag for each.
-
-MAX_LISTED_LABELS = 3
-"""Number of labels of an example in messages."""
 
 
 class SnowPacks:
@@ -354,6 +319,8 @@ class SnowPacks:
     SnowPacks(2 over time, at most 2 layers: 1 good, 1 missing_value)
     """
 
+    kind = "snow_packs"
+
     @reject_unknown_arguments
     def __init__(
         self, data: xr.Dataset | pd.DataFrame, label: str | None = None, *, ground: Any = None
@@ -377,11 +344,6 @@ class SnowPacks:
     def __len__(self) -> int:
         """Return the number of snowpacks, including those with flags."""
         return self.dataset.sizes[self.label]
-
-    @property
-    def kind(self) -> str:
-        """Name of the kind of medium in datasets of results."""
-        return "snow_packs"
 
     @property
     def label(self) -> str:
@@ -423,8 +385,8 @@ class SnowPacks:
         if values.shape not in ((), (len(self),)):
             allowed = f"a number, or {len(self)} numbers"
             raise invalid(ZENITH_KEY, f"numbers of shape {values.shape}", allowed)
-        values = np.broadcast_to(values, (len(self),))
-        return SnowPacks(self.dataset.assign({ZENITH_KEY: (self.label, values)}))
+        zenith = (self.label, np.broadcast_to(values, (len(self),)))
+        return SnowPacks(self.dataset.assign({ZENITH_KEY: zenith}))
 
     @reject_unknown_arguments
     def with_ground(self, ground: Any) -> SnowPacks:
@@ -458,8 +420,27 @@ class SnowPacks:
     @reject_unknown_arguments
     def to_arrays(self) -> SnowPackArrays:
         """Return the good snowpacks as arrays for solvers of many snowpacks at once."""
-        return SnowPackArrays.from_dataset(
-            self.dataset, np.flatnonzero(self.is_good), self.label, self.impurities
+        positions = np.flatnonzero(self.is_good)
+        rows = self.dataset.isel({self.label: positions})
+        is_present = rows[LAYER_FLAG_NAME].values == LAYER_FLAGS["present"]
+        n_layers = is_present.sum(axis=1)
+        depth = int(n_layers.max(initial=0))
+        # Below the last layer, its properties are repeated.
+        source = np.minimum(np.arange(depth), n_layers[:, np.newaxis] - 1)
+
+        def fill(name: str) -> np.ndarray:
+            return np.take_along_axis(rows[name].values, source, axis=1)
+
+        return SnowPackArrays(
+            positions,
+            n_layers,
+            np.where(is_present[:, :depth], fill(THICKNESS_KEY), 0.0),
+            fill(DENSITY_KEY),
+            fill(SURFACE_AREA_KEY),
+            fill(TEMPERATURE_KEY),
+            fill(WATER_KEY),
+            {kind: fill(f"{IMPURITIES_KEY}.{kind}") for kind in self.impurities},
+            rows[ZENITH_KEY].values if ZENITH_KEY in rows else None,
         )
 
     @reject_unknown_arguments
@@ -486,12 +467,11 @@ class SnowPacks:
         except (KeyError, TypeError, pd.errors.InvalidIndexError):
             position = None
         if not isinstance(position, int):
-            examples = [str(name) for name in index[:MAX_LISTED_LABELS]]
+            examples = [str(name) for name in index[:3]]
             allowed = f"the label of a snowpack, such as {join_names(examples)}"
             raise invalid(self.label, str(label), allowed)
         if not self.is_good[position]:
-            names = {value: name for name, value in FLAGS.items()}
-            flag = names[int(self.dataset[FLAG_NAME].values[position])]
+            flag = [*FLAGS][int(self.dataset[FLAG_NAME].values[position])]
             hint = f"{FLAG_NAME} is {flag}"
             hint += f": {self._find_obstacle(position)}" if flag == "out_of_range" else ""
             raise invalid(self.label, str(label), "a good snowpack", hint)

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 from itertools import pairwise
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from splits.core.keywords import reject_unknown_keywords
-from splits.core.validation import check_choice, invalid, key_prefix
+from splits.core.validation import check_choice, invalid
 from splits.kernels.scene import MATRIX, WET_PORE
 from splits.media.formatting import format_input, suggest_medium
 from splits.media.ground import Ground, check_ground_reached, describe_ground
-from splits.media.interpretations import INTERPRETATION_SETS
-from splits.media.medium import GranularMedium, Interface, Layer, Medium, PoreFluids
+from splits.media.interpretations import INTERPRETATION_SETS, TransportInterpretation
+from splits.media.medium import GranularMedium, Interface, Layer, Medium
 from splits.media.particle_layer import ParticleLayer
 
 MAX_LAYERS = 200
@@ -30,7 +29,6 @@ UNSUPPORTED_IN_STACK = {
 reason."""
 MIN_DEPTH_RATIO = 1e-10
 """Smallest thickness of a layer relative to those above, which rounding changes by up to 1e-6."""
-ONLY_LOWEST_INFINITE = "only the lowest layer may be infinite"
 
 
 @reject_unknown_keywords
@@ -85,50 +83,61 @@ class Stack(Medium):
         ):
             raise invalid("layers", self.layers, "a list of media, top first")
         layers = tuple(self.layers)
+        last = len(layers) - 1
         if not 1 <= len(layers) <= MAX_LAYERS:
             raise invalid("layers", f"{len(layers)} layers", f"1 to {MAX_LAYERS}")
         for number, layer in enumerate(layers):
+            key = f"layers[{number}]"
             if isinstance(layer, ParticleLayer):
-                with key_prefix(f"layers[{number}]"):
-                    _check_particle_layer(layer, number == 0, number == len(layers) - 1)
-                continue
-            if not isinstance(layer, GranularMedium):
+                for name, (required, reason) in UNSUPPORTED_IN_STACK.items():
+                    value = getattr(layer, name)
+                    if value != required and not (name == "surface" and number == 0):
+                        allowed = "left out" if required is None else "false"
+                        raise invalid(f"{key}.{name}", value, allowed, reason)
+            elif not isinstance(layer, GranularMedium):
                 kind = layer if callable(layer) else getattr(layer, "kind", layer)
                 hint = suggest_medium(layer, ["Snow", "Sand", "ParticleLayer"])
                 allowed = "splits.Snow(...), splits.Sand(...) or splits.ParticleLayer(...)"
-                raise invalid(f"layers[{number}]", kind, allowed, hint)
-            if layer.is_semi_infinite and number < len(layers) - 1:
-                raise invalid(f"layers[{number}].depth_m", math.inf, "finite", ONLY_LOWEST_INFINITE)
-            if layer.ground is not None:
+                raise invalid(key, kind, allowed, hint)
+            if layer.is_semi_infinite and number < last:
+                name = "depth_m" if layer.has_grains else "optical_thickness"
+                hint = "only the lowest layer may be infinite"
+                raise invalid(f"{key}.{name}", math.inf, "finite", hint)
+            if layer.has_grains and layer.ground is not None:
                 hint = "give it to the stack"
-                raise invalid(f"layers[{number}].ground", layer.ground.name, "left out", hint)
-        _check_rounding([layer.depth_m for layer in layers])
+                raise invalid(f"{key}.ground", layer.ground.name, "left out", hint)
+        # Rounding of the boundaries must change the thickness of no layer.
+        total_m = 0.0
+        for number, layer in enumerate(layers):
+            if layer.depth_m < MIN_DEPTH_RATIO * total_m:
+                allowed = f"at least {MIN_DEPTH_RATIO * total_m:g} m below {total_m:g} m"
+                raise invalid(f"layers[{number}].depth_m", layer.depth_m, allowed)
+            total_m += layer.depth_m
+        granular = {number: layer for number, layer in enumerate(layers) if layer.has_grains}
         if self.interpretation is not None:
-            layers = tuple(self._apply_interpretation(layer) for layer in layers)
-        polarized = {
-            number: layer.polarized for number, layer in enumerate(layers) if not layer.has_grains
-        }
-        if any(polarized.values()) and not all(polarized.values()):
-            first = next(number for number, value in polarized.items() if value)
+            choices = INTERPRETATION_SETS[
+                check_choice("interpretation", self.interpretation, INTERPRETATION_SETS)
+            ]
+            for number, layer in granular.items():
+                merged = type(layer.interpretation)(**{**layer.interpretation.as_dict(), **choices})
+                granular[number] = replace(layer, interpretation=merged)
+            layers = tuple(granular.get(number, layer) for number, layer in enumerate(layers))
+        polarized = [number for number, layer in enumerate(layers) if layer.polarized]
+        if 0 < len(polarized) < len(layers) - len(granular):
             allowed = "false, or true for all layers of particles"
-            raise invalid(f"layers[{first}].polarized", True, allowed)
-        granular_layers = [
-            (i, layer_i)
-            for i, layer_i in enumerate(layers)
-            if not isinstance(layer_i, ParticleLayer)
-        ]
-        for number, layer in granular_layers:
-            first_number, first = granular_layers[0]
-            if layer.interpretation.to_transport_dict() != first.interpretation.to_transport_dict():
+            raise invalid(f"layers[{polarized[0]}].polarized", True, allowed)
+        rules = [field.name for field in fields(TransportInterpretation)]
+        first, top = next(iter(granular.items()), (0, layers[0]))
+        for number, layer in granular.items():
+            own, others = layer.interpretation.as_dict(), top.interpretation.as_dict()
+            if any(own[rule] != others[rule] for rule in rules):
                 raise invalid(
-                    f"layers[{number}].interpretation", layer.interpretation.as_dict(),
-                    f"those of layers[{first_number}], {first.interpretation.as_dict()}",
+                    f"layers[{number}].interpretation", own, f"those of layers[{first}], {others}",
                     "one set applies to all: Stack(..., interpretation='radiative_transfer')",
                 )  # fmt: skip
         object.__setattr__(self, "layers", layers)
         object.__setattr__(self, "ground", Ground.from_input(self.ground))
-        lowest = f"the infinite layers[{len(layers) - 1}]"
-        check_ground_reached(self.ground, self.is_semi_infinite, lowest)
+        check_ground_reached(self.ground, self.is_semi_infinite, f"the infinite layers[{last}]")
 
     def __repr__(self) -> str:
         """Return the call that constructs the stack, with one layer per line."""
@@ -138,21 +147,6 @@ class Stack(Medium):
         ]
         lines = ["Stack([", *(f"    {layer!r}," for layer in self.layers), f"]{''.join(keywords)})"]
         return "\n".join(lines)
-
-    def _apply_interpretation(self, layer: Any) -> Any:
-        """Return a layer with the interpretation of the stack."""
-        if isinstance(layer, ParticleLayer):
-            return layer
-        own_interpretation: Any = layer.interpretation
-        choices = INTERPRETATION_SETS[
-            check_choice("interpretation", self.interpretation, INTERPRETATION_SETS)
-        ]
-        return replace(
-            cast(Any, layer),
-            interpretation=type(own_interpretation).from_input(
-                {**own_interpretation.as_dict(), **choices}
-            ),
-        )
 
     @property
     def scene_layers(self) -> tuple[Layer, ...]:
@@ -195,48 +189,28 @@ class Stack(Medium):
         ).tolist()
         for number, layer in enumerate(self.scene_layers):
             interfaces += [
-                Interface(
-                    interface.fraction,
-                    interface.outer_material + first_columns[number],
-                    interface.inner_material + first_columns[number],
-                    interface.location,
-                    number,
+                interface._replace(
+                    outer_material=interface.outer_material + first_columns[number],
+                    inner_material=interface.inner_material + first_columns[number],
+                    layer=number,
                 )
                 for interface in layer.list_interfaces()
             ]
-        for upper, lower in pairwise(range(len(self.scene_layers))):
-            for number_a, number_b in ((upper, lower), (lower, upper)):
-                interfaces += self._list_boundary_interfaces(number_a, number_b, first_columns)
+        layers = enumerate(self.scene_layers)
+        pairs = [pair for one, two in pairwise(layers) for pair in ((one, two), (two, one))]
+        for (number, layer), (other_number, neighbour) in pairs:
+            if not layer.has_grains:
+                continue
+            faces_matrix = not neighbour.has_grains
+            if not faces_matrix and not layer.interpretation.to_sampling_rules().boundary_fresnel:
+                continue
+            for row, fraction in enumerate(layer.pore_fluids.fractions):
+                # Air and water of two granular layers may have different tables.
+                if fraction > 0.0 and (faces_matrix or row <= WET_PORE):
+                    outer = first_columns[other_number] + (MATRIX if faces_matrix else row)
+                    inner = first_columns[number] + row
+                    interfaces.append(Interface(fraction, outer, inner, "boundary", number))
         return interfaces
-
-    def _list_boundary_interfaces(
-        self, number: int, neighbour_number: int, first_columns: list[int]
-    ) -> list[Interface]:
-        """Return the interfaces between the pores of a granular layer and its neighbour."""
-        layer, neighbour = self.scene_layers[number], self.scene_layers[neighbour_number]
-        if not layer.has_grains:
-            return []
-        fractions = PoreFluids.from_saturation(layer.wet_fraction, layer.pores).fractions
-        faces_matrix = not neighbour.has_grains
-        if not faces_matrix and not layer.interpretation.to_sampling_rules().boundary_fresnel:
-            return []
-        # Air and water of two granular layers may have different tables.
-        rows = [
-            (r, MATRIX if faces_matrix else r)
-            for r in range(len(fractions))
-            if faces_matrix or r <= WET_PORE
-        ]
-        return [
-            Interface(
-                fractions[row],
-                first_columns[neighbour_number] + neighbour_row,
-                first_columns[number] + row,
-                "boundary",
-                number,
-            )
-            for row, neighbour_row in rows
-            if fractions[row] > 0.0
-        ]
 
     def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, materials)."""
@@ -253,26 +227,6 @@ class Stack(Medium):
             layer_attrs.pop("ground", None)
             attrs |= {f"layers_{number}_{key}": value for key, value in layer_attrs.items()}
         return attrs | describe_ground(self.ground)
-
-
-def _check_rounding(depths_m: Sequence[float]) -> None:
-    """Check that rounding of the boundaries changes the thickness of no layer."""
-    total_m = 0.0
-    for number, depth_m in enumerate(depths_m):
-        if depth_m < MIN_DEPTH_RATIO * total_m:
-            allowed = f"at least {MIN_DEPTH_RATIO * total_m:g} m below {total_m:g} m"
-            raise invalid(f"layers[{number}].depth_m", depth_m, allowed)
-        total_m += depth_m
-
-
-def _check_particle_layer(layer: ParticleLayer, is_top: bool, is_lowest: bool) -> None:
-    """Check that a particle layer is supported in a stack."""
-    for name, (allowed, reason) in UNSUPPORTED_IN_STACK.items():
-        value = getattr(layer, name)
-        if value != allowed and not (name == "surface" and is_top):
-            raise invalid(name, value, "left out" if allowed is None else "false", reason)
-    if layer.is_semi_infinite and not is_lowest:
-        raise invalid("optical_thickness", math.inf, "finite", ONLY_LOWEST_INFINITE)
 
 
 # --------------------------------------------------------------------------------------------------
@@ -294,17 +248,6 @@ class AbsorbingMatrixLayer(ParticleLayer):
 
     absorption_per_m: float = 0.0
 
-    @classmethod
-    def from_particle_layer(cls, layer: ParticleLayer) -> AbsorbingMatrixLayer:
-        """Return the layer that is equivalent to one of absorbing particles."""
-        albedo = layer.single_scattering_albedo
-        inputs: dict[str, Any] = {f.name: getattr(layer, f.name) for f in fields(layer)}
-        inputs |= {
-            "optical_thickness": albedo * layer.optical_thickness,
-            "single_scattering_albedo": 1.0,
-        }
-        return cls(**inputs, absorption_per_m=(1.0 - albedo) * layer.extinction_per_m)
-
     @property
     def ground(self) -> Ground | None:
         """The bottom, whose hits are counted along the paths."""
@@ -317,23 +260,16 @@ class AbsorbingMatrixLayer(ParticleLayer):
         return added
 
 
-@dataclass(frozen=True)
-class AbsorbingStack(Stack):
-    """Stack whose particles absorb along the path."""
-
-    @cached_property
-    def scene_layers(self) -> tuple[Layer, ...]:
-        """Layers, top first."""
-        return tuple(
-            layer if layer.has_grains else AbsorbingMatrixLayer.from_particle_layer(layer)
-            for layer in self.layers
-        )
-
-
 def absorb_along_path(medium: Medium) -> Medium:
     """Return a medium that is equivalent, but whose particles absorb along the path."""
     if isinstance(medium, ParticleLayer):
-        return AbsorbingMatrixLayer.from_particle_layer(medium)
+        albedo = medium.single_scattering_albedo
+        inputs: dict[str, Any] = {f.name: getattr(medium, f.name) for f in fields(medium)}
+        inputs["optical_thickness"] = albedo * medium.optical_thickness
+        inputs["single_scattering_albedo"] = 1.0
+        absorption_per_m = (1.0 - albedo) * medium.extinction_per_m
+        return AbsorbingMatrixLayer(**inputs, absorption_per_m=absorption_per_m)
     if isinstance(medium, Stack) and not all(layer.has_grains for layer in medium.layers):
-        return AbsorbingStack(medium.layers, medium.ground)
+        layers = (one if one.has_grains else absorb_along_path(one) for one in medium.layers)
+        return Stack(tuple(layers), medium.ground)
     return medium

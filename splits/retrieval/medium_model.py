@@ -40,13 +40,13 @@ from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO, SOLVERS, 
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
-from splits.media.natural_snow import check_no_equivalents
 from splits.media.parameters import (
     INCIDENCE_KEY,
     get_parameter,
     replace_parameter,
     replace_parameters,
 )
+from splits.media.snow import check_no_equivalents
 from splits.retrieval.forward_model import (
     ERROR_CORRELATION_NM,
     SCALE_RANGE,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splits.media.scattering_matrix import ELEMENTS
+from splits.media.particle_layer import ELEMENTS
 
 
 def make_matrix(p22: float = 1.0) -> dict[str, np.ndarray]:

@@ -14,7 +14,7 @@ from splits.analysis.theory.asymptotic import correct_dense_packing
 from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
 from splits.analysis.theory.grain_shape import compute_optical_shape
 from splits.materials import ice_density
-from splits.media.natural_snow import NATURAL_GRAIN_SHAPE
+from splits.media.snow import NATURAL_GRAIN_SHAPE
 
 B, G = (1.68, 0.02), (0.65, 0.03)
 """Mean and standard deviation of 33 samples at 900 nm (Robledano et al. 2023)."""

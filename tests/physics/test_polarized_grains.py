@@ -10,7 +10,7 @@ from chi2 import NEEDS_JIT, judge_z, scale_sample_size
 from scattering_matrices import compute_sphere_matrix
 
 import splits
-from splits.media.scattering_matrix import ELEMENTS
+from splits.media.particle_layer import ELEMENTS
 
 NM = [600.0]
 PROJECTED = {"entry_point": "projected"}

@@ -20,9 +20,8 @@ from splits.experiments.config.figure import FigureSection
 from splits.experiments.config.instruments import INSTRUMENT_KINDS, Goniophotometer, WavelengthGrid
 from splits.experiments.config.retrieval import NoiseSection, PriorFromSample, RetrieveSection
 from splits.experiments.config.sections import Accuracy
-from splits.experiments.config.settings import ArchiveAuthor, Settings
+from splits.experiments.config.settings import ArchiveAuthor, Settings, Study, StudyOutput
 from splits.experiments.config.simulation import FitSection
-from splits.experiments.config.studies import Study, StudyOutput
 from splits.instruments.snow_packs import RESULT_FLAGS
 from splits.simulation.strata import STOP_REASONS
 

@@ -18,8 +18,8 @@ from splits import load, save
 from splits.core.escaping import write_data_frame
 from splits.core.progress import open_progress_log
 from splits.core.validation import invalid
+from splits.experiments.config.settings import TABLE_READERS, Study
 from splits.experiments.config.simulation import SimulationConfig
-from splits.experiments.config.studies import TABLE_READERS, Study
 from splits.io.netcdf import exit_if_damaged
 from splits.plotting import save_figure
 

@@ -25,7 +25,7 @@ from splits.core.validation import InvalidValue, check_range, invalid
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.materials import make_refractive_index, parse_refractive_index
 from splits.materials.library import MATERIALS
-from splits.media.scattering_matrix import ANGLE, ELEMENTS
+from splits.media.particle_layer import ANGLE, ELEMENTS
 from splits.simulation.run_options import check_wavelengths, make_wavelength_coordinate
 
 MATERIAL = "spheres"

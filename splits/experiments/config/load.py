@@ -17,7 +17,7 @@ from splits.experiments.config.sections import check_path
 from splits.experiments.config.settings import Settings
 from splits.experiments.config.simulation import SimulationConfig
 from splits.media.kinds import LAYERS_KEY, NAMED_MEDIA, get_kind, iter_layers, read_named_medium
-from splits.media.natural_snow import REPLACED_FIELDS, override_keywords
+from splits.media.snow import REPLACED_FIELDS, override_keywords
 
 MAX_MESSAGE_CHARS = 450
 """Largest number of characters of a message, without the name of its file."""
@@ -48,7 +48,26 @@ def load_experiment(
     with locate_errors(Path(path)):
         file, media = expand_path(path), expand_path(media_folder, "media_folder")
         measured = expand_path(measured_folder or media.parent / "measured", "measured_folder")
-        return _parse_experiment(file, media, measured)
+        given = read_yaml(file)
+        content = {"name": file.stem, **given}
+        _check_replaced(given)
+        medium, grid = content.get("medium", {}), content.get("grid")
+        if not isinstance(medium, dict):
+            hint = suggest_mapping("medium", medium, ())
+            raise invalid("medium", medium, "a mapping of keys to values", hint)
+        if medium:
+            content["medium"] = _apply_bases(medium, "medium", media)
+        if isinstance(grid, dict):
+            content["grid"] = _apply_grid_bases(grid, media)
+        experiment = validate_content(ExperimentConfig, content)
+        for section in ("figure", "retrieve", "retrieve_return", "fit"):
+            name = getattr(getattr(experiment, section), "measured", None)
+            if name and not (measured / name).is_file():
+                available = [path.name for path in measured.glob("*.csv")]
+                check_choice(
+                    f"{section}.measured", name, available or [f"a CSV file in {measured}"]
+                )
+        return experiment
 
 
 @contextmanager
@@ -97,28 +116,6 @@ def _to_single_line(text: str) -> str:
     """Return a message as one printable line of bounded length."""
     line = "".join(c if c.isprintable() else " " for c in text)
     return line if len(line) <= MAX_MESSAGE_CHARS else f"{line[: MAX_MESSAGE_CHARS - 2]} …"
-
-
-def _parse_experiment(path: Path, media: Path, measured: Path) -> ExperimentConfig:
-    """Return the experiment of a file; errors need not name the file."""
-    given = read_yaml(path)
-    content = {"name": path.stem, **given}
-    _check_replaced(given)
-    medium, grid = content.get("medium", {}), content.get("grid")
-    if not isinstance(medium, dict):
-        hint = suggest_mapping("medium", medium, ())
-        raise invalid("medium", medium, "a mapping of keys to values", hint)
-    if medium:
-        content["medium"] = _apply_bases(medium, "medium", media)
-    if isinstance(grid, dict):
-        content["grid"] = _apply_grid_bases(grid, media)
-    experiment = validate_content(ExperimentConfig, content)
-    for section in ("figure", "retrieve", "retrieve_return", "fit"):
-        name = getattr(getattr(experiment, section), "measured", None)
-        if name and not (measured / name).is_file():
-            available = [path.name for path in measured.glob("*.csv")]
-            check_choice(f"{section}.measured", name, available or [f"a CSV file in {measured}"])
-    return experiment
 
 
 def _check_replaced(content: Mapping[str, Any]) -> None:
@@ -180,7 +177,10 @@ def _apply_bases(medium: Any, key: str, folder: Path) -> Any:
 
 
 def _read_base(base: Any, key: str, folder: Path) -> dict[str, Any]:
-    """Return the settings of a named medium, or of a file of the folder of media."""
+    """Return the settings of a named medium, or of a file of the folder of media.
+
+    An invalid file is rejected; errors name this file.
+    """
     own_files: dict[str, Path] = {}
     for path in list_media_files(folder):
         if path.stem in own_files and path.stem == base:
@@ -192,30 +192,25 @@ def _read_base(base: Any, key: str, folder: Path) -> dict[str, Any]:
     if base in NAMED_MEDIA:
         hint = f"the package has a medium of this name: rename {own_files[base]}"
         raise invalid(key, base, "the name of one medium only", hint)
-    _check_medium(own_files[base], folder)
-    return read_yaml(own_files[base])
-
-
-def list_media_files(folder: Path) -> list[Path]:
-    """Return the files of own media in a folder, which need not exist."""
-    return sorted(folder.glob("*.y*ml"))
-
-
-def _check_medium(path: Path, folder: Path) -> None:
-    """Reject an invalid file of an own medium; errors name this file."""
-    medium = read_yaml(path)
+    content = medium = read_yaml(own_files[base])
     try:
         if LAYERS_KEY in medium:
             medium = _apply_bases(medium, "medium", folder)
         # The wavelengths of its tables are unknown.
-        content = {"name": "own", "medium": medium, "instrument": {"wavelength_nm": [550]}}
-        validate_content(SimulationConfig, content)
+        own = {"name": "own", "medium": medium, "instrument": {"wavelength_nm": [550]}}
+        validate_content(SimulationConfig, own)
     except ConfigError:
         raise
     except (TypeError, ValueError) as error:
         message = _to_single_line(str(error)).removeprefix("medium.")
         if not message.startswith("instrument."):
-            raise ConfigError(locate_message(path, message)) from None
+            raise ConfigError(locate_message(own_files[base], message)) from None
+    return content
+
+
+def list_media_files(folder: Path) -> list[Path]:
+    """Return the files of own media in a folder, which need not exist."""
+    return sorted(folder.glob("*.y*ml"))
 
 
 def load_experiments(

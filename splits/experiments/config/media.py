@@ -31,7 +31,7 @@ from splits.experiments.config.sections import MAX_LABEL_CHARS, check_text
 from splits.materials.csv_table import is_csv_path
 from splits.media.interpretations import merge_interpretations
 from splits.media.kinds import LAYERS_KEY, iter_layers
-from splits.media.natural_snow import override_keywords
+from splits.media.snow import override_keywords
 from splits.media.snow_pack_files import read_snow_packs
 from splits.media.snow_packs import SnowPacks
 
@@ -192,21 +192,13 @@ def make_grid_coordinates(
         if values.dtype.kind != "f":
             attributes = {"long_name": long_name if units == "1" else f"{long_name} ({units})"}
         coordinates[parameter] = (parameter, values, attributes)
-        means = compute_means(parameter, choices)
-        if means is not None:
+        path = parse_layer_parameter(parameter)
+        mean = MEAN_FUNCTIONS.get(path[1] if path else parameter)
+        if mean and all(isinstance(value, (list, tuple)) for value in choices.values()):
+            means = np.array([float(mean(value)) for value in choices.values()])
             attributes = {"long_name": f"mean of: {long_name}", "units": units}
             coordinates[f"{parameter}_mean"] = (parameter, means, attributes)
     return coordinates
-
-
-def compute_means(parameter: str, choices: Mapping[str, Any]) -> np.ndarray | None:
-    """Return the mean of each value of a grid, or None unless all values are ranges."""
-    path = parse_layer_parameter(parameter)
-    mean = MEAN_FUNCTIONS.get(path[1] if path else parameter)
-    are_ranges = all(isinstance(value, (list, tuple)) for value in choices.values())
-    if mean is None or not are_ranges:
-        return None
-    return np.array([float(mean(value)) for value in choices.values()])
 
 
 def to_coordinate_values(choices: Mapping[str, Any]) -> np.ndarray:
@@ -368,9 +360,6 @@ def find_label(parameter: str, values: Mapping[str, Any], given: float | str) ->
     names = ", ".join(format_key(label) for label in list(values)[:12])
     suffix = f", … ({len(values)} in all)" if len(values) > 12 else ""
     raise invalid(f"figure.select.{format_key(parameter)}", given, f"one of {names}{suffix}")
-
-
-PACKS_PER_BLOCK, BLOCKS_PER_PART = 50, 10
 
 
 def load_packs(settings: Mapping[str, Any]) -> SnowPacks:

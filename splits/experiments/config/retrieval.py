@@ -6,7 +6,6 @@ The retrievals check their measurements, ranges and priors against the table.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
@@ -229,17 +228,14 @@ def check_retrieval(
         if section.model_axis in getattr(section, key):
             where = f"retrieve.{key}.{section.model_axis}"
             raise invalid(where, "given", "left out", "it is model_axis")
-    if section.compare_with:
-        _check_law(section.compare_with, experiment.medium)
-
-
-def _check_law(law: str, medium: Mapping[str, Any]) -> None:
-    """Reject a law that does not describe the media of the table."""
-    key, kind = "retrieve.compare_with", medium.get("kind")
-    if kind not in ("snow", "natural_snow"):
+    if not section.compare_with:
+        return
+    key, law, medium = "retrieve.compare_with", section.compare_with, experiment.medium
+    media_kind = medium.get("kind")
+    if media_kind not in ("snow", "natural_snow"):
         raise invalid(key, law, "left out for media other than snow")
-    unsupported = [name for name in LAW_UNSUPPORTED_KEYWORDS if medium.get(name)]
-    if medium.get("depth_m", math.inf if kind == "natural_snow" else None) != math.inf:
+    unsupported = [keyword for keyword in LAW_UNSUPPORTED_KEYWORDS if medium.get(keyword)]
+    if medium.get("depth_m", math.inf if media_kind == "natural_snow" else None) != math.inf:
         unsupported.append("a finite depth_m")
     if unsupported:
         hint = "it describes deep, dry snow with the parameters of the grid"

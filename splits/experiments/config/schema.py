@@ -14,9 +14,8 @@ from splits.core.atomic import atomic_write
 from splits.core.parameter_names import IMPURITY_KEYWORDS, describe_parameter
 from splits.experiments.config.experiment import RESERVED_NAMES, ExperimentConfig
 from splits.experiments.config.media import GEOMSPACE_KEY, PACKS_KIND, SAMPLE_KEY, STEP_KEYS
-from splits.experiments.config.settings import Settings
+from splits.experiments.config.settings import OUTPUT_FOLDERS, Settings
 from splits.experiments.config.simulation import NAME_PATTERN
-from splits.experiments.config.studies import OUTPUT_FOLDERS
 from splits.media import Stack
 from splits.media.kinds import LAYERS_KEY, MEDIUM_FACTORIES
 from splits.media.snow_pack_files import read_snow_packs

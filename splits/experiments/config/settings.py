@@ -1,33 +1,328 @@
-"""Model of the main configuration file: selected experiments, accuracy and folders."""
+"""Model of the main configuration file: studies, selected experiments, accuracy and folders."""
 
 from __future__ import annotations
 
+import ast
 import posixpath
 import re
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from importlib.util import find_spec, resolve_name
+from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from splits.analysis.measured import read_measured, read_published
 from splits.core.paths import expand_path
-from splits.core.validation import ConfigError, check_choice, invalid, join_names, suggest_name
-from splits.experiments.config.experiment import OWN_GROUP, ExperimentConfig
+from splits.core.provenance import hash_files
+from splits.core.validation import (
+    ConfigError,
+    check_choice,
+    invalid,
+    join_names,
+    suggest_name,
+    unknown_key,
+)
+from splits.experiments.config.experiment import (
+    OWN_GROUP,
+    RESERVED_NAMES,
+    ExperimentConfig,
+    PaperPlace,
+    ReproducesSection,
+)
 from splits.experiments.config.sections import (
+    FIGURE_SUFFIXES,
     Accuracy,
+    Caption,
     ConfigSection,
     Label,
     Title,
     Whole,
     check_path,
 )
-from splits.experiments.config.studies import (
-    Study,
-    check_studies,
-    describe_missing,
-    find_incomplete_studies,
-)
+from splits.experiments.config.simulation import NAME_PATTERN, NAME_RULE
 from splits.io.ro_crate import Author
+
+# --------------------------------------------------------------------------------------------------
+# Studies: tables and figures that a function makes from the datasets of several experiments.
+#
+# An entry of `studies` names a function, and what the function reads by the names of its
+# parameters.  The function is read here, not imported: it may import what takes time to import, and
+# users' code runs only in the job of its study.
+
+OUTPUT_FOLDERS = {".csv": "tables", FIGURE_SUFFIXES[0]: "figures", ".nc": "data"}
+"""Folder of an output by its suffix: a table, a figure (in all formats) or a dataset."""
+RUN_PARAMETERS = ("seed", "max_stderr", "threads", "log", "experiments")
+"""Parameters of functions that the workflow gives: settings of the run, all threads, a function
+that writes a line of progress, and the selected experiments by name."""
+TABLE_READERS = {"published": read_published, "measured": read_measured}
+"""Readers of the tables of numbers in the folders of published and measured numbers."""
+
+
+class StudyOutput(ConfigSection):
+    """What the report shows with an output of a study."""
+
+    title: Title = ""
+    """title in the report and in the gallery; by default the name of the file"""
+    caption: Caption = ""
+    """caption in the report; plain text, an empty line begins a paragraph"""
+    place: PaperPlace = ""
+    """figure or table of the paper; by default `place` of `reproduces`"""
+    comparison: bool = False
+    """whether it is a table of statements of the paper, with a verdict on each"""
+
+
+class Study(ConfigSection):
+    """Tables and figures that a function makes from the datasets of several experiments."""
+
+    function: str
+    """function, `MODULE.NAME`, which a file of `workflow/` (`workflow.studies.mine.draw` in
+    `workflow/studies/mine.py`) or any other importable module defines"""
+    inputs: dict[str, str] = Field({})
+    """experiments, or datasets of other studies, by the name of a parameter of the function"""
+    published: dict[str, str] = Field({})
+    """files of the folder of published numbers, by parameter"""
+    measured: dict[str, str] = Field({})
+    """files of the folder of measured numbers, by parameter"""
+    options: dict[str, Any] = Field({})
+    """values of other parameters"""
+    outputs: dict[str, StudyOutput] = Field({})
+    """what the function returns, in this order: tables `NAME.csv`, figures `NAME.png`, datasets
+    `NAME.nc`; by default a table with the name of the study"""
+    group: str | None = None
+    """group of experiments with which the study is selected"""
+    reproduces: ReproducesSection | None = None
+    """paper with which the report lists the outputs"""
+
+    def list_outputs(self, name: str) -> dict[str, StudyOutput]:
+        """Return the outputs of the study of this name by file name."""
+        return self.outputs or {f"{name}.csv": StudyOutput()}
+
+    def list_product_paths(self, name: str) -> dict[str, list[str]]:
+        """Return the files of each output, relative to the results folder."""
+        paths = {}
+        for file in map(PurePath, self.list_outputs(name)):
+            folder = OUTPUT_FOLDERS[file.suffix]
+            suffixes = FIGURE_SUFFIXES if folder == "figures" else (file.suffix,)
+            paths[file.name] = [f"{folder}/{file.stem}{suffix}" for suffix in suffixes]
+        return paths
+
+    def list_file_paths(self, folders: Mapping[str, Path]) -> dict[str, str]:
+        """Return the tables of numbers that the study reads, by parameter."""
+        return {
+            parameter: str(folders[kind] / file)
+            for kind in TABLE_READERS
+            for parameter, file in getattr(self, kind).items()
+        }
+
+    def list_experiments(self, studies: Mapping[str, Study]) -> list[str]:
+        """Return the experiments that the study reads, also through datasets of other studies."""
+        makers = {
+            file.removesuffix(".nc"): study
+            for study in studies.values()
+            for file in study.outputs
+            if file.endswith(".nc")
+        }
+        names = dict.fromkeys(self.inputs.values())
+        for name in names.copy():
+            if name in makers and makers[name] is not self:
+                del names[name]
+                others = {key: study for key, study in studies.items() if study is not self}
+                names |= dict.fromkeys(makers[name].list_experiments(others))
+        return list(names)
+
+    def list_run_parameters(self) -> list[str]:
+        """Return the parameters of the function that the workflow gives."""
+        parameters = read_parameters(self.function)
+        return [name for name in RUN_PARAMETERS if name in parameters]
+
+    def check(self, name: str, folders: Mapping[str, Path]) -> None:
+        """Reject an unknown function, wrong names of its parameters, and missing tables."""
+        parameters = read_parameters(self.function)
+        given: dict[str, str] = {}
+        for key in ("inputs", *TABLE_READERS, "options"):
+            for parameter in getattr(self, key):
+                if parameter in RUN_PARAMETERS or parameter in given:
+                    owner = given.get(parameter, "the workflow")
+                    hint = f"{owner} has it"
+                    raise invalid(f"{key} (key)", parameter, "another name", hint)
+                takes_any = key == "inputs" and "**" in parameters
+                if parameter not in parameters and not takes_any:
+                    known = [name for name in parameters if name != "**"]
+                    raise unknown_key(f"{key}.{parameter}", known)
+                given[parameter] = key
+        missing = [one for one, needed in parameters.items() if needed and one not in given]
+        if missing := [one for one in missing if one not in RUN_PARAMETERS]:
+            allowed = f"with {join_names(missing)}, which the function needs"
+            raise invalid("inputs", self.inputs, allowed, "or in published, measured, options")
+        for kind, read in TABLE_READERS.items():
+            for parameter, file in getattr(self, kind).items():
+                check_path(f"{kind}.{parameter}", file)
+                if not (folders[kind] / file).is_file():
+                    known = [path.name for path in folders[kind].glob("*.csv")]
+                    check_choice(f"{kind}.{parameter}", file, known)
+                read(folders[kind] / file, f"{kind}.{parameter}")
+        for file, output in self.list_outputs(name).items():
+            path = PurePath(file)
+            if path.suffix not in OUTPUT_FOLDERS or not NAME_PATTERN.fullmatch(path.stem):
+                allowed = f"NAME{', NAME'.join(OUTPUT_FOLDERS)}, and NAME of {NAME_RULE}"
+                raise invalid("outputs (key)", file, allowed)
+            if output.comparison and (path.suffix != ".csv" or not self.reproduces):
+                allowed = "left out, except for a table of a study with the key reproduces"
+                raise invalid(f"outputs.{file}.comparison", True, allowed)
+
+
+def read_parameters(function: str) -> dict[str, bool]:
+    """Return the parameters of a function, and whether each must be given, without importing it.
+
+    The key ``**`` stands for any other inputs.
+    """
+    module, _, name = function.rpartition(".")
+    key, rule = "function", "MODULE.NAME, a function that the module defines"
+    path = _find_file(module) if module else None
+    if path is None:
+        raise invalid(key, function, rule, f"there is no module {module}" if module else "")
+    try:
+        tree = ast.parse(path.read_bytes())
+    except SyntaxError as error:
+        raise invalid(key, function, rule, f"{path}, line {error.lineno}: {error.msg}") from None
+    functions = {node.name: node.args for node in tree.body if isinstance(node, ast.FunctionDef)}
+    if name not in functions:
+        hint = suggest_name(name, functions) or f"{path} defines {join_names(functions) or 'none'}"
+        raise invalid(key, function, rule, hint)
+    arguments = functions[name]
+    needed = [True] * len(arguments.args)
+    needed[len(needed) - len(arguments.defaults) :] = [False] * len(arguments.defaults)
+    needed += [default is None for default in arguments.kw_defaults]
+    names = [one.arg for one in (*arguments.args, *arguments.kwonlyargs)]
+    return dict(zip(names, needed, strict=True)) | ({"**": False} if arguments.kwarg else {})
+
+
+def hash_function(function: str) -> list[str]:
+    """Return the digests of the module of a function and of those of its package it imports."""
+    module = function.rpartition(".")[0]
+    package, paths, names = module.partition(".")[0], [], [module]
+    for name in names:
+        path = _find_file(name)
+        if path is None or path in paths:
+            continue
+        paths.append(path)
+        for node in ast.walk(ast.parse(path.read_bytes())):
+            if isinstance(node, ast.Import):
+                imported = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                relative = "." * node.level + (node.module or "")
+                parent = resolve_name(relative, name.rpartition(".")[0])
+                imported = [parent, *(f"{parent}.{alias.name}" for alias in node.names)]
+            else:
+                continue
+            names += [one for one in imported if one.partition(".")[0] == package]
+    return [hash_files(path.parent, [path.name]) for path in paths]
+
+
+def _find_file(module: str) -> Path | None:
+    """Return the source file of a module that can be imported, if there is one."""
+    package, *names = module.split(".")
+    spec = None
+    with suppress(ImportError, ValueError):
+        # With a dotted name, `find_spec` would import the packages above the module.
+        spec = find_spec(package)
+    folders = (spec.submodule_search_locations or ()) if spec else ()
+    files = [Path(folder, *names, "__init__.py") for folder in folders]
+    if names:
+        files += [Path(folder, *names[:-1], f"{names[-1]}.py") for folder in folders]
+    elif spec and str(spec.origin).endswith(".py"):
+        files = [Path(str(spec.origin))]
+    return next((file for file in files if file.is_file()), None)
+
+
+def check_studies(
+    studies: Mapping[str, Study],
+    available: Mapping[str, ExperimentConfig],
+    folders: Mapping[str, Path],
+) -> None:
+    """Reject invalid studies, and names that are used twice.
+
+    Parameters
+    ----------
+    studies, available : mapping
+        Studies, and all experiments, by name.
+    folders : mapping
+        Folders of ``published`` and ``measured`` tables.
+
+    Raises
+    ------
+    ConfigError
+        With one line that names the study, the key, the value and the allowed values.
+    """
+    uses = []
+    for name, study in studies.items():
+        try:
+            if not NAME_PATTERN.fullmatch(name) or name in RESERVED_NAMES:
+                raise invalid("name", name, f"{NAME_RULE}, none of the workflow's rules")
+            study.check(name, folders)
+        except ValueError as error:
+            raise ConfigError(f"studies.{name}.{error}") from None
+        stems = [PurePath(file).stem for file in study.list_outputs(name)]
+        uses += [(f"studies.{name}", one, f"the study {name}") for one in [name, *stems]]
+    for name, experiment in available.items():
+        sections = {"parameters": experiment.fit, "retrieved": experiment.retrieval}
+        for suffix, section in sections.items():
+            owner = f"the table of the experiment {name}" if section else ""
+            uses.append((f"experiment {name}", f"{name}_{suffix}", owner))
+    uses += [(f"experiment {name}", name, f"the experiment {name}") for name in available]
+    owners: dict[str, str] = {}
+    for key, name, owner in uses:
+        if owners.get(name, owner) != owner:
+            raise ConfigError(f"{key}: {invalid('name', name, 'unique', f'{owners[name]} has it')}")
+        if owner:
+            owners[name] = owner
+
+
+def find_incomplete_studies(
+    studies: Mapping[str, Study], available: Mapping[str, ExperimentConfig]
+) -> dict[str, str]:
+    """Return a message for each study of which not all experiments, or no group, exist."""
+    messages = {}
+    groups = {one.group for one in available.values()}
+    for name, study in studies.items():
+        missing = describe_missing(study.list_experiments(studies), available)
+        if study.group is not None and study.group not in groups:
+            missing.append(f"no experiment is in its group {study.group}")
+        if missing:
+            messages[name] = f"study {name} is left out: {'; '.join(missing)}"
+    return messages
+
+
+def select_studies(
+    studies: Mapping[str, Study],
+    experiments: Mapping[str, ExperimentConfig],
+    groups: Iterable[str],
+) -> dict[str, Study]:
+    """Return the studies of these groups, or of no group, over these experiments only."""
+    return {
+        name: study
+        for name, study in studies.items()
+        if not describe_missing(study.list_experiments(studies), experiments)
+        and (study.group is None or study.group in groups)
+    }
+
+
+def describe_missing(
+    required: Iterable[str], available: Mapping[str, ExperimentConfig]
+) -> list[str]:
+    """Return messages about required experiments that do not exist."""
+    messages = []
+    for name in dict.fromkeys(required):
+        if name not in available:
+            hint = suggest_name(name, available)
+            messages.append(f"no such experiment: {name}" + (f" ({hint})" if hint else ""))
+    return messages
+
+
+# --------------------------------------------------------------------------------------------------
+# Settings of a run.
 
 DEFAULT_LICENCE = "MIT"
 """Default licence of results: that of the software."""
@@ -51,8 +346,6 @@ DEFAULT_GROUPS = ("papers", OWN_GROUP)
 """Groups of experiments that are selected by default."""
 EXPLORER_AXES = {"optical_radius_um", "incidence_deg"}
 """Grid axes of the experiments that give the explorer's BRDFs."""
-
-
 FOLDER_KEYS = (
     "experiments_folder",
     "media_folder",

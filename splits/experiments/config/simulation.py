@@ -41,7 +41,7 @@ from splits.experiments.config.media import (
 from splits.experiments.config.sections import ConfigSection, MeasuredFile, Number, match_pattern
 from splits.media.kinds import LAYERS_KEY, MEDIUM_CLASSES, get_kind, make_medium
 from splits.media.medium import Medium
-from splits.media.natural_snow import override_keywords
+from splits.media.snow import override_keywords
 from splits.media.snow_packs import SnowPacks
 from splits.retrieval.sand_fit import resolve_ranges
 from splits.simulation.run_options import check_incidence

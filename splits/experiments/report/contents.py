@@ -5,16 +5,12 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Mapping
 from pathlib import PurePath
-from typing import Any
-
-from pydantic import BaseModel, ConfigDict
+from typing import Any, NamedTuple
 
 from splits.core.provenance import PACKAGE_FOLDER, hash_files
-from splits.experiments.config.experiment import OWN_GROUP, ExperimentConfig
-from splits.experiments.config.reproduces import PAPERS, parse_place
+from splits.experiments.config.experiment import OWN_GROUP, PAPERS, ExperimentConfig, parse_place
 from splits.experiments.config.sections import FIGURE_SUFFIXES
-from splits.experiments.config.settings import Settings
-from splits.experiments.config.studies import Study
+from splits.experiments.config.settings import Settings, Study
 
 GROUP_TITLES = {
     OWN_GROUP: "Own experiments",
@@ -27,10 +23,7 @@ GROUP_TITLES = {
     "examples": "Examples",
 }
 """Titles of the groups of experiments that the package comes with, in the order of the report."""
-REPORT_SOURCES = (
-    "comparison.py", "contents.py", "page.py", "tables.py",
-    "page.css", "page.html", "page.js",
-)  # fmt: skip
+REPORT_SOURCES = ("contents.py", "page.py", "page.css", "page.html", "page.js")
 """Files of this folder that determine the page."""
 FIT_CAPTION = (
     "Sands fitted to measured spectra, with the standard error of every parameter. There are two "
@@ -56,20 +49,7 @@ RETRIEVAL_CAPTION = (
 )
 
 
-class _ReportModel(BaseModel):
-    """Part of the contents: immutable, and unknown keys are rejected."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class ReportTable(_ReportModel):
-    """A table with a note on its columns."""
-
-    path: str
-    note: str = ""
-
-
-class ReportItem(_ReportModel):
+class ReportItem(NamedTuple):
     """An experiment, or a product of a study.
 
     Attributes
@@ -83,9 +63,10 @@ class ReportItem(_ReportModel):
     figure : str
         Path of the figure without suffix, or an empty text; all paths are relative to the folder of
         results.
-    tables : tuple of ReportTable
-    datasets : tuple of str
+    tables, datasets : tuple of str
         Paths.
+    note : str
+        On the columns of the tables.
     is_comparison : bool
         Whether the table contains statements of papers with a verdict on each.
     """
@@ -96,21 +77,22 @@ class ReportItem(_ReportModel):
     caption: str = ""
     place: str = ""
     figure: str = ""
-    tables: tuple[ReportTable, ...] = ()
+    tables: tuple[str, ...] = ()
     datasets: tuple[str, ...] = ()
+    note: str = ""
     is_comparison: bool = False
 
 
-class ReportSection(_ReportModel):
+class ReportSection(NamedTuple):
     """The experiments and studies of a paper (by its key) or of a group (by its name)."""
 
     key: str
     title: str
-    reference: str = ""
+    reference: str
     items: tuple[ReportItem, ...]
 
 
-class ReportContents(_ReportModel):
+class ReportContents(NamedTuple):
     """What the report shows besides the files of the results.
 
     Attributes
@@ -135,7 +117,7 @@ class ReportContents(_ReportModel):
     def compute_digest(self) -> str:
         """Return the digest of the contents and of the files that determine the page."""
         sources = hash_files(PACKAGE_FOLDER / "experiments" / "report", REPORT_SOURCES)
-        return hashlib.sha256(f"{sources} {self.model_dump_json()}".encode()).hexdigest()[:16]
+        return hashlib.sha256(f"{sources} {self!r}".encode()).hexdigest()[:16]
 
 
 def make_report_contents(
@@ -159,57 +141,36 @@ def make_report_contents(
     """
     items: dict[str, list[ReportItem]] = {}
     for name, experiment in experiments.items():
-        key = experiment.reproduces.paper if experiment.reproduces else experiment.group
-        items.setdefault(key, []).append(_make_experiment_item(name, experiment))
+        paper = experiment.reproduces
+        item = ReportItem(
+            anchor=f"experiment-{name}",
+            name=name,
+            title=experiment.title or name,
+            caption=experiment.caption,
+            place=paper.place if paper else "",
+            note=FIT_CAPTION if experiment.fit else RETRIEVAL_CAPTION,
+            **_sort_files(experiment.list_product_paths()),
+        )
+        items.setdefault(paper.paper if paper else experiment.group, []).append(item)
     for name in studies:
         study = settings.studies[name]
-        paper = study.reproduces.paper if study.reproduces else None
-        key = paper or study.group or _get_group(study, experiments, settings.studies)
+        # Without a group of its own, a study is in that of its first experiment.
+        read = [experiments[one].group for one in study.list_experiments(settings.studies)]
+        group = study.group or next(iter(read), OWN_GROUP)
+        key = study.reproduces.paper if study.reproduces else group
         items.setdefault(key, []).extend(_list_study_items(name, study))
+    papers = {str(key): (paper.title, paper.reference) for key, paper in PAPERS.items()}
+    sections = []
+    for key in dict.fromkeys([*papers, *GROUP_TITLES, *items]):
+        if key in items:
+            title = GROUP_TITLES.get(key, key.replace("_", " ").capitalize())
+            ordered = sorted(items[key], key=lambda item: parse_place(item.place)[:3])
+            sections.append(ReportSection(key, *papers.get(key, (title, "")), (*ordered,)))
     accuracy = settings.accuracies[settings.accuracy]
     return ReportContents(
-        accuracy=settings.accuracy,
-        max_stderr=accuracy.max_stderr,
-        relative_stderr=accuracy.relative_stderr,
-        seed=settings.seed,
-        sections=tuple(
-            _make_section(key, items[key])
-            for key in dict.fromkeys([*PAPERS, *GROUP_TITLES, *items])
-            if key in items
-        ),
-        benchmarks=tuple(benchmarks),
-        explorer=explorer,
-    )
-
-
-def _get_group(
-    study: Study, experiments: Mapping[str, ExperimentConfig], studies: Mapping[str, Study]
-) -> str:
-    """Return the group of a study without one: that of its first experiment."""
-    names = study.list_experiments(studies)
-    return experiments[names[0]].group if names else OWN_GROUP
-
-
-def _make_section(key: str, items: list[ReportItem]) -> ReportSection:
-    paper = next((paper for name, paper in PAPERS.items() if name == key), None)
-    title = GROUP_TITLES.get(key, key.replace("_", " ").capitalize())
-    return ReportSection(
-        key=key, title=paper.title if paper else title,
-        reference=paper.reference if paper else "",
-        items=tuple(sorted(items, key=lambda item: parse_place(item.place)[:3])),
+        settings.accuracy, accuracy.max_stderr, accuracy.relative_stderr, settings.seed,
+        (*sections,), (*benchmarks,), explorer,
     )  # fmt: skip
-
-
-def _make_experiment_item(name: str, experiment: ExperimentConfig) -> ReportItem:
-    note = FIT_CAPTION if experiment.fit else RETRIEVAL_CAPTION
-    return ReportItem(
-        anchor=f"experiment-{name}",
-        name=name,
-        title=experiment.title or name,
-        caption=experiment.caption,
-        place=experiment.reproduces.place if experiment.reproduces else "",
-        **_sort_files(experiment.list_product_paths(), note),
-    )
 
 
 def _list_study_items(name: str, study: Study) -> list[ReportItem]:
@@ -234,10 +195,9 @@ def _list_study_items(name: str, study: Study) -> list[ReportItem]:
     return items
 
 
-def _sort_files(paths: list[str], note: str = "") -> dict[str, Any]:
+def _sort_files(paths: list[str]) -> dict[str, Any]:
     """Return the figure (without suffix), tables and datasets among the files of an item."""
     first = FIGURE_SUFFIXES[0]
     figures = [path.removesuffix(first) for path in paths if path.endswith(first)]
-    tables = [ReportTable(path=path, note=note) for path in paths if path.endswith(".csv")]
-    datasets = [path for path in paths if path.endswith(".nc")]
-    return {"figure": "".join(figures[:1]), "tables": (*tables,), "datasets": (*datasets,)}
+    tables, datasets = (tuple(p for p in paths if p.endswith(end)) for end in (".csv", ".nc"))
+    return {"figure": "".join(figures[:1]), "tables": tables, "datasets": datasets}

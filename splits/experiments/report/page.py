@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import base64
+import csv
 import io
+import math
 import os
 import re
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from datetime import date
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
 from PIL import Image
 
 from splits.core.atomic import atomic_write
@@ -21,19 +25,199 @@ from splits.core.provenance import (
     get_git_commit,
     get_package_version,
 )
-from splits.experiments.config.reproduces import PAPERS, parse_place
+from splits.experiments.config.experiment import PAPERS, parse_place
 from splits.experiments.config.sections import FIGURE_SUFFIXES
-from splits.experiments.report.comparison import VERDICTS, compare_papers
-from splits.experiments.report.contents import (
-    ReportContents,
-    ReportItem,
-    ReportSection,
-    ReportTable,
-)
-from splits.experiments.report.tables import MAX_ROWS, HtmlTable, read_table
+from splits.experiments.report.contents import ReportContents, ReportItem, ReportSection
 
+# --------------------------------------------------------------------------------------------------
+# Cells of tables.  A value and its standard error share a cell.  Numbers are rounded for reading;
+# each cell also holds the text of the CSV file.
+
+MAX_ROWS = 500
+"""Number of rows that the page shows of a table."""
 MAX_OPEN_ROWS = 12
 """Largest number of rows of a table that is not folded."""
+_UNIT_SUFFIXES = {
+    "_nm": "nm", "_um": "µm", "_deg": "°", "_kg_m3": "kg/m³", "_percent": "%", "_m": "m",
+}  # fmt: skip
+_COLOUR_PATTERN = re.compile(r"#[0-9a-f]{6}")
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+class HtmlTable(NamedTuple):
+    """A table of the page: names of columns, cells, and the number of rows of the file."""
+
+    columns: list[str]
+    rows: list[list[Markup]]
+    n_rows: int
+
+
+def read_table(path: Path) -> HtmlTable:
+    """Return a CSV table, with at most `MAX_ROWS` rows."""
+    with open(path, encoding="utf-8", newline="") as file:
+        header, *lines = [*csv.reader(file)] or [[]]
+    # Columns of standard errors by those of their values: "x_stderr", or "stderr" after it.
+    error_of = {}
+    for i, name in enumerate(header):
+        value = header[i - 1] if i and name == "stderr" else name.removesuffix("_stderr")
+        if value != name and value in header:
+            error_of[header.index(value)] = i
+    shown = [i for i in range(len(header)) if i not in error_of.values()]
+    rows = [
+        [make_cell(line[i], line[error_of[i]] if i in error_of else "") for i in shown]
+        for line in lines[:MAX_ROWS]
+    ]
+    return HtmlTable([_format_column(header[i]) for i in shown], rows, len(lines))
+
+
+def _format_column(name: str) -> str:
+    """Return the name of a column in words, with its unit."""
+    for suffix, unit in _UNIT_SUFFIXES.items():
+        if name.endswith(suffix) and name != suffix:
+            return f"{name.removesuffix(suffix).replace('_', ' ')} ({unit})"
+    return name.replace("_", " ")
+
+
+def make_cell(value: str, stderr: str = "") -> Markup:
+    """Return the cell of a text of a CSV file, or of a number with its standard error if not 0."""
+    number, error = _to_number(value), _to_number(stderr)
+    if number is None:
+        swatch = Markup('<span class="swatch" style="background:{}"></span>').format(value)
+        return Markup("<td>{}{}</td>").format(
+            swatch if _COLOUR_PATTERN.fullmatch(value) else "", value
+        )
+    if not error:
+        # At most four significant digits, or more above 100.
+        short = value if abs(number) >= 100.0 or len(value) <= 6 else f"{number:.4g}"
+        mantissa, _, power = short.partition("e")
+        exponent = f"·10{str(int(power)).translate(_SUPERSCRIPTS)}" if power else ""
+        text = mantissa.replace("-", "−") + exponent
+        return Markup('<td class="number"><data value="{}">{}</data></td>').format(value, text)
+    power_of_ten = math.floor(math.log10(max(abs(number), error)))
+    power_of_ten = 0 if -4 <= power_of_ten <= 5 else power_of_ten
+    scale = 10.0**-power_of_ten
+    decimals = max(0, 1 - math.floor(math.log10(error * scale)))
+    shown, shown_error = (f"{x * scale:.{decimals}f}".replace("-", "−") for x in (number, error))
+    both = Markup(
+        '<data value="{}">{}</data> <span class="error">± <data value="{}">{}</data></span>'
+    ).format(value, shown, stderr, shown_error)
+    if power_of_ten:
+        both = Markup("({})·10{}").format(both, str(power_of_ten).translate(_SUPERSCRIPTS))
+    return Markup('<td class="number">{}</td>').format(both)
+
+
+def _to_number(text: str) -> float | None:
+    """Return a finite number, or None for any other text."""
+    try:
+        number = float(text)
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None
+
+
+# --------------------------------------------------------------------------------------------------
+# Statements of the papers with verdicts, by paper and by figure.
+
+VERDICTS = ("agrees", "outside", "at the bar", "not resolved", "not reproducible")
+"""Beginnings of the verdicts in the tables."""
+MEASURED_ID = "measured"
+"""Identifier of comparisons with measured spectra in the tables."""
+
+
+class PlaceComparison(NamedTuple):
+    """Statements at one place of a paper, as variables of the template.
+
+    `figure` is the anchor of the reproduced figure.
+    """
+
+    label: str
+    anchor: str
+    figure: str
+    statements: list[dict[str, str]]
+
+    @property
+    def counts(self) -> Counter[str]:
+        """Number of statements by verdict."""
+        return Counter(one["verdict"] for one in self.statements)
+
+
+class PaperComparison(NamedTuple):
+    """All statements of a paper, or all comparisons with measured spectra."""
+
+    key: str
+    title: str
+    places: list[PlaceComparison]
+
+    @property
+    def counts(self) -> Counter[str]:
+        """Number of statements by verdict."""
+        return sum((place.counts for place in self.places), Counter())
+
+
+def compare_papers(sections: Iterable[ReportSection], folder: Path) -> list[PaperComparison]:
+    """Return the statements of each paper, in the order of its figures.
+
+    Parameters
+    ----------
+    sections : iterable of ReportSection
+    folder : Path
+        Folder of the results.
+    """
+    rows: dict[str, list[Mapping[str, str]]] = {key: [] for key in [*PAPERS, MEASURED_ID]}
+    figures: dict[str, dict[str, str]] = {key: {} for key in rows}
+    for section in sections:
+        for item in section.items:
+            if item.place and section.key in figures:
+                label = parse_place(item.place).label
+                figures[section.key].setdefault(label, item.anchor)
+            for table in item.tables if item.is_comparison else ():
+                with open(folder / table, encoding="utf-8", newline="") as file:
+                    for row in csv.DictReader(file):
+                        # A place may begin with the name of another paper.
+                        named = (
+                            k for k, p in PAPERS.items() if row["place"].startswith(p.name + " ")
+                        )
+                        paper = (
+                            MEASURED_ID if row["id"] == MEASURED_ID else next(named, section.key)
+                        )
+                        rows[paper].append(row)
+    titles = {str(key): paper.title for key, paper in PAPERS.items()}
+    titles[MEASURED_ID] = "Measured spectra"
+    return [
+        PaperComparison(key, titles[key], _group_by_place(key, rows[key], figures[key]))
+        for key in rows
+        if rows[key]
+    ]
+
+
+def _group_by_place(
+    key: str, rows: Iterable[Mapping[str, str]], figures: Mapping[str, str]
+) -> list[PlaceComparison]:
+    """Return the rows of a paper by place, in the order of places."""
+    groups: dict[str, PlaceComparison] = {}
+    for row in sorted(rows, key=lambda row: parse_place(row["place"])[:3]):
+        place, label = row["place"], parse_place(row["place"]).label
+        anchor = f"compare-{key}-{len(groups)}"
+        group = groups.setdefault(label, PlaceComparison(label, anchor, figures.get(label, ""), []))
+        verdict, _, reason = row["verdict"].partition(": ")
+        short = place.replace("Fig ", "Figure ").replace("section ", "Section ")
+        is_plain = short.replace("Eq ", "Equation ") == label
+        in_words = "" if key == MEASURED_ID else "in words"
+        group.statements.append({
+            "quantity": row["quantity"],
+            # The place if it is more than a figure, table or section; why it is not reproducible.
+            "remark": "; ".join(filter(None, ["" if is_plain else place, reason])),
+            "published": make_cell(row.get("published") or in_words),
+            "simulated": make_cell(row["ours"], row["stderr"]),
+            "criterion": row["bar"],
+            "verdict": next((one for one in VERDICTS if verdict.startswith(one)), verdict),
+        })  # fmt: skip
+    return list(groups.values())
+
+
+# --------------------------------------------------------------------------------------------------
+# Items of the page, and the page.
+
 MAX_UNCHANGED_BYTES = 300_000
 """Size of a figure above which it is converted to a smaller format."""
 THUMBNAIL_WIDTH_PX = 160
@@ -66,15 +250,6 @@ class Picture(NamedTuple):
         return self.width < MIN_WIDE_PX
 
 
-class TableView(NamedTuple):
-    """A table of the page, with a title if it is folded."""
-
-    title: str
-    note: str
-    content: HtmlTable
-    is_folded: bool
-
-
 class ItemView(NamedTuple):
     """An experiment or a product of a study as the page shows it.
 
@@ -82,14 +257,14 @@ class ItemView(NamedTuple):
     ----------
     item : ReportItem
     picture : Picture, optional
-    tables : list of TableView
+    tables : list of HtmlTable
     links : list of (str, str)
         Kinds of files, and their paths relative to the page.
     """
 
     item: ReportItem
     picture: Picture | None
-    tables: list[TableView]
+    tables: list[HtmlTable]
     links: list[tuple[str, str]]
 
     @property
@@ -135,35 +310,33 @@ def write_report(contents: ReportContents, path: str | Path) -> None:
         loader=FileSystemLoader(_ASSET_FOLDER, encoding="utf-8"),
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    page = environment.get_template("page.html").render(make_context(contents, path.parent))
-    with atomic_write(path) as temporary_path:
-        temporary_path.write_text(page, encoding="utf-8", newline="\n")
-
-
-def make_context(contents: ReportContents, folder: Path) -> dict[str, Any]:
-    """Return the variables of the template for the results in a folder."""
+    folder = path.parent
     comparisons = compare_papers(contents.sections, folder)
     items = [item for section in contents.sections for item in section.items]
-    return {
-        "contents": contents,
-        "has_papers": any(section.key in PAPERS for section in contents.sections),
-        "has_all_papers": {*PAPERS} <= {section.key for section in contents.sections},
-        "n_experiments": sum(item.anchor.startswith("experiment-") for item in items),
-        "comparisons": comparisons,
-        "place_of": {(one.key, p.label): p for one in comparisons for p in one.places},
-        "verdicts": VERDICTS,
-        "sections": [(section, _make_parts(section, folder)) for section in contents.sections],
-        "speed": _make_speed_view(contents.benchmarks, folder),
-        "folders": sorted({str(PurePosixPath(p).parent) for p in _list_paths(items)}),
-        "version": get_package_version(),
-        "commit": get_git_commit(),
-        "commit_date": get_commit_date(),
-        "today": date.today().isoformat(),
-        "documentation": _locate_documentation(folder),
-        "style": (_ASSET_FOLDER / "page.css").read_text(encoding="utf-8"),
-        "script": (_ASSET_FOLDER / "page.js").read_text(encoding="utf-8"),
-        "max_rows": MAX_ROWS,
-    }
+    keys = {section.key for section in contents.sections}
+    page = environment.get_template("page.html").render(
+        contents=contents,
+        has_papers=not keys.isdisjoint(PAPERS),
+        has_all_papers={*PAPERS} <= keys,
+        n_experiments=sum(item.anchor.startswith("experiment-") for item in items),
+        comparisons=comparisons,
+        place_of={(one.key, p.label): p for one in comparisons for p in one.places},
+        verdicts=VERDICTS,
+        sections=[(section, _make_parts(section, folder)) for section in contents.sections],
+        speed=_make_speed_view(contents.benchmarks, folder),
+        folders=sorted({str(PurePosixPath(p).parent) for p in _list_paths(items)}),
+        version=get_package_version(),
+        commit=get_git_commit(),
+        commit_date=get_commit_date(),
+        today=date.today().isoformat(),
+        documentation=_locate_documentation(folder),
+        style=(_ASSET_FOLDER / "page.css").read_text(encoding="utf-8"),
+        script=(_ASSET_FOLDER / "page.js").read_text(encoding="utf-8"),
+        max_rows=MAX_ROWS,
+        max_open_rows=MAX_OPEN_ROWS,
+    )
+    with atomic_write(path) as temporary_path:
+        temporary_path.write_text(page, encoding="utf-8", newline="\n")
 
 
 def _make_parts(section: ReportSection, folder: Path) -> dict[str, list[ItemView]]:
@@ -180,19 +353,11 @@ def _make_parts(section: ReportSection, folder: Path) -> dict[str, list[ItemView
 
 
 def _make_item_view(item: ReportItem, folder: Path) -> ItemView:
-    tables = []
-    for table in () if item.is_comparison else item.tables:
-        content = read_table(folder / table.path)
-        is_folded = content.n_rows > MAX_OPEN_ROWS
-        tables.append(TableView(item.title, table.note, content, is_folded))
+    """Return what the page shows of an item; rows of comparisons are listed by figure instead."""
+    tables = [] if item.is_comparison else [read_table(folder / path) for path in item.tables]
     picture = _make_picture(folder / item.figure) if item.figure else None
-    links = [(_get_file_kind(path), path) for path in _list_paths([item])]
+    links = [(FILE_KINDS[PurePosixPath(path).suffix], path) for path in _list_paths([item])]
     return ItemView(item, picture, tables, links)
-
-
-def _get_file_kind(path: str) -> str:
-    suffix = PurePosixPath(path).suffix
-    return FILE_KINDS.get(suffix, suffix[1:])
 
 
 def _list_paths(items: Iterable[ReportItem]) -> list[str]:
@@ -202,7 +367,7 @@ def _list_paths(items: Iterable[ReportItem]) -> list[str]:
         for item in items
         for path in (
             *(item.figure + suffix for suffix in FIGURE_SUFFIXES if item.figure),
-            *(table.path for table in item.tables),
+            *item.tables,
             *item.datasets,
         )
     ]
@@ -249,7 +414,7 @@ def _make_speed_view(paths: Iterable[str], folder: Path) -> ItemView | None:
         title="Error against time of all methods",
         caption=SPEED_CAPTION,
         figure=figure,
-        tables=(ReportTable(path=f"{figure}_times.csv"),),
+        tables=(f"{figure}_times.csv",),
     )
     return _make_item_view(item, folder)._replace(links=links)
 

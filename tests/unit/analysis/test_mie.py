@@ -14,7 +14,7 @@ import splits
 from splits.analysis.theory.sphere_sums import COMPILATION_SWITCH, import_miepython
 from splits.core.validation import InvalidValue
 from splits.materials import ConstantIndex, make_refractive_index
-from splits.media.scattering_matrix import ELEMENTS
+from splits.media.particle_layer import ELEMENTS
 
 NM = [500.0]
 INDEX = 1.5 + 0.01j

@@ -13,7 +13,7 @@ from splits.core.validation import ConfigError
 from splits.experiments import ExperimentConfig, load_experiments, load_settings
 from splits.experiments.config.load import read_yaml
 from splits.experiments.config.messages import validate_content
-from splits.experiments.config.studies import (
+from splits.experiments.config.settings import (
     Study,
     find_incomplete_studies,
     hash_function,

@@ -126,7 +126,7 @@ def test_clear_and_standard_skies_match_known_irradiances():
         ("astm_g173", {"zenith_deg": 30.0}, "left out"),
         ("no.csv", {}, "an existing CSV file"),
         ({"direct": [1, 2]}, {}, "a mapping of wavelength_nm"),
-        (OWN_SKY | {"direct": [1.0, 2.0]}, {}, "three lists of the same length"),
+        (OWN_SKY | {"direct": [1.0, 2.0]}, {}, "lists of the same length"),
         (OWN_SKY | {"direct": [1.0, -2.0, 0.0]}, {}, r"sky\.direct"),
         (OWN_SKY | {"direct": [0, 0, 0], "diffuse": [0, 0, 0]}, {}, "light at some wavelength"),
         (OWN_SKY | {"wavelength_nm": [300, 200, 400]}, {}, "strictly increasing"),

@@ -120,7 +120,7 @@ LISTS = {"ng_g": 3, "wavelength_nm": [300, 3000], "absorption_m2_kg": [1]}
             for name in ("a/b", "a\nb", "ground", "refractive_index_ice", "", 81 * "x")
         ),
         ({"impurities_ng_g": {"snow_algae": LISTS}}, "a new name for a user table"),
-        ({"impurities_ng_g": {"mine": LISTS}}, "2 wavelengths, 1 values"),
+        ({"impurities_ng_g": {"mine": LISTS}}, "2 wavelength_nm, 1 absorption_m2_kg"),
         ({"impurities_ng_g": {"mine": LISTS | {"absorption_m2_kg": [1, -1]}}}, "at least 0"),
     ],
 )

@@ -10,7 +10,7 @@ from shipped import CONFIG
 import splits
 from splits.core.validation import ConfigError
 from splits.experiments.config.load import load_experiment
-from splits.media.natural_snow import NATURAL_GRAIN_SHAPE, override_keywords
+from splits.media.snow import NATURAL_GRAIN_SHAPE, override_keywords
 
 MEDIA = CONFIG / "media"
 

@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pytest
 
+from splits import Sand
 from splits.media.sand_composition import (
     compute_coated_concentrations,
     compute_coating_fraction,
@@ -187,7 +188,7 @@ def test_a_full_coating_has_no_kaolinite(oxide):
 def test_impossible_sands_are_rejected(change, message):
     valid = {"iron_oxide": 0.03, "hematite_ratio": 0.3, "magnetite": 0.0, "partition": (1, 0, 0)}
     with pytest.raises(ValueError, match=message):
-        make_composition(**{**valid, **change}, coating_fraction=COATING)
+        Sand(**{**valid, **change})
 
 
 def test_types_without_mass_are_absent():

@@ -10,7 +10,7 @@ import pytest
 from splits import Interpretation, Snow
 from splits.materials import ice_density
 from splits.media.interpretations import INTERPRETATION_CHOICES, merge_interpretations
-from splits.media.kinds import check_thickness, read_named_medium
+from splits.media.kinds import check_medium, read_named_medium
 
 ORDER = "min <= mean <= max <= 1"
 INVALID_SNOWS = [
@@ -92,7 +92,7 @@ def test_semi_axis_interpretation_doubles_the_grains():
     ratio = double.mean_grain_distance_m / single.mean_grain_distance_m
     assert ratio == pytest.approx(2.0, rel=1e-14)
     with pytest.raises(ValueError, match=r"depth_m = 0.001: .*0.0015 m"):
-        check_thickness(
+        check_medium(
             Snow(depth_m=0.001, interpretation=Interpretation(size_definition="semi_axis"))
         )
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
+from splits import Sand
 from splits.media.grain_statistics import N_TABLE_POINTS
 from splits.media.sand_composition import TruncatedLogNormal, make_size_distribution
 
@@ -190,7 +191,7 @@ def test_finer_soils_attenuate_more():
 )
 def test_textures_other_than_sand_are_rejected(texture, message):
     with pytest.raises(ValueError, match=rf"^texture.*{message}") as error:
-        make_size_distribution(texture)
+        Sand(texture=texture)
     assert repr(texture) in str(error.value)
 
 

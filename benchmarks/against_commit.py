@@ -13,8 +13,6 @@ first      CPU time of a first spectrum, including the compilation of its kernel
 With --quick, one round of few rays tests that the program runs; its times are not meaningful.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
@@ -29,7 +27,7 @@ import pandas as pd
 from kernels import CASES
 
 from splits.core.escaping import write_data_frame
-from splits.core.paths import expand_path
+from splits.core.validation import expand_path
 
 ROOT = Path(__file__).resolve().parents[1]
 RAYS_PROGRAM = """

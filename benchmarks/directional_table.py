@@ -6,8 +6,6 @@ The table is that of the experiment ``snow_views``.  The default output is the t
 docs/how-to/one-view.md.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 import time

@@ -6,8 +6,6 @@ Prints the rms and the largest deviation in standard errors, and the time; with 
 of 1e-3.  The cases and their exact values are in tests/physics/reference/plane_parallel.csv.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import time
@@ -19,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "physics"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "statistics"))
 
 from chi2 import judge_z
-from test_layer_exact import compare_with_reference
+from test_layer_limits import compare_with_reference
 
 
 def main() -> None:

@@ -13,8 +13,6 @@ worst_ratio          largest of all differences, less two standard errors, over 
     python benchmarks/finite_grains.py [TABLE.csv] [--number 40] [--stderr 0.001]
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterator
 from typing import Any, NamedTuple

@@ -7,8 +7,6 @@ medians relative to the mean with a separate peak, rms z about that mean, scatte
 per ray, and the factor by which the variance at equal time is lower with a separate peak.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import time

@@ -9,8 +9,6 @@ Scatter is that between seeds.  The rms z is the difference between the mean of 
 the bins, in units of its standard error.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 

@@ -11,8 +11,6 @@ g 0.65 ± 0.03.
 are closest to those of natural snow: those of `splits.Snow.natural`.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import math

@@ -7,8 +7,6 @@ The time is that of all threads, so that the table does not depend on their numb
 The column `scene` describes the simulation, the column `error` the stopping criterion.
 """
 
-from __future__ import annotations
-
 import argparse
 import inspect
 import time

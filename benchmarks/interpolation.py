@@ -11,8 +11,6 @@ nodes from many at 211 wavelengths.
     python benchmarks/interpolation.py
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 import splits

@@ -17,8 +17,6 @@ and the many of the last.
         [--seeds 4]
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Callable, Sequence

@@ -22,8 +22,6 @@ features
 test that the program runs; its times are not meaningful.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Callable, Mapping
@@ -35,7 +33,7 @@ import pandas as pd
 
 import splits
 from splits.core.escaping import write_data_frame
-from splits.core.paths import expand_path
+from splits.core.validation import expand_path
 from splits.kernels import vectorized
 from splits.kernels.scene import NO_MAX_ORDER, Features, Optics, make_bounding_optics
 from splits.kernels.tallies.exits import allocate_exits

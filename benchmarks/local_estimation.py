@@ -7,8 +7,6 @@ bins of 5 x 5 degrees), on one thread: the factor by which the variance of local
 that of bins at equal time, its median and minimum over the plane, and the rms z of the difference.
 """
 
-from __future__ import annotations
-
 import argparse
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Table of `speed_against_error.py`: time and deviation of each method for a spectrum."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

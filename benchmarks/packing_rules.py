@@ -23,8 +23,6 @@ mass           Path in ice of index 1, per depth and volume fraction, at normal 
 Every number is printed with its standard error.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -36,8 +34,7 @@ import pandas as pd
 import xarray as xr
 
 import splits
-from splits.analysis.theory.asymptotic import correct_dense_packing
-from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
+from splits.analysis.theory.spectra import correct_dense_packing, solve_discrete_ordinates
 from splits.core.escaping import write_data_frame
 
 GEOMETRIC = "geometric"

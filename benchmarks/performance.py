@@ -5,8 +5,6 @@ figure of merit is 1/(error² · time).  The ratio of two figures of merit is th
 at equal error.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -17,9 +15,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from splits.plotting.annotations import annotate_figure
 from splits.plotting.lines import place_legend_above
-from splits.plotting.style import TWO_COLUMNS_INCHES, Colour, make_subplots, pick_colours, use_style
+from splits.plotting.style import (
+    TWO_COLUMNS_INCHES,
+    Colour,
+    annotate_figure,
+    make_subplots,
+    pick_colours,
+    use_style,
+)
 
 QUANTITIES = ("reflectance", "transmittance", "absorptance")
 

@@ -8,8 +8,6 @@ light.  Without `stokes`, each facet receives unpolarized light.  The table has 
 It is docs/theory/polarization_by_facetness.csv.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Iterator

@@ -12,8 +12,6 @@
    times that of scalar ones.  Rays hit one smooth grain of clear ice after another.
 """
 
-from __future__ import annotations
-
 import argparse
 
 import numpy as np

@@ -7,8 +7,6 @@ its standard error, both in per cent.  Dilute grains are reciprocal (tests/physi
 not if a grain that overlaps is rejected, and nearly so if it is skipped.
 """
 
-from __future__ import annotations
-
 import argparse
 
 import numpy as np

@@ -10,8 +10,6 @@ Tables and spectra are kept in FOLDER.  Twelve coverages are all within the prin
 probability of 99 % (Šidák).
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Callable
@@ -23,7 +21,7 @@ import xarray as xr
 from scipy.stats import binom
 
 import splits
-from splits.core.paths import expand_path
+from splits.core.validation import expand_path
 from splits.instruments.spectrophotometer import SpectralRequest, simulate_spectra
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.measurement import Measurement

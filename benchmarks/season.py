@@ -7,8 +7,6 @@ other programs that run at the same time.
     python benchmarks/season.py [--snowpacks 40] [--layers 20] [--wavelengths 211] [--wet 0.1]
 """
 
-from __future__ import annotations
-
 import argparse
 import resource
 import sys

@@ -12,8 +12,6 @@ times as much as between them, where it is in TARTES.
     python benchmarks/snow_albedo_models.py [TABLE.csv] [--max-stderr 0.002]
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from typing import Any, NamedTuple

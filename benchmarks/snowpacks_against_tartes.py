@@ -16,8 +16,6 @@ The B of the grains, 1 − ω' = 2 B γ/(ρ SSA) for weak absorption γ, is prin
     python benchmarks/snowpacks_against_tartes.py [--max-stderr 0.001]
 """
 
-from __future__ import annotations
-
 import argparse
 from typing import Any
 
@@ -27,8 +25,7 @@ import tartes
 import xarray as xr
 
 import splits
-from splits.analysis.theory.asymptotic import correct_dense_packing
-from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
+from splits.analysis.theory.spectra import correct_dense_packing, solve_discrete_ordinates
 from splits.simulation.scene import compute_optical_constants
 
 WAVELENGTHS_NM = np.array(

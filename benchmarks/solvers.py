@@ -18,8 +18,6 @@ ordinates traces paths through single grains, and the next ones read the result 
 
 # ruff: noqa: E402
 
-from __future__ import annotations
-
 import os
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -45,9 +43,14 @@ import splits
 from splits.discrete_ordinates import grains
 from splits.discrete_ordinates.applicability import make_granular_stack
 from splits.media.snow import NATURAL_GRAIN_SHAPE
-from splits.plotting.annotations import annotate_figure
 from splits.plotting.lines import place_legend_above
-from splits.plotting.style import TWO_COLUMNS_INCHES, make_subplots, pick_colours, use_style
+from splits.plotting.style import (
+    TWO_COLUMNS_INCHES,
+    annotate_figure,
+    make_subplots,
+    pick_colours,
+    use_style,
+)
 
 WAVELENGTHS_NM = np.arange(400.0, 2501.0, 10.0)
 TRACED_WAVELENGTHS_NM = np.arange(400.0, 1501.0, 10.0)

@@ -31,8 +31,6 @@ program runs; its times are not meaningful.
 
 # ruff: noqa: E402
 
-from __future__ import annotations
-
 import os
 
 # The solvers of the theories would use all cores.
@@ -64,7 +62,7 @@ from theories import THEORIES
 
 import splits
 from splits.core.escaping import write_data_frame
-from splits.core.paths import expand_path
+from splits.core.validation import expand_path
 from splits.simulation.spectral_tally import ANALOG_PILOT_RAYS
 
 MEDIA = {

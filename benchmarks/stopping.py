@@ -7,8 +7,6 @@ with its standard error, and the ratio of the scatter between seeds to the state
     python benchmarks/stopping.py [--seeds 200] [--max-stderr 0.003]
 """
 
-from __future__ import annotations
-
 import argparse
 
 import numpy as np

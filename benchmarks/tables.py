@@ -16,8 +16,6 @@ The table is kept in the folder, from which a second call continues.  With --qui
 2 × 2 × 2 tests that the program runs; its times are not meaningful.
 """
 
-from __future__ import annotations
-
 import argparse
 import resource
 import time
@@ -27,7 +25,7 @@ import numpy as np
 import xarray as xr
 
 import splits
-from splits.core.paths import expand_path
+from splits.core.validation import expand_path
 from splits.tables.axes import ParameterGrid
 from splits.tables.interpolation import compute_interpolation_weights
 

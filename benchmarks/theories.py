@@ -1,7 +1,5 @@
 """Spectra by theory, from the single-scattering properties of the grains of a medium."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,9 +7,13 @@ import performance
 import xarray as xr
 
 import splits
-from splits.analysis.theory.asymptotic import compute_shape_factors, correct_dense_packing, kz04
-from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
-from splits.analysis.theory.error_propagation import propagate_errors
+from splits.analysis.theory.spectra import (
+    compute_shape_factors,
+    correct_dense_packing,
+    kz04,
+    propagate_errors,
+    solve_discrete_ordinates,
+)
 from splits.core.uncertainty import Variable, make_variable
 
 N_STREAMS = 32

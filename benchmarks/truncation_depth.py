@@ -6,8 +6,6 @@ Grains of 50 to 100 µm, 300 kg/m³, 200 wavelengths from 400 to 2500 nm, one th
     python benchmarks/truncation_depth.py [--untruncated] [--max-stderr 0.002] [--saturation 0]
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 

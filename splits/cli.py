@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from splits.core.optional import import_optional
-from splits.core.paths import expand_path
 from splits.core.progress import write_line
+from splits.core.validation import expand_path
 
 if TYPE_CHECKING:
     from splits.experiments.config.experiment import ExperimentConfig

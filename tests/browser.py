@@ -1,7 +1,5 @@
 """Pages as a browser shows them, for the tests that need one."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

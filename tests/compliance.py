@@ -6,8 +6,6 @@ checks every dataset of a run.  Errors, warnings and recommendations all count a
 checker uses its own table of standard names and needs no network.
 """
 
-from __future__ import annotations
-
 import sys
 import warnings
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Import paths, garbage collection and warning filters of all tests."""
 
-from __future__ import annotations
-
 import gc
 import sys
 from pathlib import Path

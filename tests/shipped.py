@@ -1,7 +1,5 @@
 """The shipped configuration in a folder of its own, without files that users add to config/."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import tempfile

@@ -7,10 +7,12 @@ A quantity that is linear in the spectrum has the same linear combination of dev
 squares add up to its variance.  The rest of the standard error is a bound on the interpolation
 error between refractive indices.  That error is similar at neighbouring wavelengths and independent
 at distant ones, so bounds add up linearly along each interval of weights of one sign, and intervals
-in quadrature.
+in quadrature.  `ErrorTarget` is what the requested error of an angular distribution applies to.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -258,3 +260,42 @@ def make_band_weights(dataset: xr.Dataset, low: float, high: float) -> xr.DataAr
 def compute_band_error(dataset: xr.Dataset, quantity: str, low: float, high: float) -> xr.DataArray:
     """Return the standard error of the mean of a quantity over a band (nm)."""
     return compute_weighted_error(dataset, quantity, make_band_weights(dataset, low, high))
+
+
+MIN_REFERENCE_FRACTION = 0.05
+"""Fraction of an isotropic distribution below which the error is relative to that fraction."""
+
+
+class ErrorTarget(NamedTuple):
+    """What the requested error of a BRDF or BTDF applies to.
+
+    Attributes
+    ----------
+    side : int
+        0 reflected, 1 transmitted.
+    direction_mask : bool, shape (directions,)
+    absolute : bool
+        Whether the error is that of the reflectance factor, instead of a relative one.
+    """
+
+    side: int
+    direction_mask: np.ndarray
+    absolute: bool = False
+
+    def compute_reference(self, values: np.ndarray, scattered: np.ndarray) -> np.ndarray:
+        """Return what errors of a BRDF or BTDF are divided by (1/sr), in the shape of the values.
+
+        It is the value, or 1/20 of that of an isotropic distribution, whichever is larger; for
+        absolute errors, the BRDF of a perfect diffuser.
+
+        Parameters
+        ----------
+        values : float, shape (..., directions)
+            1/sr.
+        scattered : float, shape (...)
+            Reflectance or transmittance of scattered light.
+        """
+        if self.absolute:
+            return np.full_like(values, 1.0 / np.pi)
+        isotropic = np.expand_dims(scattered, -1) / np.pi
+        return np.maximum(values, MIN_REFERENCE_FRACTION * isotropic)

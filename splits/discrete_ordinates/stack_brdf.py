@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.core.error_target import MIN_REFERENCE_FRACTION, ErrorTarget
+from splits.core.uncertainty import MIN_REFERENCE_FRACTION, ErrorTarget
 from splits.discrete_ordinates.adding import Budget
 from splits.discrete_ordinates.granular_layers import (
     N_PEAK_ORDERS,

@@ -17,8 +17,7 @@ from typing import Any
 
 from splits.core.atomic import atomic_write
 from splits.core.escaping import escape_markdown
-from splits.core.paths import expand_path
-from splits.core.validation import invalid
+from splits.core.validation import expand_path, invalid
 from splits.core.yaml import dump_yaml, read_yaml
 from splits.experiments.config.load import list_media_files
 from splits.experiments.config.media import list_table_paths

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.atomic import check_writable
-from splits.core.convergence import REACHED_ATTRIBUTES, log_missed_error, nest_runs
+from splits.core.keywords import REACHED_ATTRIBUTES, log_missed_error, nest_runs
 from splits.core.progress import LogCallback, Progress
 from splits.core.provenance import hash_physics_sources
 from splits.core.validation import invalid

@@ -13,7 +13,7 @@ from typing import Any
 import xarray as xr
 
 from splits.core.atomic import atomic_write
-from splits.core.convergence import log_missed_error, nest_runs
+from splits.core.keywords import log_missed_error, nest_runs
 from splits.core.progress import LogCallback, Progress
 from splits.core.provenance import hash_physics_sources
 from splits.experiments.config.instruments import Albedo, TableInstrument

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from splits.core.arrays import check_named_numbers
-from splits.core.equality import ContentEquality
+from splits.core.arrays import ContentEquality, check_named_numbers
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.optional import import_optional
 from splits.core.validation import check_choice, invalid, join_names, snap_to_limits, to_text_keys

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from splits.core.arrays import check_array_range
-from splits.core.equality import ContentEquality
+from splits.core.arrays import ContentEquality, check_array_range
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.optional import import_optional
 from splits.core.validation import check_range, invalid, suggest_name

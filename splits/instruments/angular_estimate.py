@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.core.error_target import ErrorTarget
-from splits.core.uncertainty import compute_batch_stderr
+from splits.core.uncertainty import ErrorTarget, compute_batch_stderr
 from splits.kernels.tallies.distributions import DiskBasis, evaluate_basis_at
 from splits.simulation.spectral_nodes import INTERPOLATION_FACTOR, bound_fraction_error
 from splits.simulation.tally import Tally

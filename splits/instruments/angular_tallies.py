@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.core.error_target import ErrorTarget
+from splits.core.uncertainty import ErrorTarget
 from splits.instruments.angular_estimate import (
     N_ANGULAR_BATCHES,
     AngularEstimate,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from splits.core.error_target import ErrorTarget
+from splits.core.uncertainty import ErrorTarget
 from splits.core.validation import invalid
 from splits.instruments.angular_estimate import AngularEstimate, AngularTally, compute_anisotropy
 from splits.instruments.angular_tallies import make_stokes_variables

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.core.error_target import ErrorTarget
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
-from splits.core.uncertainty import Variable, make_variable
+from splits.core.uncertainty import ErrorTarget, Variable, make_variable
 from splits.core.validation import (
     check_choice,
     check_integer,

@@ -102,7 +102,7 @@ def single_scattering(
         the collisions with grains per metre plus absorption by the pores, and
         ``optical_thickness``, which is left out for a medium of infinite depth.
 
-        For `splits.analysis.theory.asymptotic.correct_dense_packing`:
+        For `splits.analysis.theory.spectra.correct_dense_packing`:
         ``displacement_along_incident`` and ``displacement_along_exit`` (m), the displacement from
         entry to exit along the direction before and after; ``mean_square_displacement`` (m²); and
         ``wet_fraction``, the fraction of the scattered light that enters a wet pore.

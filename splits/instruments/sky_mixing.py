@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.core.convergence import REACHED_ATTRIBUTES
+from splits.core.keywords import REACHED_ATTRIBUTES
 from splits.core.uncertainty import (
     Variable,
     compute_weighted_error,

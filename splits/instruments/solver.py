@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.core.error_target import ErrorTarget
+from splits.core.uncertainty import ErrorTarget
 from splits.core.validation import check_choice, invalid
 from splits.discrete_ordinates.applicability import (
     find_direction_obstacle,

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.core.notices import warn_once
+from splits.core.progress import warn_once
 from splits.io.netcdf import load, save
 
 DIGEST_ATTRIBUTE = "cache_digest"

@@ -16,10 +16,8 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import as_float_array
-from splits.core.labels import check_direction
-from splits.core.paths import expand_path
-from splits.core.units import convert_units, is_unit
-from splits.core.validation import check_choice, check_integer, invalid
+from splits.core.labels import check_direction, convert_units, is_unit
+from splits.core.validation import check_choice, check_integer, expand_path, invalid
 from splits.io.netcdf import open_foreign
 
 THICKNESS, WATER, TEMPERATURE, SURFACE_AREA = "SNOWDZ", "SNOWLIQ", "SNOWTEMP", "SNOWSSA"

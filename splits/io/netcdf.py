@@ -39,13 +39,13 @@ import xarray as xr
 
 from splits.core.atomic import atomic_write
 from splits.core.keywords import reject_unknown_arguments
-from splits.core.paths import expand_path
 from splits.core.process import make_lock
 from splits.core.provenance import get_git_commit, get_package_version
 from splits.core.validation import (
     InvalidValue,
     check_choice,
     check_number,
+    expand_path,
     invalid,
     join_names,
 )

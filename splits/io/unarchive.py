@@ -24,8 +24,7 @@ from urllib.parse import unquote
 
 from splits.core.atomic import atomic_write
 from splits.core.optional import import_optional
-from splits.core.paths import expand_path
-from splits.core.validation import format_key, invalid, short_repr
+from splits.core.validation import expand_path, format_key, invalid, short_repr
 from splits.io.ro_crate import METADATA_FILE
 
 ROOT_MEMBERS = (

@@ -16,8 +16,14 @@ import pandas as pd
 
 from splits.core.arrays import check_increasing, read_columns
 from splits.core.labels import TIME_EXAMPLE, parse_time
-from splits.core.paths import expand_path
-from splits.core.validation import InvalidValue, format_key, invalid, join_names, suggest_name
+from splits.core.validation import (
+    InvalidValue,
+    expand_path,
+    format_key,
+    invalid,
+    join_names,
+    suggest_name,
+)
 
 MAX_TABLE_BYTES = 2**25
 """Largest size of a file."""

@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from splits.core.arrays import check_array_range
-from splits.core.equality import ContentEquality
+from splits.core.arrays import ContentEquality, check_array_range
 from splits.core.validation import check_range, invalid, suggest_name
 from splits.materials.csv_table import read_numeric_csv, read_tabulated_function
 from splits.materials.refractive_index import check_wavelength_range

@@ -16,8 +16,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from splits.core.arrays import as_float_array
-from splits.core.equality import ContentEquality
+from splits.core.arrays import ContentEquality, as_float_array
 from splits.core.validation import InvalidValue, check_range, invalid, snap_to_limits
 
 

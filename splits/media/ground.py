@@ -12,9 +12,8 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.core.arrays import check_array_range
-from splits.core.equality import ContentEquality
-from splits.core.units import check_nanometres
+from splits.core.arrays import ContentEquality, check_array_range
+from splits.core.labels import check_nanometres
 from splits.core.validation import check_number, check_range, invalid, suggest_name
 from splits.materials.csv_table import (
     is_csv_path,

@@ -10,8 +10,7 @@ from typing import Any
 
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.optional import import_optional
-from splits.core.paths import expand_path
-from splits.core.validation import check_choice, format_limit, invalid, key_prefix
+from splits.core.validation import check_choice, expand_path, format_limit, invalid, key_prefix
 from splits.media.formatting import NAMED_MEDIA, NAMED_MEDIA_FOLDER, suggest_medium
 from splits.media.medium import GranularMedium, Medium
 from splits.media.particle_layer import ParticleLayer

@@ -24,15 +24,14 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import (
+    ContentEquality,
     as_1d_array,
     as_float_array,
     check_array_range,
     check_increasing,
     read_columns,
 )
-from splits.core.equality import ContentEquality
 from splits.core.keywords import reject_unknown_keywords
-from splits.core.paths import expand_path
 from splits.core.validation import (
     ROUNDING_TOLERANCE,
     as_scalar,
@@ -40,6 +39,7 @@ from splits.core.validation import (
     check_flag,
     check_integer,
     check_range,
+    expand_path,
     format_limit,
     invalid,
     join_names,

@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.core.arrays import as_float_array, check_increasing
-from splits.core.equality import ContentEquality
+from splits.core.arrays import ContentEquality, as_float_array, check_increasing
 from splits.core.keywords import reject_unknown_keywords
 from splits.core.validation import (
     check_choice,

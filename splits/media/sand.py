@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from splits.core.arrays import check_named_numbers
-from splits.core.equality import ContentEquality
+from splits.core.arrays import ContentEquality, check_named_numbers
 from splits.core.keywords import reject_unknown_keywords
 from splits.core.validation import check_range, invalid
 from splits.kernels.scene import WET_PORE, GrainPopulation, GrainTypes

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.core.equality import ContentEquality
+from splits.core.arrays import ContentEquality
 from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid
 from splits.kernels.rng import make_table_probabilities
 from splits.materials import MINERAL_DENSITY_KG_M3

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from splits.core.arrays import check_named_numbers
-from splits.core.equality import ContentEquality
+from splits.core.arrays import ContentEquality, check_named_numbers
 from splits.core.keywords import reject_unknown_arguments, reject_unknown_keywords
 from splits.core.validation import check_choice, check_range, invalid, suggest_unit
 from splits.kernels.scene import GrainPopulation, GrainTypes

@@ -13,11 +13,14 @@ import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.optional import import_optional
-from splits.core.paths import expand_path
-from splits.core.validation import check_range, invalid, suggest_name
-from splits.io.caaml import SnowPit, read_snow_pit
+from splits.core.validation import check_range, expand_path, invalid, suggest_name
 from splits.io.crocus import THICKNESS, WATER_DENSITY_KG_M3, read_crocus_output
-from splits.io.layer_profiles import average_over_layers, interpolate_to_layers
+from splits.io.layer_profiles import (
+    SnowPit,
+    average_over_layers,
+    interpolate_to_layers,
+    read_snow_pit,
+)
 from splits.io.netcdf import NETCDF_SUFFIXES, SCHEMA_ATTRIBUTE, load, open_foreign
 from splits.materials.csv_table import read_csv
 from splits.media.snow import SURFACE_AREA_KEY

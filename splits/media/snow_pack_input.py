@@ -19,9 +19,14 @@ from splits.core.arrays import (
     find_labels,
     match_labels,
 )
-from splits.core.labels import check_direction, normalize_attributes, normalize_labels
+from splits.core.labels import (
+    check_direction,
+    check_nanometres,
+    convert_units,
+    normalize_attributes,
+    normalize_labels,
+)
 from splits.core.parameter_names import describe_parameter, parse_impurity_parameter
-from splits.core.units import check_nanometres, convert_units
 from splits.core.validation import as_scalar, invalid, join_names, suggest_name, unknown_key
 from splits.materials.impurities import list_impurities
 from splits.materials.refractive_index import check_wavelength_range

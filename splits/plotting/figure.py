@@ -11,22 +11,16 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from splits.core.validation import check_choice, invalid, unknown_key
-from splits.plotting.annotations import add_notes
-from splits.plotting.beam_spread import draw_beam_spread
-from splits.plotting.colour import draw_swatches
-from splits.plotting.direction_axes import QUANTITY_LABELS
-from splits.plotting.hemispheres import draw_hemispheres
-from splits.plotting.lobes import draw_lobes
+from splits.plotting.directions import QUANTITY_LABELS, draw_hemispheres, draw_lobes
 from splits.plotting.panels import FIGURE_SETTINGS, check_settings
-from splits.plotting.points import draw_points, draw_summary
-from splits.plotting.polarization import draw_polarization
-from splits.plotting.principal_plane import draw_bin_sizes, draw_principal_planes
+from splits.plotting.points import draw_points, draw_summary, draw_swatches
+from splits.plotting.principal_plane import draw_bin_sizes, draw_polarization, draw_principal_planes
 from splits.plotting.rough_surface import draw_lens, draw_surface
 from splits.plotting.sand_fit import draw_fits
 from splits.plotting.season import draw_season
 from splits.plotting.spectra import draw_refractive_indices, draw_spectra
-from splits.plotting.style import use_style
-from splits.plotting.time_of_flight import draw_range_bias, draw_returns
+from splits.plotting.style import add_notes, use_style
+from splits.plotting.time_of_flight import draw_beam_spread, draw_range_bias, draw_returns
 
 FUNCTIONS: dict[str, Callable[..., Figure]] = {
     "spectra": draw_spectra,

@@ -10,13 +10,13 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from splits.plotting.annotations import annotate_figure
-from splits.plotting.nodes import draw_node_ticks, find_coarse_nodes, make_nodes_note
+from splits.plotting.lines import draw_node_ticks, find_coarse_nodes, make_nodes_note
 from splits.plotting.panels import DEFAULT_LABEL, MAX_PANELS
 from splits.plotting.style import (
     BAND_SIGMA,
     NOMINAL_PARAMETERS,
     TWO_COLUMNS_INCHES,
+    annotate_figure,
     format_parameter,
     format_value,
     make_subplots,

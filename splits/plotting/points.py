@@ -1,4 +1,4 @@
-"""Figures of values at points of a grid with error bars, and summaries of tables."""
+"""Figures of values at points of a grid: error bars, summaries of tables, colour swatches."""
 
 from __future__ import annotations
 
@@ -12,24 +12,23 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from splits.analysis.colour import make_colour_table
 from splits.core.escaping import escape_mathtext
+from splits.core.validation import invalid
 from splits.io.netcdf import select_points
-from splits.plotting.annotations import add_notes, annotate_figure, describe_conditions
-from splits.plotting.interpretation_shifts import (
-    INDEPENDENCE_NOTE,
-    compute_shift,
-    find_default_dim,
-)
+from splits.plotting.interpretation_shifts import INDEPENDENCE_NOTE, compute_shift, find_default_dim
 from splits.plotting.lines import PlotLines, place_legend_beside
-from splits.plotting.panels import DEFAULT_LABEL, MAX_ROWS, check_count
+from splits.plotting.panels import DEFAULT_LABEL, MAX_COLUMNS, MAX_ROWS, check_count
 from splits.plotting.principal_plane import draw_principal_planes
-from splits.plotting.small_multiples import draw_small_multiples
-from splits.plotting.spectra import draw_spectra
+from splits.plotting.spectra import draw_small_multiples, draw_spectra
 from splits.plotting.style import (
     BAND_SIGMA,
     ONE_COLUMN_INCHES,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
+    add_notes,
+    annotate_figure,
+    describe_conditions,
     format_parameter,
     format_value,
     make_subplots,
@@ -263,3 +262,71 @@ def _draw_views(dataset: xr.Dataset, quantity: Sequence[str], legend: str | None
 def _select_evenly(size: int, max_count: int) -> np.ndarray:
     """Return evenly spaced indices of an axis, including both ends."""
     return np.unique(np.linspace(0, size - 1, min(size, max_count)).round().astype(int))
+
+
+_MAX_NARROW_COLUMNS = 3
+"""Largest number of columns of patches in a figure of one page column."""
+_MAX_LABELLED_COLUMNS = 9
+"""Largest number of columns of patches with numbers."""
+
+
+def draw_swatches(dataset: xr.Dataset, select: Mapping[str, float | str] | None = None) -> Figure:
+    """Draw a patch of colour for every point of a grid of one or two parameters.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        ``reflectance`` over one grid parameter (columns), at most one more (rows), wavelength.
+    select : mapping, optional
+        Grid labels to select.
+
+    Raises
+    ------
+    ValueError
+        For a grid with more parameters.
+    """
+    dataset = select_points(dataset, select or {})
+    dims = [str(d) for d in dataset.reflectance.dims if d != "wavelength"]
+    if not 1 <= len(dims) <= 2:
+        raise invalid("grid", dims, "one or two parameters for figure.kind = 'swatches'")
+    columns = dataset.sizes[dims[0]]
+    rows = dataset.sizes[dims[1]] if len(dims) == 2 else 1
+    check_count("columns of colours", columns, MAX_COLUMNS, select)
+    check_count("rows of colours", rows, MAX_ROWS, select)
+    table = make_colour_table(dataset)
+    # The grid's first parameter varies slowest in the table.
+    patches = table[["red", "green", "blue"]].to_numpy().reshape(columns, rows, 3)
+    light = table["L"].to_numpy().reshape(columns, rows)
+    with use_style():
+        figure, axes = make_subplots(
+            width=ONE_COLUMN_INCHES if columns <= _MAX_NARROW_COLUMNS else TWO_COLUMNS_INCHES,
+            height=0.5 + 0.4 * rows,
+        )
+        axes.imshow(np.swapaxes(patches, 0, 1), aspect="auto", interpolation="nearest")
+        for i in range(columns):
+            for j in range(rows if columns <= _MAX_LABELLED_COLUMNS else 0):
+                code = table["srgb"].iloc[i * rows + j]
+                text_colour = "black" if light[i, j] > 50.0 else "white"
+                axes.text(
+                    i,
+                    j,
+                    f"{code}\nL* {light[i, j]:.1f}",
+                    color=text_colour,
+                    fontsize=SMALL_FONT_PT,
+                    ha="center",
+                    va="center",
+                )
+        names = [format_value(v, dims[0]) for v in dataset[dims[0]].values]
+        axes.set_xticks(
+            range(columns), names, rotation=90 if columns > _MAX_LABELLED_COLUMNS else 0
+        )
+        if len(dims) == 2:
+            axes.set_yticks(
+                range(rows), [format_value(v, dims[1]) for v in dataset[dims[1]].values]
+            )
+            axes.set_ylabel(format_parameter(dims[1]))
+        else:
+            axes.set_yticks([])
+        axes.tick_params(length=0)
+        axes.spines[:].set_visible(False)
+        return annotate_figure(figure, [axes], describe_conditions(dataset, select, ""))

@@ -1,31 +1,28 @@
-"""Figure of retrievals: fitted spectrum, posterior distribution and averaging kernel."""
+"""Figure of retrievals: fitted spectrum or return, posterior, averaging kernel, references."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
-from matplotlib.ticker import EngFormatter
+from matplotlib.ticker import EngFormatter, MaxNLocator
 
-from splits.plotting.annotations import annotate_figure
-from splits.plotting.reference_values import (
-    MIN_SLOPE_SAMPLES,
-    draw_against_reference,
-    get_model_colours,
-    select_referenced_samples,
-)
-from splits.plotting.return_fit import RETURN_NOTE, draw_return_fit, mark_known_values
+from splits.analysis.measured import fit_proportional
+from splits.core.escaping import escape_mathtext
 from splits.plotting.style import (
     BAND_SIGMA,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
     OffscreenFigure,
+    annotate_figure,
     format_parameter,
     format_value,
+    pick_colours,
     use_style,
 )
 
@@ -291,3 +288,144 @@ def _draw_averaging_kernel(axes: Axes, part: xr.Dataset) -> None:
     axes.set_title(
         f"averaging kernel\n{degrees_of_freedom:.2f} degrees of freedom", fontsize=SMALL_FONT_PT
     )
+
+
+MIN_SLOPE_SAMPLES = 3
+"""Smallest number of samples for a fitted slope."""
+MODEL_MARKERS = "os^D"
+"""Markers of models."""
+MODEL_OFFSET = 0.012
+"""Horizontal offset between the points of models, relative to the axis."""
+
+
+def draw_against_reference(
+    axes: Axes, dataset: xr.Dataset, name: str, reference: Mapping[str, float], prefix: str
+) -> Axes:
+    """Draw retrieved values of a parameter against reference values, for all models."""
+    samples = select_referenced_samples(dataset, reference, prefix)
+    x = np.array([reference[s] for s in samples])
+    top = highest = float(x.max())
+    models = get_model_colours(dataset)
+    for number, (model, colour) in enumerate(models):
+        part_of_model = dataset.sel(model=model, sample=samples)
+        shifted = x + (number - 0.5 * (len(models) - 1)) * MODEL_OFFSET * top
+        quantiles = part_of_model.quantiles.sel(parameter=name).transpose("quantile", "sample")
+        lowest_value, low, y, high, highest_value = quantiles.values
+        if not np.isfinite(y).all():
+            continue
+        for limits, width in (((lowest_value, highest_value), 0.6), ((low, high), 2.0)):
+            axes.vlines(shifted, *limits, color=colour, lw=width)
+        labels = [format_value(model, "model")] if model else []
+        if len(samples) >= MIN_SLOPE_SAMPLES:
+            line = fit_proportional(x, y)
+            labels.append(f"slope {line.slope:.2f} ± {line.stderr:.2f}")
+            labels.append(f"scatter {line.scatter:.2g}")
+            misfit = part_of_model.chi2_at_reference.values
+            if model and np.isfinite(misfit).all():
+                expected = float(part_of_model.chi2_expected.sum())
+                labels.append(f"χ² {misfit.sum():.0f} of {expected:.0f}")
+        marker = MODEL_MARKERS[number % len(MODEL_MARKERS)]
+        axes.plot(shifted, y, marker, color=colour, ms=3, label="\n".join(labels) or None)
+        highest = max(highest, float(highest_value.max()))
+    top = 1.08 * highest
+    axes.plot([0.0, top], [0.0, top], color="black", lw=0.6)
+    axes.set_title(escape_mathtext(prefix.strip()) or "against reference values")
+    axes.set_xlabel(f"{format_parameter(name)}, reference")
+    axes.set_ylabel(f"{format_parameter(name)}, retrieved")
+    axes.set_xlim(0.0, top)
+    axes.set_ylim(0.0, top)
+    axes.set_aspect("equal", anchor="W")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(5))
+    if any(not str(handle.get_label()).startswith("_") for handle in axes.get_lines()):
+        axes.legend(
+            frameon=False, fontsize=SMALL_FONT_PT, loc="upper left", bbox_to_anchor=(1.0, 1.0)
+        )
+    axes.spines[["top", "right"]].set_visible(False)
+    return axes
+
+
+def select_referenced_samples(
+    dataset: xr.Dataset, reference: Mapping[str, float], prefix: str
+) -> list[str]:
+    """Return the samples with a prefix that have reference values."""
+    return [s for s in reference if s in dataset.sample.values and s.startswith(prefix)]
+
+
+def get_model_colours(dataset: xr.Dataset) -> list[tuple[str, Any]]:
+    """Return the names of the models, with their colours."""
+    names = list(map(str, dataset.model.values))
+    return list(
+        zip(
+            names,
+            pick_colours(len(names), "medium") if len(names) > 1 else pick_colours(1),
+            strict=True,
+        )
+    )
+
+
+RETURN_NOTE = (
+    "Return: two standard errors of the measurement (bars) and of the table (bands); below, "
+    "the difference from the fit in standard errors of the measurement. Dots: draws from the "
+    "posterior; crosses and dotted lines: reference values"
+)
+"""Note on the figure of retrievals from returns."""
+MIN_SHOWN_FRACTION = 0.3
+"""Lower end of the axis, relative to the smallest measured or fitted value above 0."""
+KNOWN_COLOUR = "crimson"
+"""Colour of known values of parameters."""
+MIN_SHOWN_SIGMA = 3.0
+"""Smallest end of the axis of differences, in standard errors."""
+
+
+def draw_return_fit(figure: Figure, cell: SubplotSpec, part: xr.Dataset, title: str) -> Axes:
+    """Draw a measured and fitted return and their difference; return the upper panel."""
+    inner = cell.subgridspec(2, 1, height_ratios=[2.0, 1.0])
+    top = figure.add_subplot(inner[0])
+    bottom = figure.add_subplot(inner[1], sharex=top)
+    part = part.isel(model=0)
+    delay = 1e9 * part.delay.values
+    n_wavelengths, lowest = part.sizes["wavelength"], np.inf
+    several = n_wavelengths > 1
+    for wavelength, colour in zip(
+        part.wavelength.values, pick_colours(n_wavelengths, "wavelength"), strict=True
+    ):
+        line = part.sel(wavelength=wavelength)
+        measured, noise, fitted, error = (
+            1e-9 * line[name].values
+            for name in ("measured", "measured_stderr", "fitted", "fitted_stderr")
+        )
+        label, marks = (f"{wavelength:g} nm", colour) if several else ("return", "black")
+        top.errorbar(
+            delay, measured, BAND_SIGMA * noise, fmt="o", ms=2.0, lw=0.7, color=marks, label=label
+        )
+        top.plot(delay, fitted, color=colour, lw=1.0, ls="--")
+        low, high = fitted - BAND_SIGMA * error, fitted + BAND_SIGMA * error
+        top.fill_between(delay, low, high, color=colour, alpha=0.25, lw=0)
+        bottom.step(delay, (measured - fitted) / noise, where="mid", color=colour, lw=0.8)
+        shown = np.concatenate([measured, fitted])
+        lowest = min(lowest, shown[shown > 0.0].min(initial=np.inf))
+    fit_label = f"fit, χ² {float(part.chi2):.0f} of {float(part.chi2_expected):.0f}"
+    fit_colour = "black" if several else pick_colours(1)[0]
+    top.plot([], [], color=fit_colour, lw=1.0, ls="--", label=fit_label)
+    top.set(yscale="log", ylabel="returned light per time (ns⁻¹)", title=title)
+    if np.isfinite(lowest):
+        top.set_ylim(bottom=MIN_SHOWN_FRACTION * lowest)
+    largest = float(np.abs(bottom.dataLim.intervaly).max())
+    bottom.set_ylim(-max(MIN_SHOWN_SIGMA, 1.1 * largest), max(MIN_SHOWN_SIGMA, 1.1 * largest))
+    bottom.axhspan(-BAND_SIGMA, BAND_SIGMA, color="0.85", lw=0, zorder=0)
+    bottom.axhline(0.0, color="black", lw=0.6)
+    bottom.set(xlabel="delay (ns)", ylabel="difference / error")
+    top.tick_params(labelbottom=False)
+    top.legend(frameon=False, fontsize=SMALL_FONT_PT, handlelength=1.2, borderaxespad=0.0)
+    for axes in (top, bottom):
+        axes.spines[["top", "right"]].set_visible(False)
+    return top
+
+
+def mark_known_values(axes: Axes, x: float | None, y: float | None) -> None:
+    """Mark known values of one or two parameters in a panel of draws, if they are inside it."""
+    if x is not None and y is not None:
+        axes.plot([x], [y], "x", color=KNOWN_COLOUR, ms=5, mew=1.2)
+    elif x is not None and axes.get_xlim()[0] <= x <= axes.get_xlim()[1]:
+        axes.axvline(x, color=KNOWN_COLOUR, lw=1.2, ls=":")

@@ -14,12 +14,13 @@ from matplotlib.colors import LightSource, Normalize
 from matplotlib.figure import Figure
 
 from splits.io.netcdf import select_points
-from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.style import (
     BAND_SIGMA,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
+    annotate_figure,
     compute_axis_top,
+    describe_conditions,
     make_subplots,
     pick_colours,
     use_style,

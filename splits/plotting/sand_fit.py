@@ -10,13 +10,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from splits.io.netcdf import select_points
-from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.lines import PlotLines
 from splits.plotting.style import (
     BAND_SIGMA,
     ONE_COLUMN_INCHES,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
+    annotate_figure,
+    describe_conditions,
     format_value,
     make_subplots,
     use_style,

@@ -13,13 +13,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from splits.media.snow_packs import count_missing_results
-from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.lines import is_covering_line, place_legend_above
 from splits.plotting.spectra import make_axis_label
 from splits.plotting.style import (
     BAND_SIGMA,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
+    annotate_figure,
+    describe_conditions,
     format_parameter,
     format_value,
     make_subplots,

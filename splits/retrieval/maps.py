@@ -15,9 +15,9 @@ import xarray as xr
 
 from splits.core.arrays import as_float_array, find_labels, match_labels
 from splits.core.keywords import reject_unknown_arguments
+from splits.core.labels import check_nanometres, convert_units
 from splits.core.parameter_names import describe_parameter
 from splits.core.uncertainty import make_variable
-from splits.core.units import check_nanometres, convert_units
 from splits.core.validation import InvalidValue, check_choice, invalid, join_names
 from splits.illumination.bands import SpectralBand, check_bands
 from splits.io.netcdf import ANCILLARY_ATTRIBUTE, make_provenance, to_netcdf_attributes

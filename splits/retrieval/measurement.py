@@ -10,7 +10,7 @@ import pandas as pd
 import xarray as xr
 
 from splits.core.arrays import align_to_labels, as_float_array, check_increasing, find_labels
-from splits.core.units import check_nanometres, convert_units
+from splits.core.labels import check_nanometres, convert_units
 from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid, short_repr
 from splits.illumination.bands import SpectralBand, as_bands
 from splits.simulation.run_options import check_wavelengths

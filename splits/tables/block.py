@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.core.error_target import ErrorTarget
 from splits.core.progress import ProgressCallback
+from splits.core.uncertainty import ErrorTarget
 from splits.discrete_ordinates.applicability import make_granular_stack
 from splits.discrete_ordinates.granular_stack import (
     GranularStack,

@@ -14,10 +14,9 @@ import xarray as xr
 
 from splits.core.atomic import check_writable
 from splits.core.keywords import reject_unknown_arguments
-from splits.core.paths import expand_path
 from splits.core.progress import ProgressCallback, report_whole_table
 from splits.core.provenance import hash_physics_sources
-from splits.core.validation import invalid
+from splits.core.validation import expand_path, invalid
 from splits.illumination.bands import SpectralOperator, check_bands, choose_band_wavelengths
 from splits.instruments.goniophotometer import MAX_CONVERGED_POLAR_DEG
 from splits.instruments.solver import MONTE_CARLO

@@ -12,8 +12,7 @@ import xarray as xr
 from splits.core.atomic import atomic_write
 from splits.core.escaping import escape_cells
 from splits.core.keywords import reject_unknown_arguments
-from splits.core.paths import expand_path
-from splits.core.validation import invalid, key_prefix
+from splits.core.validation import expand_path, invalid, key_prefix
 from splits.io.netcdf import load, open_lazily
 from splits.tables.assembly import MAX_BYTES_IN_MEMORY
 from splits.tables.axes import (

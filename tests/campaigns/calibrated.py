@@ -9,8 +9,6 @@ expansion is included in the stated errors; those runs are compared with a long 
 less.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 

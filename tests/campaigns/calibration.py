@@ -14,8 +14,6 @@ such a ratio is estimated from the scatter between seeds.  Rows "all" are root m
 sets of a medium, and over the media of an instrument.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Figure of the ratio of the scatter between seeds to stated errors."""
 
-from __future__ import annotations
-
 import pandas as pd
 from matplotlib.figure import Figure
 

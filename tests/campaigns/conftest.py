@@ -1,7 +1,5 @@
 """Fixtures of campaigns: workflow projects, counts, and the command that repeats a failed case."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import sys

@@ -5,8 +5,6 @@ invalid ones of them.  `to_flow_yaml` writes contents as YAML in flow style, in 
 stand anywhere.
 """
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

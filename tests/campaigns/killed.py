@@ -3,8 +3,6 @@
 Processes are forked from a server that has imported all libraries, which makes a kill cheap.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Hypothesis strategies for invalid experiment files: odd values, wrong keys, invalid YAML."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from generated import RawText, to_file_text, valid_contents

@@ -7,8 +7,6 @@ A few seeds of each by default.  The campaign proper is ``make campaign``, or
 and ``make calibration`` makes the table and the figure of the documentation from the same runs.
 """
 
-from __future__ import annotations
-
 import os
 
 import numpy as np

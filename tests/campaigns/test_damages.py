@@ -7,8 +7,6 @@ A few by default.  The campaign proper is ``make campaign``, or
 with that number of each kind.
 """
 
-from __future__ import annotations
-
 import os
 import random
 import shutil

@@ -9,8 +9,6 @@ files also depend on constants that Hypothesis samples from the sources that it 
 generated until enough of them were read and accepted.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import time

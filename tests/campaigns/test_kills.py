@@ -6,8 +6,6 @@ compilation included.  Five by default.  The campaign proper is ``make campaign`
     KILLS=200 python -m pytest -s tests/campaigns/test_kills.py
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import random

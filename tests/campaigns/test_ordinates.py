@@ -6,16 +6,13 @@ compares 200 snowpacks to an error of 0.0015 each, in about ten minutes, and as 
 and of finite grains.
 """
 
-from __future__ import annotations
-
 import os
 
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, judge_z
-from test_ordinates_media import FINITE, compare_media
-from test_ordinates_profile_snow import compare_profiles
-from test_ordinates_snow import compare_snowpacks
+from test_ordinates_profile import compare_profiles
+from test_ordinates_snow import FINITE, compare_media, compare_snowpacks
 
 SNOWPACKS = os.environ.get("SNOWPACKS")
 FEW = 12

@@ -8,8 +8,6 @@ of a group have the same water and share their paths, so that their errors are c
 z of groups of 112 scatters by up to 1, that of independent errors would by 0.1.
 """
 
-from __future__ import annotations
-
 import os
 import time
 

@@ -7,8 +7,6 @@ Two by default.  The campaign proper is ``make campaign``, or
 A quarter of that number of kills is of a table.
 """
 
-from __future__ import annotations
-
 import os
 import random
 import time

@@ -1,7 +1,5 @@
 """Stacks of grain layers: invariance under division into layers, and energy conservation."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

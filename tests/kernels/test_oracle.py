@@ -4,8 +4,6 @@ All of them trace at the same refractive indices, with one index node per wavele
 results do not depend on interpolation.
 """
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -4,8 +4,6 @@ A weighted ray is subject to Russian roulette once its weight is low at every wa
 serves, so that paths in opaque grains end early.  The estimate stays unbiased.
 """
 
-from __future__ import annotations
-
 import math
 
 from oracle.jit import kernel

@@ -1,7 +1,5 @@
 """Sums of products and roots in double precision."""
 
-from __future__ import annotations
-
 import math
 
 from oracle.jit import kernel

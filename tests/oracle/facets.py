@@ -6,8 +6,6 @@ facetness/2 and n·n' > 0, at a uniform azimuth.  Facets have equal area, so a r
 with probability proportional to its projected area |n'·d|, among those facing the ray.
 """
 
-from __future__ import annotations
-
 import math
 
 from oracle.arithmetic import fused, root

@@ -1,7 +1,5 @@
 """Vectors, directions, and local frames."""
 
-from __future__ import annotations
-
 from oracle.arithmetic import fused, reciprocal_root, root
 from oracle.jit import ONE, TWO, ZERO, kernel
 from oracle.rng import uniform, unit_circle

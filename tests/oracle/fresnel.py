@@ -10,8 +10,6 @@ inhomogeneous wave the neglect is below 1 % of diffuse light up to k1/n1 = 0.1; 
 a coating or a grain transmits hardly any light from inside.
 """
 
-from __future__ import annotations
-
 from oracle.arithmetic import fused, reciprocal_root, root
 from oracle.frames import normalized
 from oracle.jit import FOUR, HALF, ONE, TINY, ZERO, kernel

@@ -5,8 +5,6 @@ reflection or refraction is sampled with Fresnel's reflectance, and inside the g
 chords until it leaves or is absorbed.
 """
 
-from __future__ import annotations
-
 from oracle.absorption import attenuate_segment
 from oracle.facets import sample_facet
 from oracle.frames import mirror, normalized, sample_cosine_lobe

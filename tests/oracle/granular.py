@@ -5,8 +5,6 @@ type, size, shape, orientation and entry point are sampled; a grain that overlap
 previous segment is sampled again.  The slab is bounded by two horizontal planes.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

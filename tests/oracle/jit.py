@@ -1,7 +1,5 @@
 """How the oracle is compiled: in double precision, by Numba alone."""
 
-from __future__ import annotations
-
 from numba import njit
 
 kernel = njit(error_model="numpy", cache=False)

@@ -8,8 +8,6 @@ number of threads and any division of the rays into batches or jobs.  The genera
 The state of a stream is a ``uint64`` array of one element, advanced in place by each number.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

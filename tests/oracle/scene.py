@@ -4,8 +4,6 @@ These named tuples are the contract between media and kernels.  Materials are ro
 arrays: row 0 fills dry pores, row 1 wet pores; the following rows are cores and coatings.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -7,8 +7,6 @@ lengths are in units of c, and directions are those of real space: neither the c
 nor a rotation into its frame is needed.
 """
 
-from __future__ import annotations
-
 import math
 
 from oracle.arithmetic import fused, reciprocal_root, root

@@ -5,8 +5,6 @@ determine the weight of a ray at every wavelength (SPLITSnow Eqs 5-6, with the e
 probability of transmission).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from oracle.jit import kernel

@@ -6,8 +6,6 @@ prints the largest errors in single precision.  The compiled kernels trace polar
 precision only; as plain Python their functions keep the precision of their arguments.
 """
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

@@ -7,8 +7,6 @@ direct flux is that of a source in the directions of the beams only, and the act
 source on both sides with a radiance of 1/μ.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Scattering matrices of tests: a smooth one with all elements, and that of geometric optics."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from splits.media.particle_layer import ELEMENTS

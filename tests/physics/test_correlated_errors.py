@@ -1,11 +1,10 @@
-"""Stated errors of quantities that combine wavelengths, against the scatter of repeated runs."""
-
-from __future__ import annotations
+"""Stated errors of combined wavelengths, colours and rare light against repeated runs."""
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
-from chi2 import NEEDS_JIT, judge_p
+from chi2 import NEEDS_JIT, judge_p, judge_z
 from scipy.stats import chi2
 
 import splits
@@ -105,3 +104,134 @@ def test_errors_of_combined_wavelengths_agree_with_scatter():
     print("scatter over stated error with interpolation bound:", totals)
     assert all(0.85 < value < 1.15 for value in ratios.values()), ratios
     judge_p(p)
+
+
+WAVELENGTHS = np.arange(400.0, 781.0, 10.0)
+COLOUR_SEEDS = range(1, 41)
+SANDS = {
+    "default": {},
+    "hematite": {"iron_oxide": 0.04, "hematite_ratio": 1.0},
+    "wet goethite": {"iron_oxide": 0.02, "hematite_ratio": 0.0, "saturation": 1.0},
+}
+"""Sands chosen before any results were known: two to four refractive indices, unlike colours."""
+
+
+@pytest.mark.long
+@NEEDS_JIT
+@pytest.mark.slow
+def test_errors_of_colours_agree_with_scatter():
+    """A ratio from 40 seeds is uncertain by 11 %; nine ratios are tested together."""
+    freedom = len(COLOUR_SEEDS) - 1
+    ratios, p = {}, {}
+    for name, settings in SANDS.items():
+        sand = splits.Sand(**settings)
+        runs = [
+            splits.spectrophotometer(sand, WAVELENGTHS, max_stderr=0.005, seed=s)
+            for s in COLOUR_SEEDS
+        ]
+        table = pd.concat([make_colour_table(run) for run in runs])
+        for axis in "Lab":
+            variance_ratio = table[axis].var() / (table[f"{axis}_stderr"] ** 2).mean()
+            probability = chi2.cdf(freedom * variance_ratio, freedom)
+            label = f"{axis}* of {name}"
+            ratios[label], p[label] = (
+                np.sqrt(variance_ratio),
+                2.0 * min(probability, 1.0 - probability),
+            )
+    print("scatter over stated:", ", ".join(f"{k} {v:.2f}" for k, v in ratios.items()))
+    judge_p(p)
+
+
+RARE_SEEDS = range(1000, 1060)
+FINE = {"specific_surface_area_m2_kg": 20.0}
+COARSE_SNOW = {"specific_surface_area_m2_kg": 4.0}
+SPECTRA = {
+    "fine dry": (splits.Snow.natural(**FINE, depth_m=0.3), [1500.0, 1950.0], 53.0, 0.004),
+    "coarse dry": (splits.Snow.natural(**COARSE_SNOW, depth_m=0.3), [1500.0, 2500.0], 0.0, 0.004),
+    "wet": (
+        splits.Snow.natural(**FINE, depth_m=0.1, liquid_water_content=0.05),
+        [1500.0, 2000.0],
+        30.0,
+        0.004,
+    ),
+    "thin": (splits.Snow.natural(**FINE, depth_m=0.002), [2000.0, 2250.0], 53.0, 0.004),
+    "on soil": (splits.Snow.natural(**FINE, depth_m=0.005, ground=0.5), [1500.0], 0.0, 0.01),
+}
+PROFILES = {
+    "coarse dry": (
+        splits.Snow.natural(**COARSE_SNOW, depth_m=0.05),
+        2000.0,
+        [0.002, 0.005, 0.01],
+        0.0,
+    ),
+    "wet": (
+        splits.Snow.natural(
+            specific_surface_area_m2_kg=10.0, depth_m=0.03, liquid_water_content=0.05
+        ),
+        1500.0,
+        [0.001, 0.004, 0.01],
+        30.0,
+    ),
+    "thick": (splits.Snow.natural(**FINE, depth_m=0.05), 1300.0, [0.002, 0.01, 0.02, 0.03], 53.0),
+}
+
+
+def compare(run, solved, names):
+    """Return differences of the runs of all seeds from exact values, over their errors."""
+    z = []
+    for seed in RARE_SEEDS:
+        paths = run(seed)
+        parts = []
+        for name in names:
+            stderr = np.hypot(paths[f"{name}_stderr"], solved[f"{name}_stderr"])
+            parts.append(((paths[name] - solved[name]) / stderr.where(stderr > 0.0)).fillna(0.0))
+        z.append(np.concatenate([part.values.ravel() for part in parts]))
+    return np.array(z)
+
+
+@NEEDS_JIT
+@pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.parametrize("name", SPECTRA)
+def test_errors_of_spectra_cover_rare_light(name):
+    snow, wavelengths, incidence, error = SPECTRA[name]
+    for wavelength in wavelengths:
+        arguments = (snow, [wavelength], incidence)
+        z = compare(
+            lambda seed, arguments=arguments: splits.spectrophotometer(
+                *arguments, error, seed, solver="monte_carlo"
+            ),
+            splits.spectrophotometer(*arguments, 0.0003, solver="discrete_ordinates"),
+            ("reflectance", "transmittance", "absorptance"),
+        )
+        judge_z(z, f"{name}, {wavelength:g} nm", independent=len(RARE_SEEDS), bound_added=True)
+
+
+@NEEDS_JIT
+@pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.parametrize("name", PROFILES)
+def test_errors_of_profiles_cover_rare_light(name):
+    snow, wavelength, depths, incidence = PROFILES[name]
+    arguments = (snow, [wavelength], depths, incidence)
+    z = compare(
+        lambda seed: splits.irradiance_profile(*arguments, 0.01, seed, solver="monte_carlo"),
+        splits.irradiance_profile(*arguments, 0.0005, solver="discrete_ordinates"),
+        ("downward_irradiance", "upward_irradiance", "absorptance", "actinic_flux"),
+    )
+    judge_z(z, name, independent=len(RARE_SEEDS), bound_added=True)
+
+
+@NEEDS_JIT
+@pytest.mark.slow
+@pytest.mark.long
+def test_errors_of_angular_bins_cover_rare_light():
+    snow = splits.Snow.natural(**COARSE_SNOW, depth_m=0.3)
+
+    def run(rays, seed):
+        return splits.goniophotometer(
+            snow, [2000.0], 30.0, rays, seed, estimator="bins", n_bins=(3, 6)
+        )
+
+    z = compare(lambda seed: run(4000, seed), run(2_000_000, 1), ("brdf", "reflectance"))
+    judge_z(z, independent=len(RARE_SEEDS), bound_added=True)

@@ -1,7 +1,5 @@
 """Derivatives of spectra against finite differences of independent runs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, judge_z

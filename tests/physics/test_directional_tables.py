@@ -1,7 +1,5 @@
 """Tables with directions: energy, reciprocity, both solvers, errors of anisotropy factors."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

@@ -1,7 +1,5 @@
 """BRDFs and BTDFs against analytical results, discrete ordinates, and other estimators."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, judge_scatter, judge_z

@@ -1,7 +1,5 @@
 """Kept results of paths through single grains: damage, foreign files, several processes, size."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -11,7 +9,7 @@ import pytest
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.core.notices import warn_once
+from splits.core.progress import warn_once
 from splits.discrete_ordinates import grains
 from splits.discrete_ordinates.grains import MIN_RAYS, GrainTracing, load_grains
 

@@ -4,8 +4,6 @@ docs/theory/hard-cases.md lists them.  `tests/physics/test_hard_paths.py` tests 
 grains.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Extreme ray paths: ten million scatterings, rays along an axis or a tangent."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

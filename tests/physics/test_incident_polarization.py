@@ -1,7 +1,5 @@
 """Polarized incident light, and errors of the degree of polarization."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

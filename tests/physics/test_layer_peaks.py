@@ -1,7 +1,5 @@
 """Local estimation for phase functions with a narrow peak, against discrete ordinates."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -6,8 +6,6 @@ circularly polarized light.  With the azimuth φ of the scattering plane from th
 polarization, incident light has Q = cos2φ and U = −sin2φ in that plane.
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

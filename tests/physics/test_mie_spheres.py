@@ -1,7 +1,5 @@
 """Mie scattering by spheres against published matrices, and by large spheres against rays."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Reflection of natural snow: optical shape of grains, weak absorption, density, and BRDF."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -10,9 +8,8 @@ from chi2 import NEEDS_JIT, judge_z
 
 import splits
 from splits.analysis.directions import select_principal_plane
-from splits.analysis.theory.asymptotic import correct_dense_packing
-from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
 from splits.analysis.theory.grain_shape import compute_optical_shape
+from splits.analysis.theory.spectra import correct_dense_packing, solve_discrete_ordinates
 from splits.materials import ice_density
 from splits.media.snow import NATURAL_GRAIN_SHAPE
 

@@ -1,7 +1,5 @@
 """BRDFs and reflectance factors of natural snow by discrete ordinates against paths."""
 
-from __future__ import annotations
-
 import os
 
 import numpy as np

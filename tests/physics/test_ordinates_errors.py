@@ -1,7 +1,5 @@
 """Stated errors of discrete ordinates where they could be too small by chance or by a rule."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, judge_z

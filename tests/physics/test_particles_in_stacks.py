@@ -1,17 +1,14 @@
-"""Particle layers in stacks: single layers, subdivision, ground, analog estimator."""
-
-from __future__ import annotations
+"""Stacks: particle layers, sparse snow over a ground, subdivision, and limits."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from chi2 import judge_z
+from chi2 import NEEDS_JIT, judge_z
 from scattering_matrices import make_matrix
 
 import splits
-
-pytestmark = pytest.mark.long
+from splits.analysis.theory.spectra import solve_discrete_ordinates
 
 TABLE = {"cosine": [-1.0, 0.0, 0.5, 1.0], "density": [0.3, 0.1, 0.4, 2.0]}
 LAYERS = {
@@ -64,6 +61,7 @@ def subdivide(settings, n_sublayers):
     )  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", LAYERS)
 def test_layer_in_stack_equals_the_layer(name):
     """Stacks of 1, 2, 3 and 7 sublayers agree with the particle-layer kernel."""
@@ -77,6 +75,7 @@ def test_layer_in_stack_equals_the_layer(name):
     judge_z(np.concatenate(z), name, independent=3, bound_added=True)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("albedo", [0.95, 1.0])
 def test_subdivided_infinite_layer_equals_the_layer(albedo):
     layer = splits.ParticleLayer(
@@ -101,6 +100,7 @@ def test_subdivided_infinite_layer_equals_the_layer(albedo):
     judge_z(compute_z(*measured), albedo, independent=1, bound_added=True)
 
 
+@pytest.mark.long
 def test_brdf_of_subdivided_layer_equals_that_of_the_layer():
     view = {"polar_deg": [15.0, 45.0, 70.0], "azimuth_deg": [0.0, 90.0, 180.0], "rays": 200_000}
     layer = splits.ParticleLayer(**LAYERS["forward"], bottom_albedo=None)
@@ -115,6 +115,7 @@ def test_brdf_of_subdivided_layer_equals_that_of_the_layer():
     judge_z(np.concatenate(z), independent=3, bound_added=True)
 
 
+@pytest.mark.long
 def test_ground_reflections_follow_the_adding_series():
     layers = [TOP, SNOW, SAND]
     light = {"wavelengths": WAVELENGTHS}
@@ -131,6 +132,7 @@ def test_ground_reflections_follow_the_adding_series():
     judge_z(np.concatenate(z), independent=4, bound_added=True)
 
 
+@pytest.mark.long
 def test_energy_is_conserved_without_absorption():
     transparent = splits.Snow(
         depth_m=0.003, saturation=0.2, refractive_index={"ice": 1.31, "water": 1.33}
@@ -146,6 +148,7 @@ def test_energy_is_conserved_without_absorption():
         assert balance[2] == pytest.approx(0.0, abs=1e-12)
 
 
+@pytest.mark.long
 def test_spectral_and_analog_estimators_agree():
     stack = splits.Stack([TOP, SNOW], ground=0.3)
     light = {"wavelengths": WAVELENGTHS}
@@ -156,6 +159,7 @@ def test_spectral_and_analog_estimators_agree():
     judge_z(compute_z(one, other), independent=1, bound_added=True)
 
 
+@pytest.mark.long
 def test_matrix_of_pore_index_needs_no_interface():
     """Rays enter the snow below with and without an interface; rejected grains have no effect."""
     haze = {"optical_thickness": 0.7, "bottom_albedo": None, "depth_m": 0.005}
@@ -174,6 +178,7 @@ def test_matrix_of_pore_index_needs_no_interface():
     judge_z(np.concatenate(z), independent=2, bound_added=True)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("thickness", [0.0, 1e-6])
 def test_transparent_plate_on_wet_snow_conserves_energy(thickness):
     """Light enters the plate from wet pores at angles that dry pores and air reflect totally."""
@@ -189,6 +194,7 @@ def test_transparent_plate_on_wet_snow_conserves_energy(thickness):
     judge_z(compute_z(one, other), independent=1, bound_added=True)
 
 
+@pytest.mark.long
 def test_matrix_interfaces_ignore_boundary_fresnel_of_pores():
     """Dry snow has no interface of its own, so `boundary_fresnel` does not apply."""
     plate = splits.ParticleLayer(
@@ -201,6 +207,7 @@ def test_matrix_interfaces_ignore_boundary_fresnel_of_pores():
     judge_z(compute_z(*z), independent=1, bound_added=True)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -214,12 +221,14 @@ def test_invalid_settings_of_stacked_layers_are_rejected(settings, message):
         splits.Stack([splits.ParticleLayer(**settings), SNOW])
 
 
+@pytest.mark.long
 def test_infinite_particle_layer_hides_no_ground():
     infinite = splits.ParticleLayer(optical_thickness=np.inf, bottom_albedo=None)
     with pytest.raises(ValueError, match=r"ground = .* must be left out .*layers\[1\]"):
         splits.Stack([SNOW, infinite], ground=0.3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("polarized", [False, True])
 def test_next_event_estimates_of_subdivided_layers_agree(polarized):
     """Layers of one index in a stack, at depths of different extinction coefficients."""
@@ -243,6 +252,7 @@ def test_next_event_estimates_of_subdivided_layers_agree(polarized):
     judge_z(np.concatenate(z), "subdivided layers", independent=2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("polarized", [False, True])
 def test_next_event_estimates_of_stacks_agree_with_bins(polarized):
     """Layers of three indices: light is refracted and reflected at each interface."""
@@ -272,6 +282,7 @@ def test_next_event_estimates_of_stacks_agree_with_bins(polarized):
     judge_z(((bins.reflectance - local.reflectance) / error).values, "reflectance")
 
 
+@pytest.mark.long
 def test_polarized_subdivided_layers_agree_with_single_layers():
     settings = {"optical_thickness": 2.0, "phase_function": "rayleigh", "polarized": True,
                 "refractive_index": 1.5}  # fmt: skip
@@ -284,6 +295,7 @@ def test_polarized_subdivided_layers_agree_with_single_layers():
     judge_z((profile.upward_irradiance.values[0, 0] - reflectance) / error.values, independent=1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("layers", "ground", "message"),
     [
@@ -299,6 +311,7 @@ def test_unsupported_next_event_estimates_are_rejected(layers, ground, message):
         splits.goniophotometer(stack, 550.0, 30.0, estimator="next_event")
 
 
+@pytest.mark.long
 def test_next_event_estimates_at_grazing_directions_are_finite():
     layer = splits.ParticleLayer(0.5, 0.9, 0.3, 1.0, None)
     view = {"polar_deg": [89.999, 89.9999999], "azimuth_deg": [0.0], "rays": 2000}
@@ -306,6 +319,7 @@ def test_next_event_estimates_at_grazing_directions_are_finite():
     assert (grazing.brdf.values >= 0.0).all() and (grazing.brdf_stderr.values > 0.0).all()
 
 
+@pytest.mark.long
 def test_stokes_parameters_without_scores_have_errors():
     layer = splits.ParticleLayer(1e-9, bottom_albedo=None, polarized=True)
     view = {"polar_deg": [45.0], "azimuth_deg": [0.0, 120.0], "rays": 2000}
@@ -314,12 +328,14 @@ def test_stokes_parameters_without_scores_have_errors():
         np.testing.assert_allclose(ds[f"{name}_stderr"], 1.0 / (np.pi * ds.attrs["rays"]))
 
 
+@pytest.mark.long
 def test_layers_lost_in_rounding_are_rejected():
     layers = [replace(TOP, depth_m=1e5), replace(TOP, depth_m=1e-6)]
     with pytest.raises(ValueError, match=r"layers\[1\].depth_m = 1e-06: must be at least 1e-05 m"):
         splits.Stack(layers)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("others", [[SNOW], [TOP], [TOP, SNOW]])
 def test_polarization_requires_that_all_layers_are_polarized(others):
     polarized = replace(TOP, polarized=True)
@@ -329,6 +345,7 @@ def test_polarization_requires_that_all_layers_are_polarized(others):
         splits.Stack([*others, polarized])
 
 
+@pytest.mark.long
 def test_only_the_top_layer_may_be_rough():
     waves = {"rms_height_m": 1e-3, "wave_number_per_m": 1.0, "waves": 4, "correlation": "gaussian"}
     rough = splits.ParticleLayer(bottom_albedo=None, surface=waves)
@@ -337,6 +354,130 @@ def test_only_the_top_layer_may_be_rough():
         splits.Stack([TOP, rough])
 
 
+@pytest.mark.long
 def test_vectorized_kernel_rejects_particle_layers():
     with pytest.raises(ValueError, match="not for particle layers"):
         splits.spectrophotometer(splits.Stack([TOP, SNOW]), 500.0, kernel="vectorized")
+
+
+SPECTRUM = np.geomspace(500.0, 1800.0, 12)
+# One refractive index, hence one node without interpolation; absorption from weak to strong.
+ICE = {"wavelength_nm": [400.0, 2000.0], "n": [1.31, 1.31], "k": [1e-8, 3e-4]}
+FINE, MEDIUM, COARSE_GRAINS = (30.0, 60.0), (100.0, 300.0), (500.0, 1500.0)
+SMOOTH, ROUGH = (0.0, 0.0, 0.0, 0.0), (0.5, 0.9, 0.7, 0.1)
+SOIL = {"wavelength_nm": [400.0, 2000.0], "albedo": [0.05, 0.6]}
+SNOWPACKS = {
+    "two layers": ([(1.0, FINE, ROUGH), (3.0, COARSE_GRAINS, SMOOTH)], 0.3),
+    "coarse above fine": (
+        [(2.0, COARSE_GRAINS, ROUGH), (1.0, FINE, SMOOTH), (4.0, MEDIUM, ROUGH)],
+        SOIL,
+    ),
+    "thin over white": (
+        [(0.2, MEDIUM, SMOOTH), (0.3, FINE, ROUGH), (0.2, COARSE_GRAINS, ROUGH)],
+        1.0,
+    ),
+}
+
+
+def make_sparse_snow(thickness, size, facetness):
+    """Return dry snow of an optical thickness, with sparse grains of which none is rejected."""
+    common = {
+        "grain_size_um": size, "facetness": facetness, "saturation": 0.0, "density_kg_m3": 1e-3,
+        "interpretation": {
+            "overlap_with_previous_segment": "keep", "overlap_with_boundary": "keep",
+        },
+        "refractive_index": {"ice": ICE},
+    }  # fmt: skip
+    deep = splits.Snow(**common, depth_m=1e4)
+    return splits.Snow(**common, depth_m=thickness * deep.mean_grain_distance_m)
+
+
+@NEEDS_JIT
+@pytest.mark.long
+def test_snowpacks_agree_with_discrete_ordinates():
+    pytest.importorskip("PythonicDISORT")
+    z = []
+    for number, (layers, ground) in enumerate(SNOWPACKS.values()):
+        media = [make_sparse_snow(*layer) for layer in layers]
+        snowpack = splits.Stack(media, ground=ground)
+        optics = [
+            splits.single_scattering(medium, SPECTRUM, rays=400_000, seed=10 * number + i)
+            for i, medium in enumerate(media)
+        ]
+        for incidence in (20.0, 60.0):
+            expected = solve_discrete_ordinates(optics, incidence, ground=ground)
+            spectrum = splits.spectrophotometer(
+                snowpack, SPECTRUM, incidence, 0.001, 100 + 10 * number + round(incidence)
+            )
+            for name in ("reflectance", "absorptance"):
+                error = np.hypot(expected[f"{name}_stderr"], spectrum[f"{name}_stderr"])
+                z.append(((spectrum[name] - expected[name]) / error).values)
+    # The twelve wavelengths use the same paths.
+    judge_z(np.array(z), independent=len(SNOWPACKS) * 2, bound_added=True)
+
+
+TWO_WAVELENGTHS = [500.0, 1300.0]
+WET = {"saturation": 0.05, "depth_m": 0.01}
+COARSE_SNOW = {"grain_size_um": (800, 1000), "saturation": 0.05}
+TINY = {"grain_size_um": (10, 20), "saturation": 0.0, "depth_m": 0.0005}
+HUGE = {"grain_size_um": (1000, 2000), "saturation": 0.0, "depth_m": 0.02}
+
+
+def measure_snow(medium, incidence=30.0, seed=1, **settings):
+    ds = splits.spectrophotometer(medium, TWO_WAVELENGTHS, incidence, 0.004, seed, **settings)
+    names = ("reflectance", "transmittance", "absorptance")
+    values = np.stack([ds[name].values for name in names])
+    assert np.isfinite(values).all() and ds.reflectance.values.max() <= 1.0
+    return values, np.stack([ds[f"{name}_stderr"].values for name in names])
+
+
+def compute_scores(one, other):
+    """Return the differences of two measurements in units of their standard errors."""
+    return (one[0] - other[0]) / np.hypot(one[1], other[1])
+
+
+@pytest.mark.parametrize("kernel", ["vectorized", "scalar"])
+def test_vanishing_layer_has_no_effect(kernel):
+    film = splits.Snow(**{**TINY, "depth_m": 1e-8})
+    with_film = splits.Stack([splits.Snow(**WET), film, splits.Snow(**WET)])
+    without = splits.Snow(**{**WET, "depth_m": 0.02})
+    one, other = measure_snow(with_film, seed=1, kernel=kernel), measure_snow(without, seed=2)
+    judge_z(compute_scores(one, other), independent=1, bound_added=True)
+
+
+@pytest.mark.parametrize("kernel", ["vectorized", "scalar"])
+def test_grains_may_be_larger_than_sublayers(kernel):
+    sublayers = [
+        splits.Snow(**COARSE_SNOW, depth_m=depth) for depth in (1e-4, 2e-4, 3e-3, 5e-5, 1.65e-3)
+    ]
+    single_layer = splits.Snow(**COARSE_SNOW, depth_m=5e-3)
+    one = measure_snow(splits.Stack(sublayers), seed=3, kernel=kernel)
+    judge_z(
+        compute_scores(one, measure_snow(single_layer, seed=4)), independent=1, bound_added=True
+    )
+
+
+def test_fifty_equal_layers_equal_one_layer():
+    sublayers = [splits.Snow(saturation=0.05, depth_m=0.0004)] * 50
+    single_layer = splits.Snow(saturation=0.05, depth_m=0.02)
+    one, other = measure_snow(splits.Stack(sublayers), seed=5), measure_snow(single_layer, seed=6)
+    judge_z(compute_scores(one, other), independent=1, bound_added=True)
+
+
+@pytest.mark.parametrize("order", [(TINY, HUGE), (HUGE, TINY)])
+def test_kernels_agree_on_size_ratios_of_a_hundred(order):
+    stack = splits.Stack([splits.Snow(**settings) for settings in order], ground=0.5)
+    vector, scalar = (
+        measure_snow(stack, 50.0, seed, kernel=kernel)
+        for seed, kernel in ((7, "vectorized"), (8, "scalar"))
+    )
+    judge_z(compute_scores(vector, scalar), independent=1, bound_added=True)
+
+
+def test_kernels_agree_at_grazing_incidence():
+    stack = splits.Stack([splits.Snow(**TINY), splits.Snow(**WET)], ground=0.9)
+    vector, scalar = (
+        measure_snow(stack, 89.9, seed, kernel=kernel)
+        for seed, kernel in ((9, "vectorized"), (10, "scalar"))
+    )
+    judge_z(compute_scores(vector, scalar), independent=1, bound_added=True)

@@ -1,7 +1,5 @@
 """Polarization by grains: scattering matrices, dilute packs, energy."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

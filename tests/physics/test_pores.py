@@ -1,7 +1,5 @@
 """Pores of several media: exact results, renamed water, subdivision, energy, validation."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from chi2 import judge_z

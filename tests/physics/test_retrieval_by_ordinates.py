@@ -1,7 +1,5 @@
 """Retrieval by discrete ordinates from a medium, without a table."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

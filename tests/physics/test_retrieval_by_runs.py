@@ -1,7 +1,5 @@
 """Retrieval by simulations of a medium, without a table."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, judge_z

@@ -1,6 +1,4 @@
-"""Sand of known reflectance: as snow, without absorption, by both estimators; trends."""
-
-from __future__ import annotations
+"""Sand of known reflectance, trends, wet sand by interpretation, and colours of named sands."""
 
 from functools import cached_property
 
@@ -9,10 +7,9 @@ import pytest
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
+from splits.analysis.colour import make_colour_table
 from splits.media import grain_statistics
 from splits.media.sand_composition import IRON_OXIDES
-
-pytestmark = NEEDS_JIT
 
 WAVELENGTHS = np.linspace(400.0, 1000.0, 6)
 # At these wavelengths the absorption of ice ranges from negligible to almost complete.
@@ -94,6 +91,7 @@ def compute_z(one, other):
     return (concatenate_fluxes(one) - concatenate_fluxes(other)) / error
 
 
+@NEEDS_JIT
 def test_sand_of_ice_has_the_grain_population_of_snow():
     for settings in SAMPLES.values():
         snow, sand = make_snow_and_sand(ONE_TYPE, settings)
@@ -114,6 +112,7 @@ def test_sand_of_ice_has_the_grain_population_of_snow():
         )
 
 
+@NEEDS_JIT
 @pytest.mark.parametrize("types", [ONE_TYPE, EIGHT_TYPES], ids=["one type", "eight types"])
 def test_sand_of_ice_has_the_spectrum_of_snow(types):
     z = []
@@ -133,6 +132,7 @@ def test_sand_of_ice_has_the_spectrum_of_snow(types):
     assert np.abs(z).max() < 3.0
 
 
+@NEEDS_JIT
 def test_identical_types_may_be_split():
     """Mixed and coated grains of one index equal pure ones, for both estimators."""
     common = {"depth_m": 0.004, "saturation": 0.2}
@@ -153,6 +153,7 @@ def test_identical_types_may_be_split():
     judge_z(z, "identical types", independent=2)
 
 
+@NEEDS_JIT
 @pytest.mark.parametrize("estimator", ["spectral", "analog"])
 @pytest.mark.parametrize("saturation", [0.0, 0.4])
 def test_energy_is_conserved_without_absorption(estimator, saturation):
@@ -167,6 +168,7 @@ def test_energy_is_conserved_without_absorption(estimator, saturation):
     assert np.abs(ds.absorptance).max() < 1e-12
 
 
+@NEEDS_JIT
 def test_spectral_and_analog_estimators_agree():
     z = []
     for number, settings in enumerate((TEC_10039240, {**TEC_13J9823, "saturation": 0.3})):
@@ -195,6 +197,7 @@ def judge_darker(brighter, darker):
     assert z.min() > -2.0 and z.sum() / np.sqrt(z.size) > 10.0, z
 
 
+@NEEDS_JIT
 @pytest.mark.parametrize("ratio", [0.0, 1.0], ids=reversed(IRON_OXIDES))
 def test_iron_oxide_reduces_reflectance(ratio):
     """The trend is that of SPLITS section 5.2 and Fig 8."""
@@ -205,11 +208,13 @@ def test_iron_oxide_reduces_reflectance(ratio):
     judge_darker(little, more)
 
 
+@NEEDS_JIT
 def test_magnetite_reduces_reflectance():
     little, more = (simulate_reflectance(magnetite=m, seed=int(10 + 10 * m)) for m in (0.0, 0.3))
     judge_darker(little, more)
 
 
+@NEEDS_JIT
 def test_water_reduces_reflectance():
     """The trend is that of SPLITS section 2.1.2 and Fig 10."""
     dry, wet = (
@@ -218,6 +223,7 @@ def test_water_reduces_reflectance():
     judge_darker(dry, wet)
 
 
+@NEEDS_JIT
 def test_hematite_instead_of_goethite_reddens():
     """Reflectance shifts to the red end of the spectrum (SPLITS section 5.2)."""
     ends = [450.0, 700.0]
@@ -228,3 +234,109 @@ def test_hematite_instead_of_goethite_reddens():
     redder = np.log(hematite[0][1] / hematite[0][0] / (goethite[0][1] / goethite[0][0]))
     error = np.sqrt(sum(((end[1] / end[0]) ** 2).sum() for end in (goethite, hematite)))
     assert redder > 3.0 * error and redder > np.log(1.05)
+
+
+INTERPRETATIONS = ("whole_pores", "narrow_pores", "film")
+
+
+def measure(interpretation, seed, error=0.003, **settings):
+    """Return a spectrum of sand at three wavelengths."""
+    sand = splits.Sand(interpretation={"water": interpretation}, **settings)
+    return splits.spectrophotometer(sand, [600.0, 860.0, 1450.0], 40, error, seed)
+
+
+@NEEDS_JIT
+def test_weakly_absorbing_water_absorbs_equally_in_all_pores():
+    """Water of the index of air does not change segments, only their absorption."""
+    z = []
+    for number, saturation in enumerate((0.1, 0.5)):
+        pair = []
+        for i, interpretation in enumerate(INTERPRETATIONS[:2]):
+            wet = measure(
+                interpretation, 10 * number + i, 0.002, saturation=saturation, iron_oxide=0.0,
+                refractive_index={"water": 1.0 + 3e-5j},
+            )  # fmt: skip
+            dry = measure(
+                interpretation, 100 + 10 * number + i, 0.002, saturation=0.0, iron_oxide=0.0,
+                refractive_index={"water": 1.0 + 3e-5j},
+            )  # fmt: skip
+            # The test has power only if water absorbs a significant fraction.
+            assert float(wet.reflectance[1]) < float(dry.reflectance[1]) - 0.02
+            pair.append(wet.isel(wavelength=1))
+        error = np.hypot(*(float(one.reflectance_stderr) for one in pair))
+        z.append(float(pair[0].reflectance - pair[1].reflectance) / error)
+    judge_z(np.array(z), bound_added=True)
+
+
+@NEEDS_JIT
+@pytest.mark.parametrize("interpretation", INTERPRETATIONS)
+def test_energy_of_wet_sand_is_conserved(interpretation):
+    transparent = {"quartz": 1.54, "kaolinite": 1.56, "water": 1.33}
+    spectrum = measure(
+        interpretation,
+        5,
+        saturation=0.2,
+        iron_oxide=0.0,
+        depth_m=0.003,
+        refractive_index=transparent,
+    )
+    total = (spectrum.reflectance + spectrum.transmittance).values
+    np.testing.assert_allclose(total, 1.0, atol=1e-6)
+
+
+@NEEDS_JIT
+def test_first_water_reduces_reflectance_more_in_narrow_pores():
+    dry, *wet = (measure(r, 3, saturation=s) for r, s in
+                 [("whole_pores", 0.0), *((r, 0.1) for r in INTERPRETATIONS)])  # fmt: skip
+    whole, narrow, film = (one.reflectance.values / dry.reflectance.values for one in wet)
+    assert (narrow < whole - 0.05).all()
+    # A film transmits light except for its weak absorption.
+    assert (film[:2] > whole[:2]).all()
+
+
+@NEEDS_JIT
+def test_film_of_air_has_no_effect():
+    """A coating with the index of its surroundings does not change the reflectance."""
+    air = {"water": 1.0}
+    pair = [
+        measure(interpretation, seed, saturation=0.2, refractive_index=air).isel(wavelength=1)
+        for seed, interpretation in enumerate(("film", "whole_pores"))
+    ]
+    error = np.hypot(*(float(one.reflectance_stderr) for one in pair))
+    judge_z(np.array([float(pair[0].reflectance - pair[1].reflectance) / error]))
+
+
+VISIBLE = np.arange(400.0, 781.0, 10.0)
+
+
+def compute_colour(name, **keywords):
+    """Return L*, chroma and hue angle (°) of a named sand."""
+    sand = splits.load_medium(name, **keywords)
+    dataset = splits.spectrophotometer(sand, VISIBLE, max_stderr=0.005)
+    colour = make_colour_table(dataset).iloc[0]
+    assert colour.L_stderr < 1.0 and max(colour.a_stderr, colour.b_stderr) < 1.5
+    return colour.L, np.hypot(colour.a, colour.b), np.degrees(np.arctan2(colour.b, colour.a))
+
+
+@NEEDS_JIT
+@pytest.mark.parametrize(
+    ("name", "lightness", "chroma", "hue_deg"),
+    [
+        ("white_quartz", (90, 98), (0, 10), (60, 100)),
+        ("yellow_dune", (65, 80), (15, 30), (70, 90)),
+        ("red_dune", (45, 60), (25, 45), (45, 65)),
+        ("black_magnetite", (20, 40), (0, 4), (-180, 180)),
+    ],
+)
+def test_named_sands_have_the_colours_of_their_names(name, lightness, chroma, hue_deg):
+    limits = (lightness, chroma, hue_deg)
+    for value, (low, high) in zip(compute_colour(name), limits, strict=True):
+        assert low <= value <= high
+
+
+@NEEDS_JIT
+def test_the_wet_beach_is_darker_and_browner_than_the_dry_one():
+    wet, dry = compute_colour("wet_beach"), compute_colour("wet_beach", saturation=0)
+    assert wet[0] < dry[0] - 8.0
+    # Brown is a dark orange: the chroma relative to the lightness increases.
+    assert wet[1] / wet[0] > 1.2 * dry[1] / dry[0]

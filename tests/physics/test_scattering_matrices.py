@@ -1,7 +1,5 @@
 """Layers of particles with scattering matrices against published polarized benchmarks."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Truncated deep media: agreement with complete media, and limits of the diffusion substrate."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bands of a sensor in tables, retrievals and maps: one size of grains by every way."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

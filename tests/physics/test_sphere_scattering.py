@@ -1,6 +1,4 @@
-"""Scattering by single grains: smooth spheres against geometric optics in closed form."""
-
-from __future__ import annotations
+"""Fresnel and Snell equations, and scattering by smooth spheres in closed form."""
 
 import math
 
@@ -16,9 +14,8 @@ from spheroids import compute_normal, evaluate_quadratic, to_real_space
 import splits
 from splits.kernels.arithmetic import Vector, dot
 from splits.kernels.grains.spheroid import GrainSize
+from splits.kernels.interface import FresnelResult, fresnel, fresnel_between, refract
 from splits.kernels.scene import ALIVE
-
-pytestmark = NEEDS_JIT
 
 RADIUS = 2.5e-4
 COUNT = 400_000
@@ -60,7 +57,7 @@ def sample_scattering(
     return out[:, 0], out[:, 1], alive
 
 
-def fresnel(i, n):
+def fresnel_of_angle(i, n):
     """Return the unpolarized reflectance and the angle of refraction, from the angles."""
     t = math.asin(math.sin(i) / n)
     s = (math.sin(i - t) / math.sin(i + t)) ** 2
@@ -82,24 +79,25 @@ def mean_cosine(i, n):
 
     Order q is deviated by 2(i − t) + q(π − 2t), with fraction (1 − r)² r^q: a geometric series.
     """
-    r, t = fresnel(i, n)
+    r, t = fresnel_of_angle(i, n)
     series = np.exp(2j * (i - t)) / (1.0 - r * np.exp(1j * (math.pi - 2.0 * t)))
     return -r * math.cos(2.0 * i) + (1.0 - r) ** 2 * series.real
 
 
 def mean_escape(i, n, depth):
     """Return the fraction that is not absorbed in a sphere of optical thickness `depth`."""
-    r, t = fresnel(i, n)
+    r, t = fresnel_of_angle(i, n)
     transmission = math.exp(-depth * math.cos(t))
     return r + (1.0 - r) ** 2 * transmission / (1.0 - r * transmission)
 
 
 def mean_path(i, n):
     """Return the path inside per diameter: 1 − r enters, for 1/(1 − r) segments of cos t each."""
-    _, t = fresnel(i, n)
+    _, t = fresnel_of_angle(i, n)
     return math.cos(t)
 
 
+@NEEDS_JIT
 @pytest.mark.long
 @pytest.mark.parametrize("entry", ["projected", "uniform"])
 def test_mean_cosine_and_path_of_a_smooth_sphere(entry):
@@ -118,6 +116,7 @@ def test_mean_cosine_and_path_of_a_smooth_sphere(entry):
     assert np.abs(z).max() < 3.0
 
 
+@NEEDS_JIT
 def test_asymmetry_of_an_ice_sphere():
     expected = integrate_impacts(lambda i: mean_cosine(i, 1.31), projected_density)
     assert abs(expected - 0.78) < 0.005
@@ -125,6 +124,7 @@ def test_asymmetry_of_an_ice_sphere():
     judge_z([(cosine.mean() - expected) / (cosine.std() / math.sqrt(COUNT))], "asymmetry")
 
 
+@NEEDS_JIT
 def test_absorption_in_a_smooth_sphere():
     # Weighted and analog absorption against the sum over internal orders.
     z = []
@@ -143,6 +143,7 @@ def test_absorption_in_a_smooth_sphere():
     judge_z(z, "absorbing sphere")
 
 
+@NEEDS_JIT
 def test_matched_grain_does_not_deviate_rays():
     for psi, facetness in ((1.0, 0.0), (0.5, 0.0), (0.7, 1.0)):
         for entry in ("uniform", "projected"):
@@ -151,6 +152,148 @@ def test_matched_grain_does_not_deviate_rays():
             assert path.min() > 0.0
 
 
+@NEEDS_JIT
 def test_roughness_reduces_forward_scattering():
     means = [sample_scattering(1.31, 0.8, f)[0].mean() for f in (0.0, 0.3, 1.0)]
     assert means[0] > means[1] + 0.01 > means[2] + 0.02
+
+
+COSINES = np.concatenate([np.linspace(0.01, 1.0, 41), [1e-6, 1e-3, 0.999999]])
+INDICES = [
+    (1.0, 1.31, 0.0),
+    (1.0, 1.33, 1e-9),
+    (1.0, 1.2, 0.4),
+    (1.0, 0.3, 3.0),
+    (1.0, 3.0, 3.0),
+    (1.31, 1.0, 0.0),
+    (1.31, 1.0, 1e-7),
+    (1.33, 1.31, 0.02),
+    (1.5, 0.9, 1.0),
+    (1.31, 1.31, 0.1),
+]
+
+
+def compute_polarized_reflectance(n1, n2, k2, cos_i):
+    """Return the reflectances for s and p polarization from complex Fresnel amplitudes."""
+    m = complex(n2, k2) / n1
+    # The wave of the root with positive imaginary part decays into the far medium.
+    q = np.sqrt(m * m - (1.0 - cos_i * cos_i) + 0j)
+    r_s = (cos_i - q) / (cos_i + q)
+    r_p = (m * m * cos_i - q) / (m * m * cos_i + q)
+    return abs(r_s) ** 2, abs(r_p) ** 2, q
+
+
+@pytest.mark.parametrize("indices", INDICES, ids=str)
+def test_reflectance_and_direction_agree_with_complex_amplitudes(indices):
+    for cos_i in COSINES:
+        s, p, q = compute_polarized_reflectance(*indices, cos_i)
+        reflectance, ratio, cos_t = fresnel(*indices, cos_i)
+        assert reflectance == pytest.approx(0.5 * (s + p), rel=1e-9, abs=1e-14)
+        if s > 1.0 - 1e-15:
+            assert (ratio, cos_t) == (0.0, 0.0)
+            continue
+        # Planes of constant phase have the tangential wave number sinθ and the normal Re q.
+        wave = math.hypot(math.sqrt(1.0 - cos_i * cos_i), q.real)
+        assert ratio == pytest.approx(1.0 / wave, rel=1e-9)
+        assert cos_t == pytest.approx(q.real / wave, rel=1e-7, abs=1e-12)
+
+
+@pytest.mark.parametrize("indices", INDICES, ids=str)
+def test_reflectance_is_a_probability(indices):
+    values = [fresnel(*indices, c)[0] for c in COSINES]
+    assert min(values) >= 0.0 and max(values) <= 1.0
+
+
+@pytest.mark.parametrize("n2", [1.31, 1.33, 2.4])
+def test_p_reflectance_is_zero_at_brewster_angle(n2):
+    cos_b = 1.0 / math.sqrt(1.0 + n2 * n2)
+    s, p, _ = compute_polarized_reflectance(1.0, n2, 0.0, cos_b)
+    assert p < 1e-30
+    # Only s polarization is reflected, by ((n² − 1)/(n² + 1))².
+    assert fresnel(1.0, n2, 0.0, cos_b)[0] == pytest.approx(0.5 * s, rel=1e-12)
+    assert s == pytest.approx(((n2 * n2 - 1) / (n2 * n2 + 1)) ** 2, rel=1e-12)
+
+
+@pytest.mark.parametrize(("n2", "k2"), [(1.31, 0.0), (1.2, 0.4), (0.3, 3.0)])
+def test_reflectance_at_normal_incidence(n2, k2):
+    expected = ((n2 - 1) ** 2 + k2**2) / ((n2 + 1) ** 2 + k2**2)
+    reflectance, _, cos_t = fresnel(1.0, n2, k2, 1.0)
+    assert reflectance == pytest.approx(expected, rel=1e-13)
+    assert cos_t == pytest.approx(1.0, rel=1e-15)
+
+
+def test_grazing_incidence_reflects_everything():
+    for indices in INDICES[:-1]:
+        assert fresnel(*indices, 1e-9)[0] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_total_internal_reflection_below_critical_cosine():
+    n1 = 1.31
+    critical = math.sqrt(1.0 - 1.0 / n1**2)
+    for cos_i in np.linspace(1e-6, critical * (1.0 - 1e-9), 20):
+        assert fresnel(n1, 1.0, 0.0, cos_i) == (1.0, 0.0, 0.0)
+    assert fresnel(n1, 1.0, 0.0, critical * (1.0 + 1e-6))[0] < 1.0
+
+
+def test_absorbing_far_medium_frustrates_total_reflection():
+    assert fresnel(1.31, 1.0, 1e-3, 0.3)[0] < 1.0
+
+
+@pytest.mark.parametrize("n", [1.0, 1.31, 2.4])
+def test_equal_media_do_not_reflect(n):
+    d = Vector(0.48, -0.64, -0.6)
+    for cos_i in COSINES:
+        assert fresnel(n, n, 0.0, cos_i) == (0.0, 1.0, cos_i)
+    straight = refract(d, Vector(0.0, 0.0, 1.0), 0.6, FresnelResult(0.0, 1.0, 0.6))
+    assert straight == pytest.approx(d, abs=1e-15)
+
+
+@pytest.mark.parametrize(("n1", "n2"), [(1.0, 1.31), (1.31, 1.33), (1.0, 2.4)])
+def test_refraction_is_reversible(n1, n2):
+    for cos_i in COSINES[COSINES > 0.005]:
+        forward, ratio, cos_t = fresnel(n1, n2, 0.0, cos_i)
+        reverse, back_ratio, cos_back = fresnel(n2, n1, 0.0, cos_t)
+        # 1 − R is compared, since R is close to 1 near grazing incidence.
+        assert 1.0 - reverse == pytest.approx(1.0 - forward, rel=1e-8)
+        assert cos_back == pytest.approx(cos_i, rel=1e-9)
+        assert ratio * back_ratio == pytest.approx(1.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("indices", INDICES, ids=str)
+def test_refracted_direction_obeys_snell(indices):
+    n1 = indices[0]
+    rng = np.random.default_rng(5)
+    for _ in range(200):
+        n, d = rng.normal(size=(2, 3))
+        n /= np.linalg.norm(n)
+        d /= np.linalg.norm(d)
+        d = -d if d @ n > 0.0 else d
+        cos_i = float(-d @ n)
+        result = fresnel(*indices, cos_i)
+        if result.reflectance == 1.0:
+            continue
+        t = np.array(refract(Vector(*d), Vector(*n), cos_i, result))
+        _, _, q = compute_polarized_reflectance(*indices, cos_i)
+        real_index = n1 * math.sqrt(1.0 - cos_i**2 + q.real**2)
+        assert abs(t @ t - 1.0) < 1e-12
+        assert t @ n <= 0.0
+        # Tangential wave vectors on both sides are equal.
+        assert np.abs(n1 * np.cross(d, n) - real_index * np.cross(t, n)).max() < 1e-9
+        if indices[2] == 0.0:
+            assert real_index == pytest.approx(indices[1], rel=1e-12)
+
+
+@pytest.mark.parametrize("n1", [1.56, 2.3, 2.6])
+@pytest.mark.parametrize("far", [(1.0, 0.0), (1.33, 1e-8), (1.55, 0.0), (1.56, 0.01)], ids=str)
+def test_diffuse_transmittance_is_limited_by_etendue(n1, far):
+    # By étendue, diffuse transmittance cannot exceed n2²/n1².
+    cosines = (np.arange(4000) + 0.5) / 4000
+    transmittances = [1.0 - fresnel(n1, *far, c)[0] for c in cosines]
+    transmittance = 2.0 * cosines @ transmittances / len(cosines)
+    assert transmittance <= min(1.0, (far[0] / n1) ** 2) + 1e-3
+
+
+def test_equal_absorbing_media_do_not_reflect():
+    for k in (0.0, 1e-3, 0.3):
+        assert fresnel_between(1.56, k, 1.56, k, 0.3) == (0.0, 1.0, 0.3)
+    assert fresnel_between(1.31, 1e-3, 1.0, 0.0, 0.9) == fresnel(1.31, 1.0, 0.0, 0.9)

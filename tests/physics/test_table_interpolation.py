@@ -1,7 +1,5 @@
 """Stated errors of interpolated tables against solutions at random points between their nodes."""
 
-from __future__ import annotations
-
 import itertools
 import warnings
 

@@ -1,7 +1,5 @@
 """Lookup tables: detection of axes that share paths, unbiased path reuse, restart of a build."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

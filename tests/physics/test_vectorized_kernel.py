@@ -1,7 +1,5 @@
 """The vectorized kernel against the scalar one, and reproducibility across lanes and jobs."""
 
-from __future__ import annotations
-
 import random
 import time
 

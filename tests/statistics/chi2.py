@@ -6,8 +6,6 @@ z is outside the two-sided 99 % interval of χ²: stated errors may be neither t
 large.  tests/statistics/test_significance.py measures the power of these tests.
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import numba

@@ -4,8 +4,6 @@ Functions work in double precision like the scalar kernel, and those whose names
 in single precision, with the random numbers of a lane of the vectorized kernel.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scenes, optics and rays of tests in the form that the kernels take."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

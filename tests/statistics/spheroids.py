@@ -3,8 +3,6 @@
 It is independent of `kernels/grains/spheroid.py`; all functions take arrays of vectors.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 

@@ -1,7 +1,5 @@
 """Random decisions of the kernels: free paths, reflection, pore medium, source direction."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,11 +1,9 @@
 """Stated errors of a BRDF lobe whose expansion is truncated by noise, against exact values."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from splits.core.error_target import ErrorTarget
+from splits.core.uncertainty import ErrorTarget
 from splits.instruments.angular_estimate import (
     N_ANGULAR_BATCHES,
     estimate_row,

@@ -1,7 +1,5 @@
 """Phase functions, their samplers, and azimuths of scattered polarized light."""
 
-from __future__ import annotations
-
 import math
 
 import mpmath as mp

@@ -1,7 +1,5 @@
 """Rejection rates of `judge_z` and `judge_scatter` for correct, too small and too large errors."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 

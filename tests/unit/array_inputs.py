@@ -1,7 +1,5 @@
 """Public functions that take arrays of numbers, each as a function of one of its arrays."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple
 

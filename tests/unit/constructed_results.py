@@ -1,7 +1,5 @@
 """Datasets constructed from formulas, in the format of the results of the package."""
 
-from __future__ import annotations
-
 import numpy as np
 import xarray as xr
 

@@ -1,7 +1,5 @@
 """Tables of directions with analytic, reciprocal reflectance factors that peak forward."""
 
-from __future__ import annotations
-
 import numpy as np
 import xarray as xr
 

@@ -1,7 +1,5 @@
 """Jobs of an experiment file, which reject what its media, instruments and figures cannot use."""
 
-from __future__ import annotations
-
 from splits.analysis.measured import read_spectra
 from splits.experiments import load_experiment
 from splits.experiments.config.load import locate_errors

@@ -1,7 +1,5 @@
 """Lookup tables computed from analytic spectra, so that their values are known exactly."""
 
-from __future__ import annotations
-
 import numpy as np
 import xarray as xr
 

@@ -1,7 +1,5 @@
 """Random polarized light and its coherency tensor, for tests of Stokes vectors."""
 
-from __future__ import annotations
-
 import numpy as np
 from chi2 import scale_sample_size
 

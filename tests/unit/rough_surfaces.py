@@ -1,7 +1,5 @@
 """Rough surfaces used by several tests, and their heights in plain NumPy."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from splits.kernels.rough_surface.realization import (

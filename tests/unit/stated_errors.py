@@ -1,7 +1,5 @@
 """Variables with standard errors, and their ancillary_variables (CF conventions, 3.4)."""
 
-from __future__ import annotations
-
 import xarray as xr
 
 

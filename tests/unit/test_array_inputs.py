@@ -1,7 +1,5 @@
 """Array arguments of all public functions: gaps, labels, and types other than doubles."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """The documentation site: completeness, size, and self-contained pages."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys

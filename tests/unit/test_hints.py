@@ -1,7 +1,5 @@
 """Hints in messages about inputs of frequent kinds of mistakes, in all public functions."""
 
-from __future__ import annotations
-
 import inspect
 import math
 

@@ -1,7 +1,5 @@
 """Imports at start-up, which delay every job of the workflow."""
 
-from __future__ import annotations
-
 import ast
 from importlib import import_module
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Results of all public functions are saved, and loaded to the same values."""
 
-from __future__ import annotations
-
 import dask.array
 import numpy as np
 import pandas as pd

@@ -1,7 +1,5 @@
 """Labels of inputs of all public functions: any order, none that are foreign, all directions."""
 
-from __future__ import annotations
-
 import inspect
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Package layers: downward imports, no circular imports, and unique names."""
 
-from __future__ import annotations
-
 import ast
 from collections import defaultdict
 from graphlib import CycleError, TopologicalSorter

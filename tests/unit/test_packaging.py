@@ -1,7 +1,5 @@
 """Consistency of dependency lists, versions and settings."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Time against error: scaling, figures of merit, deviations, figure and cached reference."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from dataclasses import replace

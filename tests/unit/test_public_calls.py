@@ -1,8 +1,7 @@
-"""Public callables: complete signatures, and errors raised at the line of the call."""
-
-from __future__ import annotations
+"""Public callables: signatures, types of arguments, parameters given twice, lines of errors."""
 
 import inspect
+import itertools
 import re
 import subprocess
 import sys
@@ -10,10 +9,19 @@ import traceback
 from inspect import Parameter
 from pathlib import Path
 
+import numpy as np
 import pytest
 import xarray as xr
+from array_inputs import FIXED, SIZE, SOOT, TABLE
+from formula_tables import W, evaluate_spectrum, make_table
 
 import splits
+from splits.core.keywords import reject_unknown_keywords
+from splits.core.validation import InvalidValue, check_integer, check_number, short_repr
+from splits.experiments.config.experiment import ExperimentConfig
+from splits.retrieval.medium_model import check_measurement_incidence, make_medium_state_vector
+from splits.simulation.run_options import check_beam_angle, check_incidence, check_wavelengths
+from splits.tables.conversions import convert_to_isofit
 
 ROOT = Path(__file__).parents[2]
 TAKES_OTHER_KEYWORDS = {f"Table.{name}" for name in (
@@ -129,3 +137,211 @@ def test_errors_are_raised_at_the_calling_line(name):
     assert {Path(frame.filename).name for frame in inner} == {"keywords.py"}
     assert len(inner) == 1
     assert error.value.__cause__ is None and error.value.__suppress_context__
+
+
+@pytest.mark.parametrize("value", [30, 30.0, np.float32(30), np.array(30.0), xr.DataArray(30.0)])
+def test_all_scalar_types_are_accepted(value):
+    assert check_incidence(value) == check_beam_angle(value) == 30.0
+    assert check_wavelengths(500.0 + 0 * value).tolist() == [500.0]
+    assert splits.Snow(density_kg_m3=value * 10).density_kg_m3 == 300.0
+    if not isinstance(value, float | np.float32) and np.asarray(value).dtype.kind == "i":
+        assert check_integer("rays", value, 1) == 30
+
+
+@pytest.mark.parametrize("value", [3, np.int64(3), np.array(3)])
+def test_all_integer_types_are_accepted(value):
+    assert check_integer("rays", value, 1) == 3
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("500", "wavelength_nm = '500': must be numbers in nanometres (write 500, "),
+        (["500"], "wavelength_nm = '500': must be numbers in nanometres (write 500"),
+        (np.array(["500"]), "wavelength_nm = '500': must be numbers in nanometres (write 500"),
+        ([None], "wavelength_nm = None: must be numbers in nanometres"),
+        (None, "wavelength_nm = None: must be numbers in nanometres"),
+        (0.5, "wavelength_nm = 0.5: must be in [200, 100000] nm (in micrometres? write 500)"),
+        ([0.4, 0.5], "wavelength_nm = 0.4: must be in [200, 100000] nm (in micrometres? "),
+        (150, "wavelength_nm = 150.0: must be in [200, 100000] nm"),
+        ([], "wavelength_nm = []: must be numbers in nanometres, at least one"),
+        ([500, np.nan], "wavelength_nm = nan: must be numbers in nanometres"),
+        ([10**400], "wavelength_nm = 1000"),
+        ([[400, 500]], "wavelength_nm = [[400, 500]]: must be one row of numbers in nanometres"),
+        ({"start": 400}, "wavelength_nm = {'start': 400}: must be numbers in nanometres"),
+        (itertools.count(300), "must be at most 20000 numbers"),
+    ],
+)  # fmt: skip
+def test_invalid_wavelengths_are_explained(value, message):
+    with pytest.raises(ValueError) as error:
+        check_wavelengths(value)
+    assert str(error.value).startswith(message) or str(error.value).endswith(message)
+
+
+def test_unsorted_wavelengths_are_reported_by_the_first_pair():
+    values = [*range(400, 2500, 2), 2400]
+    with pytest.raises(ValueError) as error:
+        check_wavelengths(values)
+    assert str(error.value) == (
+        "wavelength_nm = [2498.0, 2400.0]: must be strictly increasing (numbers 1050 and 1051 of "
+        "1051)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("value", "hint"),
+    [
+        ([0, 30], "one call for each angle, or an experiment with a grid"),
+        (np.array([0.0, 30.0]), "one call for each angle, or an experiment with a grid"),
+        ("30", "write 30, without quotes"),
+        ("difuse", "did you mean diffuse?"),
+    ],
+)
+def test_invalid_angles_get_a_hint(value, hint):
+    for call in (
+        lambda: splits.spectrophotometer(splits.Snow(), [500], value),
+        lambda: splits.goniophotometer(splits.Snow(), [500], value),
+    ):
+        with pytest.raises(ValueError, match=r"^incidence_deg = ") as error:
+            call()
+        assert str(error.value).endswith(f"({hint})")
+
+
+@pytest.mark.parametrize(
+    ("medium", "keyword", "message"),
+    [
+        (splits.Snow, "grain_size", "(did you mean grain_size_um?)"),
+        (splits.Snow, "ssa", "must be one of grain_size_um, facetness, sphericity, saturation"),
+        (splits.Sand, "irn_oxide", "(did you mean iron_oxide?)"),
+        (splits.ParticleLayer, "optical_depth", "must be one of optical_thickness"),
+        (splits.Interpretation, "entri", "(did you mean entry_point?)"),
+        (splits.SandInterpretation, "mixin", "(did you mean mixing?)"),
+    ],
+)
+def test_unknown_keywords_are_reported_with_valid_ones(medium, keyword, message):
+    with pytest.raises(TypeError, match=f"^{keyword}: unknown key") as error:
+        medium(**{keyword: 1})
+    assert message in str(error.value)
+
+
+def test_media_keep_their_signatures():
+    import inspect
+
+    assert list(inspect.signature(splits.Snow).parameters)[:2] == ["grain_size_um", "facetness"]
+    assert reject_unknown_keywords.__doc__
+
+
+def test_values_in_messages_are_short_and_one_line():
+    assert short_repr(list(range(10_000))) == "[0, 1, 2, 3, 4, 5, 6, 7, ...]"
+    assert short_repr({"b": 1, "a": 2}) == "{'b': 1, 'a': 2}"
+    assert short_repr(np.float64(1.5)) == "1.5"
+    assert len(short_repr("x" * 10_000)) < 100
+    assert "\n" not in short_repr(np.zeros((50, 50)))
+    with pytest.raises(ValueError, match=r"^x = 1000") as error:
+        check_number("x", 10**400)
+    assert len(str(error.value)) < 200
+
+
+def test_too_many_wavelengths_for_memory_are_rejected():
+    wavelengths = np.arange(300.0, 10_300.0)
+    with pytest.raises(ValueError, match=r"^wavelength_nm = '10000 wavelengths': must be at most"):
+        splits.goniophotometer(splits.Snow(), wavelengths[:10_000])
+
+
+def test_too_many_independent_wavelengths_are_rejected():
+    wavelengths = np.arange(400.0, 2500.0, 0.5)
+    with pytest.raises(ValueError, match=r"^wavelength_nm = '4200 wavelengths': must be at most"):
+        splits.spectrophotometer(splits.Snow(), wavelengths, max_stderr=1e-6, max_rays=1)
+
+
+@pytest.mark.parametrize(
+    ("instrument", "misspelt", "suggestion"),
+    [
+        (splits.spectrophotometer, "incidence", "incidence_deg"),
+        (splits.goniophotometer, "relative_error", "relative_stderr"),
+        (splits.irradiance_profile, "depths_m", "depth_m"),
+        (splits.single_scattering, "ray", "rays"),
+        (splits.albedo, "band", "bands"),
+    ],
+)
+def test_misspelt_arguments_of_instruments_get_a_suggestion(instrument, misspelt, suggestion):
+    with pytest.raises(TypeError, match=rf"^{misspelt}: unknown key.*did you mean {suggestion}\?"):
+        instrument(splits.Snow(), [500.0], **{misspelt: 1})
+    assert suggestion in inspect.signature(instrument).parameters
+
+
+BOTH_SPELLINGS = {"sza": 30.0, "incidence_deg": 50.0}
+POINT = {SIZE: 100.0, SOOT: 64.0}
+MEASURED = (W, evaluate_spectrum(200.0, 64.0))
+NATURAL_SNOW = splits.Snow.natural(specific_surface_area_m2_kg=20)
+ANGLE_TABLE = make_table(
+    lambda size, angle, _: evaluate_spectrum(size, 0.0),
+    {SIZE: [50.0, 100.0], "incidence_deg": [0.0, 60.0], "depth_m": [1.0, 2.0]},
+).dataset
+
+GIVEN_TWICE = {
+    "interp": lambda: TABLE.interp(**POINT, **BOTH_SPELLINGS),
+    "derivatives": lambda: TABLE.derivatives([SIZE], **POINT, **BOTH_SPELLINGS),
+    "interpolation_errors": lambda: TABLE.interpolation_errors("reflectance", **POINT,
+                                                               **BOTH_SPELLINGS),
+    "retrieve": lambda: splits.retrieve(MEASURED, TABLE, [SIZE], 0.1,
+                                        fixed={SOOT: 64.0} | BOTH_SPELLINGS),
+    "fixed of a medium": lambda: check_measurement_incidence(BOTH_SPELLINGS, {}),
+    "table": lambda: splits.build_table(
+        splits.Snow.natural, {SIZE: [100, 200], "incidence_deg": [0, 60]}, [500], 30.0
+    ),
+    "experiment": lambda: ExperimentConfig(
+        name="made", medium={"kind": "snow"}, grid={"incidence_deg": [0, 60]},
+        instrument={"wavelength_nm": [500], "incidence_deg": 30},
+    ),
+    "Snow": lambda: splits.Snow(saturation=0.1, liquid_water_content=0.1),
+    "Snow.natural": lambda: splits.Snow.natural(
+        specific_surface_area_m2_kg=20, optical_radius_um=100
+    ),
+    "free": lambda: make_medium_state_vector(
+        NATURAL_SNOW, {SIZE: (50, 500), "specific_surface_area_m2_kg": (5, 50)}, None, 0.0
+    ),
+    "free of a layer": lambda: make_medium_state_vector(
+        splits.Stack([NATURAL_SNOW]),
+        {"layers.0.saturation": (0, 0.2), "layers.0.liquid_water_content": (0, 0.1)}, None, 0.0,
+    ),
+}  # fmt: skip
+IGNORED_ALIASES = {
+    "interpolation_errors": lambda: TABLE.interpolation_errors("reflectance", **POINT, szaa=3),
+    "isofit": lambda: convert_to_isofit(ANGLE_TABLE, depth=1.0),
+    "isofit free": lambda: convert_to_isofit(ANGLE_TABLE, depth_m=1.0, incidence_deg=30.0),
+}
+
+
+@pytest.mark.parametrize("name", GIVEN_TWICE)
+def test_parameters_given_twice_are_rejected(name):
+    with pytest.raises(ValueError, match=r"left out(, because| where)"):
+        GIVEN_TWICE[name]()
+
+
+@pytest.mark.parametrize("name", IGNORED_ALIASES)
+def test_keywords_without_effect_are_rejected(name):
+    with pytest.raises(InvalidValue, match=r"unknown key|left out, as it is free"):
+        IGNORED_ALIASES[name]()
+
+
+def test_aliases_are_accepted_for_all_axes():
+    full_name, alias = {"incidence_deg": 30.0}, {"sza": 30.0}
+    for evaluate in (
+        lambda angle: TABLE.interp(**POINT, **angle).reflectance,
+        lambda angle: TABLE.derivatives([SIZE], **POINT, **angle).reflectance_jacobian,
+        lambda angle: TABLE.interpolation_errors("reflectance", **POINT, **angle),
+        lambda angle: (
+            splits.retrieve(MEASURED, TABLE, [SIZE], 0.1, fixed={SOOT: 64.0} | angle).dataset.value
+        ),
+    ):
+        assert (abs(evaluate(full_name) - evaluate(alias)) == 0.0).all()
+    assert FIXED["incidence_deg"] == 30.0
+
+
+def test_equivalent_parameters_of_two_layers_are_accepted():
+    stack = splits.Stack(
+        [splits.Snow.natural(specific_surface_area_m2_kg=20, depth_m=0.1), NATURAL_SNOW]
+    )
+    ranges = {"layers.0.saturation": (0, 0.2), "layers.1.liquid_water_content": (0, 0.1)}
+    assert make_medium_state_vector(stack, ranges, None, 0.0).names == tuple(ranges)

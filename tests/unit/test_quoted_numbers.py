@@ -1,7 +1,5 @@
 """Numbers in README and docs: all come from the record of a run, each from one key."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The output shown in README.md is that of its example."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

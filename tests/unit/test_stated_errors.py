@@ -1,15 +1,12 @@
 """Datasets of instruments and theories declare their standard errors."""
 
-from __future__ import annotations
-
 import pytest
 from chi2 import NEEDS_JIT
 from stated_errors import list_variables_with_errors
 
 import splits
 from splits import instruments
-from splits.analysis.theory.asymptotic import correct_dense_packing
-from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
+from splits.analysis.theory.spectra import correct_dense_packing, solve_discrete_ordinates
 
 LAYER = splits.ParticleLayer(optical_thickness=1.0, bottom_albedo=None, polarized=True)
 SURFACE = {"rms_height_m": 1.0, "wave_number_per_m": 0.1, "waves": 8, "correlation": "gaussian"}

@@ -1,7 +1,5 @@
 """Words that this project has given up in favour of the field's terms occur nowhere."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from pathlib import Path

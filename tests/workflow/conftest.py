@@ -1,7 +1,5 @@
 """Fixtures of workflow tests: projects with a copy of config/ and the shipped Snakefile."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The study that the documentation adds works in the workflow."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

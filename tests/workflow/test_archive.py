@@ -1,7 +1,5 @@
 """The archive: an RO-Crate of data, figures and configuration, with checksums that verify."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import zipfile

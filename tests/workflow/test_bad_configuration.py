@@ -1,7 +1,5 @@
 """Invalid configurations: one message for each, and no job is started."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """Damaged datasets in a workflow: one line that names the file, and what makes it again."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

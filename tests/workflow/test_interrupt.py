@@ -1,7 +1,5 @@
 """Interrupted workflows end promptly, leave no results, and the next run completes."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Moved clones with results: no job runs again, and no record has an absolute path."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from pathlib import Path

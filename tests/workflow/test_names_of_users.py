@@ -1,7 +1,5 @@
 """Names and paths of users that are keywords of Snakemake or Python, or contain patterns."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """Notebooks of docs/: format, structure, use of documented names, and execution."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import itertools

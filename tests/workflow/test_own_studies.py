@@ -1,7 +1,5 @@
 """Studies of users over their own experiments, and studies with missing experiments."""
 
-from __future__ import annotations
-
 import pandas as pd
 import pytest
 

@@ -1,7 +1,5 @@
 """Outputs of a workflow of two small experiments, and jobs that run again after changes."""
 
-from __future__ import annotations
-
 import pytest
 import xarray as xr
 

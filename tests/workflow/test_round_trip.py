@@ -4,8 +4,6 @@ One experiment per kind of medium runs as jobs of the workflow; the others call 
 in one process, because a job spends seconds on importing libraries.
 """
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

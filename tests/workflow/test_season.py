@@ -1,7 +1,5 @@
 """Snowpacks of a file in the workflow: blocks of snowpacks that are kept and simulated again."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

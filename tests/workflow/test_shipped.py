@@ -1,7 +1,5 @@
 """Shipped experiments: plan and lint of the workflow, and a few runs at lowest accuracy."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tables in the workflow: their parts as jobs, and recomputation of lost blocks only."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

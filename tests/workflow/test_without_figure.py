@@ -1,7 +1,5 @@
 """Experiments without a figure: plan, archive and report contain only their data."""
 
-from __future__ import annotations
-
 import pytest
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]

@@ -23,12 +23,12 @@ from splits.core.validation import (
     unknown_key,
 )
 from splits.illumination.bands import SENSORS, as_bands
-from splits.plotting.annotations import annotate_figure
 from splits.plotting.style import (
     BAND_SIGMA,
     ONE_COLUMN_INCHES,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
+    annotate_figure,
     format_parameter,
     make_subplots,
     pick_colours,

@@ -20,7 +20,7 @@ import numpy as np
 import xarray as xr
 
 from splits.analysis.directions import select_principal_plane
-from splits.core.convergence import nest_runs
+from splits.core.keywords import nest_runs
 from splits.instruments import goniophotometer, spectrophotometer
 from splits.instruments.solver import MONTE_CARLO
 from splits.materials.library import load_dataset

@@ -27,12 +27,12 @@ from scipy.special import ndtr
 from splits.core.validation import check_choice, invalid, unknown_key
 from splits.media import Interpretation
 from splits.media.interpretations import INTERPRETATION_CHOICES, INTERPRETATION_SETS
-from splits.plotting.annotations import annotate_figure
 from splits.plotting.interpretation_shifts import INDEPENDENCE_NOTE, SHIFT_COLOUR
 from splits.plotting.style import (
     BAND_SIGMA,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
+    annotate_figure,
     make_subplots,
     use_style,
 )

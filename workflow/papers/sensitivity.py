@@ -21,8 +21,13 @@ from splits.core.uncertainty import compute_weighted_error, make_variable
 from splits.core.validation import check_choice, invalid
 from splits.experiments.config.media import make_label
 from splits.io.netcdf import make_provenance, select_points, to_netcdf_attributes
-from splits.plotting.annotations import annotate_figure
-from splits.plotting.style import BAND_SIGMA, make_subplots, pick_colours, use_style
+from splits.plotting.style import (
+    BAND_SIGMA,
+    annotate_figure,
+    make_subplots,
+    pick_colours,
+    use_style,
+)
 from workflow.papers.statements import require, require_columns
 
 NOISE_THRESHOLD_SIGMA = 2.0

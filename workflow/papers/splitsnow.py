@@ -12,10 +12,11 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from splits.core.uncertainty import compute_weighted_error
-from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.style import (
     BAND_SIGMA,
     TWO_COLUMNS_INCHES,
+    annotate_figure,
+    describe_conditions,
     format_value,
     make_subplots,
     pick_colours,
@@ -519,7 +520,7 @@ def draw_albedo(table: pd.DataFrame, note: str = "") -> Figure:
     table : pandas.DataFrame
         See `compare_with_letcher`.
     note : str
-        Note for the foot, see `splits.plotting.annotations.describe_conditions`.
+        Note for the foot, see `splits.plotting.style.describe_conditions`.
     """
     depths = sorted(table.depth_m.unique(), reverse=True)
     with use_style():

@@ -21,10 +21,11 @@ from scipy.optimize import minimize_scalar
 from splits.core.escaping import escape_mathtext
 from splits.core.uncertainty import compute_remaining_error
 from splits.core.validation import invalid
-from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.style import (
     BAND_SIGMA,
     SMALL_FONT_PT,
+    annotate_figure,
+    describe_conditions,
     make_subplots,
     pick_colours,
     start_at_zero,
@@ -319,7 +320,7 @@ def draw_fitted_spectra(table: pd.DataFrame, note: str = "") -> Figure:
     table : pandas.DataFrame
         See `make_overlay_table`.
     note : str
-        Note for the foot, see `splits.plotting.annotations.describe_conditions`.
+        Note for the foot, see `splits.plotting.style.describe_conditions`.
     """
     groups = list(table.groupby("spectrum", sort=False))
     with use_style():
@@ -362,7 +363,7 @@ def draw_area_law(table: pd.DataFrame, note: str = "") -> Figure:
     table : pandas.DataFrame
         See `make_field_table`.
     note : str
-        Note for the foot, see `splits.plotting.annotations.describe_conditions`.
+        Note for the foot, see `splits.plotting.style.describe_conditions`.
     """
     ours = table[table.stderr.notna()]
     groups = list(ours.groupby("snow", sort=False))

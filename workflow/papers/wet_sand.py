@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 
 from splits.analysis.directions import select_principal_plane
 from splits.core.validation import check_range, invalid
-from splits.plotting.annotations import annotate_figure
 from splits.plotting.style import (
     BAND_SIGMA,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
+    annotate_figure,
     format_parameter,
     format_value,
     make_subplots,

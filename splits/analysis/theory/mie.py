@@ -1,18 +1,35 @@
-"""Scattering matrices of spheres of a size distribution, by Mie theory."""
+"""Scattering matrices of spheres of a size distribution, by Mie theory.
+
+The series coefficients a_n and b_n and the angular functions π_n and τ_n are those of the package
+miepython.  A sphere of size parameter x = 2π r/λ has the amplitudes (Bohren & Huffman 1983,
+Absorption and Scattering of Light by Small Particles, section 4.4)
+
+    S1 = Σ_n (2n + 1)/(n(n + 1)) (a_n π_n + b_n τ_n)
+    S2 = Σ_n (2n + 1)/(n(n + 1)) (a_n τ_n + b_n π_n)
+
+and, with the scattering plane as reference, the matrix
+
+    P11 = P22 = ½(|S2|² + |S1|²)    P12 = ½(|S2|² − |S1|²)    P33 + i P34 = S2 S1*    P44 = P33
+
+whose integral over directions is the scattering cross-section times the squared wave number.
+"""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 import pandas as pd
 import xarray as xr
 
 from splits.analysis.theory.phase_function import ALBEDO, ASYMMETRY, choose_resolving_angles
-from splits.analysis.theory.sphere_sizes import GammaSizes, GivenSizes
-from splits.analysis.theory.sphere_sums import AngularFunctions, SphereSums, import_miepython
 from splits.core.arrays import (
+    align_to_labels,
     as_1d_array,
     check_array_range,
     check_increasing,
@@ -20,6 +37,7 @@ from splits.core.arrays import (
     match_labels,
 )
 from splits.core.keywords import reject_unknown_arguments
+from splits.core.optional import import_optional
 from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import InvalidValue, check_range, invalid
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
@@ -27,6 +45,310 @@ from splits.materials import make_refractive_index, parse_refractive_index
 from splits.materials.library import MATERIALS
 from splits.media.particle_layer import ANGLE, ELEMENTS
 from splits.simulation.run_options import check_wavelengths, make_wavelength_coordinate
+
+COMPILATION_SWITCH = "MIEPYTHON_USE_JIT"
+"""Variable of the environment by which miepython compiles its functions."""
+BATCH = 64
+"""Number of spheres whose amplitudes are computed at once."""
+
+
+class SphereSums(NamedTuple):
+    """Sums over spheres, weighted by projected area.
+
+    Attributes
+    ----------
+    area, extinction, scattering, forward : float
+        Sums of 1, of the efficiencies of extinction and scattering, and of the latter times the
+        asymmetry parameter.
+    matrix : float, shape (4, angles)
+        Sums of P11, P12, P33 and P34 of the module, times 4/x²: the mean of P11 over directions is
+        the sum of the scattering efficiencies.
+    """
+
+    area: float
+    extinction: float
+    scattering: float
+    forward: float
+    matrix: np.ndarray
+
+    def add(self, other: SphereSums) -> SphereSums:
+        """Return the sums over the spheres of both."""
+        return SphereSums(
+            self.area + other.area,
+            self.extinction + other.extinction,
+            self.scattering + other.scattering,
+            self.forward + other.forward,
+            self.matrix + other.matrix,
+        )
+
+    def measure_change(self, other: SphereSums) -> float:
+        """Return the largest relative difference between means over spheres.
+
+        For elements of the matrix, it is the mean over angles of the difference divided by P11.
+        """
+        means = [(s.extinction / s.area, s.scattering / s.area) for s in (self, other)]
+        efficiencies = max(abs(one / two - 1.0) for one, two in zip(*means, strict=True))
+        asymmetry = abs(self.forward / self.scattering - other.forward / other.scattering)
+        one, two = self.matrix / self.scattering, other.matrix / other.scattering
+        return float(max(efficiencies, asymmetry, *(np.abs(one - two) / two[0]).mean(axis=1)))
+
+
+class AngularFunctions:
+    """Functions π_n and τ_n times (2n + 1)/(n(n + 1)) at scattering angles.
+
+    Parameters
+    ----------
+    angle_deg : float, shape (angles,)
+    max_size : float
+        Largest size parameter.
+    """
+
+    def __init__(self, angle_deg: np.ndarray, max_size: float) -> None:
+        mie = import_miepython()
+        n_terms = len(mie.coefficients(1.5 + 0.0j, max_size)[0])
+        pi, tau = (np.zeros((angle_deg.size, n_terms)) for _ in range(2))
+        for row, cosine in enumerate(np.cos(np.radians(angle_deg))):
+            mie.pi_tau(float(cosine), pi[row], tau[row])
+        n = np.arange(1.0, n_terms + 1.0)
+        factor = (2.0 * n + 1.0) / (n * (n + 1.0))
+        self.pi, self.tau = (factor * pi).T, (factor * tau).T
+
+
+def import_miepython() -> ModuleType:
+    """Return the package miepython; raise ModuleNotFoundError with its installation command.
+
+    Its functions are compiled unless the environment says otherwise, which miepython reads when it
+    is imported for the first time.
+    """
+    is_chosen = COMPILATION_SWITCH in os.environ or numba.config.DISABLE_JIT  # type: ignore[attr-defined]
+    if is_chosen:
+        return import_optional("miepython", "mie", "Mie theory needs")
+    os.environ[COMPILATION_SWITCH] = "1"
+    try:
+        return import_optional("miepython", "mie", "Mie theory needs")
+    finally:
+        del os.environ[COMPILATION_SWITCH]
+
+
+def sum_spheres(
+    index: complex, size: np.ndarray, area: np.ndarray, functions: AngularFunctions
+) -> SphereSums:
+    """Return sums over spheres.
+
+    Parameters
+    ----------
+    index : complex
+        Refractive index n + ik relative to the surrounding medium.
+    size : float, shape (spheres,)
+        Size parameters.
+    area : float, shape (spheres,)
+        Projected areas in any unit, times the numbers of spheres.
+    functions : AngularFunctions
+    """
+    mie = import_miepython()
+    # miepython takes n − ik; the coefficients that it returns are those of n + ik.
+    extinction, scattering, _, asymmetry = mie.efficiencies_mx(np.conj(index), size)
+    matrix = np.zeros((4, functions.pi.shape[1]))
+    for start in range(0, size.size, BATCH):
+        part = slice(start, start + BATCH)
+        amplitudes = _compute_amplitudes(index, size[part], functions)
+        matrix += _multiply_amplitudes(4.0 * area[part] / size[part] ** 2, *amplitudes)
+    return SphereSums(
+        area.sum(), area @ extinction, area @ scattering, area @ (scattering * asymmetry), matrix
+    )
+
+
+def _compute_amplitudes(
+    index: complex, size: np.ndarray, functions: AngularFunctions
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return S1 and S2 of spheres, shape (spheres, angles)."""
+    mie = import_miepython()
+    series = [mie.coefficients(np.conj(index), x) for x in size]
+    n_terms = max(one.shape[1] for one in series)
+    a, b = np.zeros((2, size.size, n_terms), dtype=complex)
+    for row, (a_n, b_n) in enumerate(series):
+        a[row, : a_n.size], b[row, : b_n.size] = a_n, b_n
+    pi, tau = functions.pi[:n_terms], functions.tau[:n_terms]
+
+    def multiply(terms: np.ndarray, function: np.ndarray) -> np.ndarray:
+        """Return the product of a complex and a real matrix, by two real products."""
+        product: np.ndarray = terms.real @ function + 1j * (terms.imag @ function)
+        return product
+
+    return multiply(a, pi) + multiply(b, tau), multiply(a, tau) + multiply(b, pi)
+
+
+def _multiply_amplitudes(weight: np.ndarray, s1: np.ndarray, s2: np.ndarray) -> np.ndarray:
+    """Return weighted sums of P11, P12, P33 and P34 over spheres, shape (4, angles)."""
+    perpendicular, parallel = weight @ np.abs(s1) ** 2, weight @ np.abs(s2) ** 2
+    product = weight @ (s2 * s1.conj())
+    mean, difference = 0.5 * (parallel + perpendicular), 0.5 * (parallel - perpendicular)
+    return np.stack([mean, difference, product.real, product.imag])
+
+
+RADIUS_RANGE_UM = (1e-4, 1e5)
+VARIANCE_RANGE = (1e-3, 0.499)
+EXCLUDED_FRACTION = 1e-7
+"""Fraction of a gamma distribution that is left out at each of its ends."""
+MIN_INTERVALS, MAX_INTERVALS = 64, 65536
+"""Smallest and largest number of intervals of the quadrature over a gamma distribution."""
+
+
+@dataclass(frozen=True)
+class GivenSizes:
+    """Spheres of given radii.
+
+    Attributes
+    ----------
+    radius_um : float, shape (radii,)
+        Increasing.
+    number : float, shape (radii,)
+        Numbers of spheres, at least one of them above 0.
+    """
+
+    radius_um: np.ndarray
+    number: np.ndarray
+
+    @classmethod
+    def from_input(cls, radius_um: Any, number_density: Any) -> GivenSizes:
+        """Return sizes from the arguments of a user; None counts every radius once."""
+        radius = as_1d_array("radius_um", radius_um, "numbers in micrometres")
+        check_increasing("radius_um", radius)
+        check_array_range("radius_um", radius, *RADIUS_RANGE_UM, "um")
+        if number_density is None:
+            if radius.size > 1:
+                raise invalid("number_density", None, "given for several radii")
+            return cls(radius, np.ones(1))
+        number = np.atleast_1d(
+            align_to_labels("number_density", number_density, radius, find_labels(radius_um))
+        )
+        check_array_range("number_density", number, 0.0, np.inf)
+        if number.shape != radius.shape or not number.any():
+            allowed = f"{radius.size} numbers, one for each radius, not all of them 0"
+            raise invalid("number_density", number.tolist(), allowed)
+        return cls(radius, number)
+
+    @property
+    def largest_um(self) -> float:
+        """Largest radius (µm)."""
+        return float(self.radius_um[-1])
+
+    def sum_spheres(
+        self, index: complex, size_per_um: float, functions: AngularFunctions
+    ) -> tuple[SphereSums, int]:
+        """Return sums over the spheres, and the number of radii; see `GammaSizes.sum_spheres`."""
+        area = self.number * self.radius_um**2
+        return sum_spheres(index, size_per_um * self.radius_um, area, functions), area.size
+
+    def describe(self) -> dict[str, Any]:
+        """Return the attributes of a dataset."""
+        return {"radius_um": self.radius_um, "number_density": self.number}
+
+
+@dataclass(frozen=True)
+class GammaSizes:
+    """Gamma distribution n(r) ∝ r^((1 − 3b)/b) exp(−r/(ab)), Hansen & Travis (1974), Eq 2.56.
+
+    Projected area r² n(r) has a gamma distribution of the shape 1/b and the mean a.
+
+    Attributes
+    ----------
+    effective_radius_um : float
+        Effective radius a.
+    effective_variance : float
+        Effective variance b.
+    tolerance : float
+        Change of the means at which the quadrature ends.
+    """
+
+    effective_radius_um: float
+    effective_variance: float
+    tolerance: float
+
+    @classmethod
+    def from_input(cls, radius: Any, variance: Any, tolerance: float) -> GammaSizes:
+        """Return sizes from the arguments of a user."""
+        for key, value in (("effective_radius_um", radius), ("effective_variance", variance)):
+            if value is None:
+                raise invalid(key, None, "given, as the other one is")
+        return cls(
+            check_range("effective_radius_um", radius, *RADIUS_RANGE_UM, "um"),
+            check_range("effective_variance", variance, *VARIANCE_RANGE),
+            tolerance,
+        )
+
+    @property
+    def relative_limits(self) -> tuple[float, float]:
+        """Smallest and largest radius of the quadrature, divided by the effective radius.
+
+        They exclude `EXCLUDED_FRACTION` of the area of the smallest spheres, and of the squared
+        area, to which the light that is scattered straight ahead is proportional, of the largest.
+        """
+        from scipy.special import gammainccinv, gammaincinv
+
+        shape = 1.0 / self.effective_variance
+        low = gammaincinv(shape, EXCLUDED_FRACTION)
+        high = gammainccinv(shape + 2.0, EXCLUDED_FRACTION)
+        return float(low) / shape, float(high) / shape
+
+    @property
+    def largest_um(self) -> float:
+        """Largest radius of the quadrature (µm)."""
+        return self.effective_radius_um * self.relative_limits[1]
+
+    def sum_spheres(
+        self, index: complex, size_per_um: float, functions: AngularFunctions
+    ) -> tuple[SphereSums, int]:
+        """Return sums over the distribution, and the number of radii.
+
+        The trapezoidal rule converges faster than any power of its interval for smooth functions
+        that vanish at both ends.  Its intervals are halved until the means change by at most the
+        tolerance.
+
+        Parameters
+        ----------
+        index : complex
+            Refractive index relative to the surrounding medium.
+        size_per_um : float
+            Size parameter per radius (1/µm).
+        functions : AngularFunctions
+
+        Raises
+        ------
+        ValueError
+            If more than `MAX_INTERVALS` intervals are needed.
+        """
+        low, high = self.relative_limits
+
+        def sum_at(fraction: np.ndarray) -> SphereSums:
+            """Return the sums at fractions of the range of radii."""
+            radius = low + (high - low) * fraction
+            # The exponential is 1 at the effective radius and does not underflow.
+            exponent = (np.log(radius) + 1.0 - radius) / self.effective_variance
+            area = np.exp(exponent) / radius
+            size = size_per_um * self.effective_radius_um * radius
+            return sum_spheres(index, size, area, functions)
+
+        intervals = MIN_INTERVALS
+        sums = sum_at(np.arange(intervals + 1) / intervals)
+        while intervals < MAX_INTERVALS:
+            finer = sums.add(sum_at((np.arange(intervals) + 0.5) / intervals))
+            intervals *= 2
+            if finer.measure_change(sums) <= self.tolerance:
+                return finer, intervals + 1
+            sums = finer
+        hint = "or a larger effective_variance, smaller spheres"
+        allowed = f"one that {MAX_INTERVALS + 1} radii reach"
+        raise invalid("tolerance", self.tolerance, allowed, hint)
+
+    def describe(self) -> dict[str, Any]:
+        """Return the attributes of a dataset."""
+        return {
+            "effective_radius_um": self.effective_radius_um,
+            "effective_variance": self.effective_variance,
+            "tolerance": self.tolerance,
+        }
+
 
 MATERIAL = "spheres"
 """Name of the material in messages on its refractive index."""

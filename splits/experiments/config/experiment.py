@@ -16,8 +16,7 @@ from pydantic import (
     model_validator,
 )
 
-from splits.core.paths import expand_path
-from splits.core.validation import invalid
+from splits.core.validation import expand_path, invalid
 from splits.experiments.config.figure import FigureSection, resolve_figure
 from splits.experiments.config.retrieval import (
     RetrieveReturnSection,

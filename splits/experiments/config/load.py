@@ -7,8 +7,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from splits.core.paths import expand_path
-from splits.core.validation import ConfigError, InvalidValue, check_choice, invalid
+from splits.core.validation import ConfigError, InvalidValue, check_choice, expand_path, invalid
 from splits.core.yaml import find_key, locate_message, read_yaml
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.media import MERGED_KEYWORDS, SAMPLE_KEY

@@ -18,9 +18,9 @@ from splits.core.parameter_names import (
     parse_impurity_parameter,
     parse_layer_parameter,
 )
-from splits.core.paths import expand_path
 from splits.core.validation import (
     check_number,
+    expand_path,
     format_key,
     invalid,
     key_prefix,

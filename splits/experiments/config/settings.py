@@ -14,11 +14,11 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from splits.analysis.measured import read_measured, read_published
-from splits.core.paths import expand_path
 from splits.core.provenance import hash_files
 from splits.core.validation import (
     ConfigError,
     check_choice,
+    expand_path,
     invalid,
     join_names,
     suggest_name,

@@ -18,8 +18,14 @@ from pydantic import BeforeValidator, Field, WithJsonSchema, field_validator, mo
 
 from splits.core.keywords import list_keywords
 from splits.core.parameter_names import parse_impurity_parameter
-from splits.core.paths import expand_path
-from splits.core.validation import InvalidValue, UnknownKey, check_choice, invalid, unknown_key
+from splits.core.validation import (
+    InvalidValue,
+    UnknownKey,
+    check_choice,
+    expand_path,
+    invalid,
+    unknown_key,
+)
 from splits.experiments.config.instruments import (
     USE_GRID_HINT,
     AnyInstrument,

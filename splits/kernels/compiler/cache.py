@@ -33,7 +33,7 @@ from filelock import FileLock, Timeout
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 from numba.core.compiler_lock import global_compiler_lock
 
-from splits.core.notices import COMPILING_MESSAGE, WAITING_MESSAGE, announce, warn_once
+from splits.core.progress import COMPILING_MESSAGE, WAITING_MESSAGE, announce, warn_once
 
 MAX_UNUSED_AGE_S = 90 * 86_400.0
 """Age after which unused kernels of other versions are removed."""

@@ -1,16 +1,25 @@
-"""Discrete ordinates and asymptotic theory for phase functions and layers with exact results."""
+"""Discrete ordinates and asymptotic theory: exact results, propagated errors, and a table."""
 
-from __future__ import annotations
-
+import itertools
 import math
 
 import numpy as np
 import pytest
 import snowoptics
 import xarray as xr
+from formula_tables import make_table
 
-from splits.analysis.theory.asymptotic import compute_shape_factors, correct_dense_packing, kz04
-from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
+from splits.analysis.theory.kokhanovsky_zege import make_law_table
+from splits.analysis.theory.spectra import (
+    compute_interpolation_bound,
+    compute_shape_factors,
+    correct_dense_packing,
+    kz04,
+    propagate_errors,
+    solve_discrete_ordinates,
+)
+from splits.core.validation import InvalidValue
+from splits.materials.impurities import make_impurities
 
 WAVELENGTHS = np.array([500.0, 900.0, 1030.0])
 
@@ -187,3 +196,110 @@ def test_dense_packing_reduces_optical_thickness():
         100.0 * expected, rel=1e-12
     )
     assert float(optics.optical_thickness[0]) == 10.0
+
+
+MOMENTS = np.array([[1.0, 0.5, 0.3, 0.2, 0.1]] * 2)
+
+
+def make_optics(albedo=0.01, moment=0.02):
+    """Return optics at two wavelengths, the second of which has interpolation errors."""
+    uncertain = np.array([0.0, 1.0])
+    return xr.Dataset(
+        {
+            "single_scattering_albedo": ("wavelength", [0.9, 0.9]),
+            "single_scattering_albedo_interpolation_bound": ("wavelength", albedo * uncertain),
+            "legendre_moment": (("wavelength", "order"), MOMENTS),
+            "legendre_moment_interpolation_bound": (
+                ("wavelength", "order"), np.outer(moment * uncertain, [0.0, 1.0, 1.0, 1.0, 1.0]),
+            ),
+        },
+        {"wavelength": [500.0, 600.0]},
+    )  # fmt: skip
+
+
+def evaluate_backscatter(optics):
+    """Return the phase function at backscattering, whose orders alternate in sign."""
+    return (optics.legendre_moment * (-1.0) ** np.arange(5)).sum("order").values
+
+
+def evaluate_product(optics):
+    """Return a nonlinear function of two variables and one order."""
+    return (optics.single_scattering_albedo * (1.0 + optics.legendre_moment.isel(order=1))).values
+
+
+@pytest.mark.parametrize("theory", [evaluate_backscatter, evaluate_product])
+def test_no_combination_of_errors_exceeds_the_bound(theory):
+    exact = make_optics()
+    largest = 0.0
+    for signs in itertools.product((-1.0, 1.0), repeat=5):
+        moments = exact.legendre_moment_interpolation_bound * xr.DataArray(
+            [0.0, *signs[1:]], dims="order"
+        )
+        perturbed = exact.assign(
+            single_scattering_albedo=exact.single_scattering_albedo
+            + signs[0] * exact.single_scattering_albedo_interpolation_bound,
+            legendre_moment=exact.legendre_moment + moments,
+        )
+        largest = np.maximum(largest, np.abs(theory(perturbed) - theory(exact)))
+    bound = compute_interpolation_bound(theory, exact)
+    assert bound[0] == largest[0] == 0.0
+    # The product of the deviations, 0.01 · 0.02, adds to about 0.04.
+    assert bound[1] == pytest.approx(largest[1], rel=0.02)
+
+
+def test_without_jackknife_the_error_is_the_bound():
+    np.testing.assert_array_equal(
+        propagate_errors(evaluate_product, make_optics()),
+        compute_interpolation_bound(evaluate_product, make_optics()),
+    )
+    assert (propagate_errors(evaluate_product, make_optics(0.0, 0.0)) == 0.0).all()
+
+
+W = np.array([500.0, 1000.0, 1300.0])
+AREA, RADIUS, SOOT = (
+    "specific_surface_area_m2_kg",
+    "optical_radius_um",
+    "impurities_ng_g.black_carbon",
+)
+
+
+def make_blank_table(**axes):
+    """Return a table of constant reflectance over given axes."""
+    return make_table(lambda *point: np.full(W.size, 0.5), axes, w=W)
+
+
+def test_clean_snow_matches_snowoptics():
+    table = make_law_table(make_blank_table(**{AREA: [5.0, 20.0], "incidence_deg": [30.0, 60.0]}))
+    assert table.axes == [AREA, "incidence_deg", "wavelength"]
+    for i, area in enumerate((5.0, 20.0)):
+        for j, beam in enumerate((30.0, 60.0)):
+            expected = snowoptics.albedo_direct_KZ04(1e-9 * W, np.radians(beam), area)
+            np.testing.assert_allclose(table.dataset.reflectance.values[i, j], expected, rtol=1e-12)
+
+
+def test_optical_radius_is_equivalent_to_area():
+    from_areas = make_law_table(make_blank_table(**{AREA: [10.0, 20.0]})).dataset.reflectance.values
+    radii = [3e6 / (917.0 * 20.0), 3e6 / (917.0 * 10.0)]
+    from_radii = make_law_table(make_blank_table(**{RADIUS: radii})).dataset.reflectance.values
+    np.testing.assert_allclose(from_radii[::-1], from_areas, rtol=1e-12)
+
+
+def test_impurities_add_the_expected_absorption():
+    """Impurities add 2 c M/SSA to 1 − ω, and ln(albedo) is proportional to √(1 − ω)."""
+    reflectance = make_law_table(
+        make_blank_table(**{AREA: [20.0, 30.0], SOOT: [0.0, 100.0]})
+    ).dataset.reflectance.values
+    clean, dirty = np.log(reflectance[0])
+    absorption = make_impurities({"black_carbon": 100.0}, {})[0].compute_absorption_per_kg_ice(W)
+    k = 3.0 / 7.0 * (1.0 + 2.0)
+    expected = 16.0 / 3.0 * 2.0 * absorption / 20.0 / (1.0 - snowoptics.default_g)
+    np.testing.assert_allclose((dirty / k) ** 2 - (clean / k) ** 2, expected, rtol=1e-9)
+
+
+def test_axes_outside_the_law_are_dropped_at_zero():
+    table = make_blank_table(**{AREA: [5.0, 20.0], "liquid_water_content": [0.0, 0.1]})
+    assert make_law_table(table).axes == [AREA, "wavelength"]
+    with pytest.raises(InvalidValue, match="liquid_water_content"):
+        make_law_table(make_blank_table(**{AREA: [5.0, 20.0], "liquid_water_content": [0.05, 0.1]}))
+    with pytest.raises(InvalidValue, match=AREA):
+        make_law_table(make_blank_table(saturation=[0.0, 0.5]))

@@ -1,7 +1,5 @@
 """Colours of spectra: white point, lightness of grey, and tables with errors."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

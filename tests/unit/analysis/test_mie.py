@@ -1,7 +1,5 @@
 """Scattering matrices of spheres by Mie theory: limits, sums over sizes, inputs."""
 
-from __future__ import annotations
-
 import os
 import sys
 
@@ -11,7 +9,7 @@ import pytest
 import xarray as xr
 
 import splits
-from splits.analysis.theory.sphere_sums import COMPILATION_SWITCH, import_miepython
+from splits.analysis.theory.mie import COMPILATION_SWITCH, import_miepython
 from splits.core.validation import InvalidValue
 from splits.materials import ConstantIndex, make_refractive_index
 from splits.media.particle_layer import ELEMENTS
@@ -225,7 +223,7 @@ def test_bad_inputs_have_one_clear_message(message):
 
 
 def test_an_unreached_tolerance_is_reported(monkeypatch):
-    monkeypatch.setattr("splits.analysis.theory.sphere_sizes.MAX_INTERVALS", 128)
+    monkeypatch.setattr("splits.analysis.theory.mie.MAX_INTERVALS", 128)
     with pytest.raises(InvalidValue, match=r"^tolerance = 1e-06: must be .* 129 radii"):
         splits.compute_mie_matrix(NM, 1.33, 3.0, 0.1, tolerance=1e-6)
 

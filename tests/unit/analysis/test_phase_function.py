@@ -1,7 +1,5 @@
 """Phase functions from moments, the peak of diffraction, and files for other programs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

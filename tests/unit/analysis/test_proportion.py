@@ -1,7 +1,5 @@
 """Fits of lines through the origin."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import kstest

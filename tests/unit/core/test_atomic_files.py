@@ -1,7 +1,5 @@
 """Atomic writes: the old file or the new one, and no leftovers in the long run."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

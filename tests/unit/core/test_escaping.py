@@ -1,7 +1,5 @@
 """User text, hostile or harmless, is escaped for every program that interprets it."""
 
-from __future__ import annotations
-
 import html
 import json
 import re

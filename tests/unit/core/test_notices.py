@@ -1,7 +1,5 @@
 """Notices about kernel compilation, whose errors never end a run."""
 
-from __future__ import annotations
-
 import io
 import os
 import sys
@@ -13,8 +11,8 @@ from chi2 import NEEDS_JIT
 from numba import njit
 
 import splits
-from splits.core import notices
-from splits.core.notices import COMPILING_MESSAGE, DONE_MESSAGE, WAITING_MESSAGE, announce
+from splits.core import progress as notices
+from splits.core.progress import COMPILING_MESSAGE, DONE_MESSAGE, WAITING_MESSAGE, announce
 from splits.kernels.compiler import cache
 
 openpty = getattr(os, "openpty", None)

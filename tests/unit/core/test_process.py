@@ -1,7 +1,5 @@
 """Signals to a job and to its parent process."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

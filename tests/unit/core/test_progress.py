@@ -1,8 +1,10 @@
-"""Progress of a running simulation, and progress bars."""
-
-from __future__ import annotations
+"""Progress messages, whose errors never end a run, and signals to a job and its parent."""
 
 import inspect
+import io
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from chi2 import NEEDS_JIT
 
 import splits
 from splits.core.keywords import reject_unknown_arguments
+from splits.core.progress import open_progress_log, write_line
 
 WITH_PROGRESS = (
     "spectrophotometer", "goniophotometer", "beam_spread",
@@ -72,3 +75,130 @@ def test_instruments_report_to_a_callback():
     )
     assert reports and all(isinstance(report, splits.Progress) for report in reports)
     assert reports[0].target == 0.01
+
+
+SMALL_EXPERIMENT = """
+medium: {kind: snow, depth_m: 0.005}
+instrument: {wavelength_nm: [800, 1300]}
+figure: none
+"""
+FULL_DISK = pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
+
+
+@reject_unknown_arguments
+def measure_once(*, progress=None):
+    """Report progress once."""
+    progress(HALF)
+    return "measured"
+
+
+def test_characters_outside_the_encoding_are_escaped():
+    raw = io.BytesIO()
+    stream = io.TextIOWrapper(raw, encoding="ascii")
+    write_line("é \udce9 µ", stream)
+    assert raw.getvalue().split() == [b"\\xe9", b"\\udce9", b"\\xb5"]
+
+
+@FULL_DISK
+def test_failing_streams_raise_no_error(tmp_path):
+    write_line("a line", None)
+    with open("/dev/full", "w", encoding="utf-8") as full:
+        write_line("a line", full)
+        write_line("a line", full)
+    with open(tmp_path / "closed", "w", encoding="utf-8") as closed:
+        pass
+    write_line("a line", closed)
+
+
+@FULL_DISK
+def test_an_unwritable_log_does_not_affect_the_terminal(capsys):
+    with open_progress_log("/dev/full") as log:
+        log("a line")
+        log("another")
+    assert capsys.readouterr().err == "a line\nanother\n"
+
+
+class BrokenStream(io.StringIO):
+    def write(self, text=""):
+        raise BrokenPipeError
+
+    flush = write
+
+
+@pytest.mark.parametrize("stream", [BrokenStream, lambda: None])
+def test_an_unwritable_progress_bar_raises_no_error(monkeypatch, stream):
+    monkeypatch.setattr(sys, "stderr", stream())
+    assert measure_once(progress=True) == "measured"
+
+
+@pytest.mark.parametrize("error", [BrokenPipeError(), UnicodeEncodeError("ascii", "é", 0, 1, "")])
+def test_write_errors_of_callbacks_are_ignored(error):
+    def callback(progress):
+        raise error
+
+    assert measure_once(progress=callback) == "measured"
+
+
+def test_other_errors_of_callbacks_are_raised():
+    def callback(progress):
+        raise KeyError
+
+    with pytest.raises(KeyError):
+        measure_once(progress=callback)
+
+
+def run_in_shell(tmp_path, before="", after="", **environment):
+    """Run an experiment in a shell, and return its exit status and the dataset."""
+    (tmp_path / "small.yaml").write_text(SMALL_EXPERIMENT, encoding="utf-8")
+    command = f"{sys.executable} -m splits.cli run small.yaml --output é --accuracy tiny"
+    shell = f"{before} {command} --threads 1 {after}"
+    result = subprocess.run(
+        ["bash", "-c", f"{shell}; exit ${{PIPESTATUS[0]}}"], cwd=tmp_path, capture_output=True,
+        text=True, env={**os.environ, **environment},
+    )  # fmt: skip
+    return result, splits.load(tmp_path / "é" / "small.nc")
+
+
+@pytest.mark.long
+@NEEDS_JIT
+@FULL_DISK
+@pytest.mark.parametrize(
+    "after", ["2>/dev/full", ">/dev/full", "2>&- >&-", "2>&1 >/dev/null | true", "| true"]
+)
+def test_a_run_succeeds_with_unwritable_output(tmp_path, after):
+    result, dataset = run_in_shell(tmp_path, after=after)
+    assert result.returncode == 0 and "Error" not in result.stderr
+    assert dataset.reflectance.size == 2
+
+
+@NEEDS_JIT
+def test_a_run_succeeds_in_an_ascii_terminal(tmp_path):
+    result, _ = run_in_shell(tmp_path, PYTHONIOENCODING="ascii")
+    assert (result.returncode, result.stdout) == (0, "\\xe9/small.nc\n")
+
+
+@NEEDS_JIT
+@pytest.mark.skipif(sys.platform == "win32", reason="terminals of POSIX")
+def test_a_run_succeeds_after_its_terminal_is_closed(tmp_path):
+    (tmp_path / "small.yaml").write_text(SMALL_EXPERIMENT, encoding="utf-8")
+    parent_end, child_end = os.openpty()
+    command = [sys.executable, "-m", "splits.cli", "run", "small.yaml", "--accuracy", "tiny"]
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdout=child_end, stderr=child_end, start_new_session=True
+    ) as process:
+        os.close(child_end)
+        os.close(parent_end)
+    assert process.returncode == 0
+    assert splits.load(tmp_path / "small.nc").reflectance.size == 2
+
+
+@FULL_DISK
+def test_interrupts_end_a_run_with_unwritable_output():
+    script = (
+        "import os, signal, time\nfrom splits.core.process import exit_on_signals\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\nexit_on_signals('a job')\n"
+        "os.kill(os.getpid(), signal.SIGINT)\ntime.sleep(60)\n"
+    )
+    with open("/dev/full", "wb") as full:
+        result = subprocess.run([sys.executable, "-c", script], stderr=full, timeout=30)
+    assert result.returncode == 130

@@ -1,7 +1,5 @@
 """Digest of the sources of a simulation, for datasets and for the workflow."""
 
-from __future__ import annotations
-
 import shutil
 
 import pytest

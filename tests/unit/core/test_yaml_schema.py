@@ -1,7 +1,5 @@
 """YAML 1.2: scalars of configuration files, parsed in bounded time."""
 
-from __future__ import annotations
-
 import math
 import time
 from pathlib import Path

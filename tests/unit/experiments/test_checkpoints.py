@@ -1,7 +1,5 @@
 """Interrupted experiments are resumed, with bitwise identical results."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The command line interface `splits`."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

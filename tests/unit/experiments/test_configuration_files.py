@@ -1,7 +1,5 @@
 """Configuration files: messages with file, key, value and allowed values."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

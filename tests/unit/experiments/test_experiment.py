@@ -1,7 +1,5 @@
 """Experiments and settings: defaults, grids, labels, names."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from pathlib import Path

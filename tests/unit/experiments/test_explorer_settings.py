@@ -1,7 +1,5 @@
 """Settings of the explorer in the main configuration: validation."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Selection of the point of a grid in a figure."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

@@ -1,7 +1,5 @@
 """Folders in the main configuration: normalization and validation."""
 
-from __future__ import annotations
-
 import pytest
 
 from splits.core.validation import ConfigError

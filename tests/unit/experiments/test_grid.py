@@ -1,7 +1,5 @@
 """Coordinates of datasets: units and long names, and files that follow the CF conventions."""
 
-from __future__ import annotations
-
 import netCDF4
 import numpy as np
 import pytest

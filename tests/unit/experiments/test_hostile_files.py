@@ -1,7 +1,5 @@
 """Hostile files: one-line errors in bounded time and memory."""
 
-from __future__ import annotations
-
 import time
 
 import pytest

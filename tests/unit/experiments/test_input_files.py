@@ -1,7 +1,5 @@
 """Files that media read are inputs of the workflow, whatever their names; names are none."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 

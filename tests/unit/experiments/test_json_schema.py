@@ -1,7 +1,5 @@
 """JSON schemas of configuration files: those of config/ are current and accept its files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

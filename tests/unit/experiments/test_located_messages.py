@@ -1,7 +1,5 @@
 """Messages on settings of several files and on own media: file and line."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Errors of experiment files: key with its full path, value, allowed values, hint."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Requested errors that experiments do not reach: one line in the log, and no other warning."""
 
-from __future__ import annotations
-
 import warnings
 
 import pytest

@@ -1,7 +1,5 @@
 """Target errors of the points of a grid."""
 
-from __future__ import annotations
-
 import pytest
 
 from splits.experiments.config.experiment import ExperimentConfig

@@ -1,7 +1,5 @@
 """The report: complete, escaped, without dead links, and equal to the tables of the results."""
 
-from __future__ import annotations
-
 import base64
 import csv
 import html

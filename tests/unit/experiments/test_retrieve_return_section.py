@@ -1,7 +1,5 @@
 """The section `retrieve_return`: validation, synthetic and measured returns, table and figure."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

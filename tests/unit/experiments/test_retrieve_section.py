@@ -1,7 +1,5 @@
 """The section `retrieve`: validation, retrieval of samples, and the figure."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

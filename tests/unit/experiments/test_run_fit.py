@@ -1,7 +1,5 @@
 """Fits as experiments: the dataset, its table and its figure, and invalid input."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

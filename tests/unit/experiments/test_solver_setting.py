@@ -1,7 +1,5 @@
 """Key `instrument.solver` of experiment files."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """Stacks in experiment files: layers, bases, paths, and one-line errors."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Studies: validation, and unique names of their outputs."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 from pathlib import Path

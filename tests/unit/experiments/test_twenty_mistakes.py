@@ -1,7 +1,5 @@
 """A file with 20 mistakes, corrected one after the other, and those that its schema reports."""
 
-from __future__ import annotations
-
 import pytest
 from jsonschema import Draft202012Validator
 from shipped import CONFIG

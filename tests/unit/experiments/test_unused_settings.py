@@ -1,7 +1,5 @@
 """Settings without effect, and sections that a command would ignore."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

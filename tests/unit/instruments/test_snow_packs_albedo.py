@@ -1,7 +1,5 @@
 """Albedo of many snowpacks: equal to those one by one, skies by zenith angle, bands, files."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

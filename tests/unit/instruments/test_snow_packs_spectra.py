@@ -1,7 +1,5 @@
 """Spectra of many snowpacks: equal to those one by one, flags, incidence, labels, files."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """Kept datasets: their digests, damage, foreign files, full disks, and several processes."""
 
-from __future__ import annotations
-
 import errno
 import os
 from typing import NamedTuple
@@ -10,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from splits.core.notices import warn_once
+from splits.core.progress import warn_once
 from splits.io import cache as module
 from splits.io.cache import NO_CACHE, Cache, compute_digest
 

@@ -1,7 +1,5 @@
 """Datasets of instruments and skies follow the CF conventions."""
 
-from __future__ import annotations
-
 import pytest
 import xarray as xr
 from compliance import collect_remarks, main

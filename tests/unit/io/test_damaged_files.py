@@ -1,7 +1,5 @@
 """Damaged datasets: one-line errors for every kind of damage."""
 
-from __future__ import annotations
-
 import pickle
 from concurrent.futures import ThreadPoolExecutor
 

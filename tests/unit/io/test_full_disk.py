@@ -1,7 +1,5 @@
 """A full disk gives a one-line error and leaves no partial file."""
 
-from __future__ import annotations
-
 import errno
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Datasets on disk: round trip, atomic writes, provenance and schema versions."""
 
-from __future__ import annotations
-
 import stat
 
 import numpy as np

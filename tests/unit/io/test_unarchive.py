@@ -1,7 +1,5 @@
 """Archives from untrusted sources: rejected in one line, or unpacked completely."""
 
-from __future__ import annotations
-
 import json
 import os
 import random

@@ -6,8 +6,6 @@ and a decision may differ next to its threshold.  Errors are therefore judged by
 their 99.9 % quantile and their maximum, and decisions by the fraction that differs.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT

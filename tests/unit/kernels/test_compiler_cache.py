@@ -1,7 +1,5 @@
 """Cache of compiled kernels: damage, full disks, foreign folders, concurrent processes."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import logging
@@ -21,7 +19,7 @@ from chi2 import NEEDS_JIT
 from numba import njit
 from numba.core.caching import IndexDataCacheFile
 
-from splits.core import notices
+from splits.core import progress as notices
 from splits.kernels.compiler import cache
 from splits.kernels.compiler.cache import (
     KernelCache,

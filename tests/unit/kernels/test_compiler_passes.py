@@ -1,7 +1,5 @@
 """Compiler passes: inlining, pruning of absent fields, and reference counting."""
 
-from __future__ import annotations
-
 import sys
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Deferred code generation needs private classes of Numba; without them kernels still work."""
 
-from __future__ import annotations
-
 import warnings
 
 import numba

@@ -1,7 +1,5 @@
 """Derivative tallies compared with finite differences of the weight tallies."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -3,8 +3,6 @@
 References are NumPy in float64, and mpmath at the ends of the ranges.
 """
 
-from __future__ import annotations
-
 import math
 
 import mpmath as mp

@@ -1,7 +1,5 @@
 """Scenes of the vectorized kernel, their features, and the weak extinction that it omits."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

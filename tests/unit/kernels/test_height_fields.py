@@ -1,7 +1,5 @@
 """Rough surfaces: invalid input, correlations and slopes."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """First intersections of rays with rough surfaces, against dense scans and exact cases."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

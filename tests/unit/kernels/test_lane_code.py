@@ -1,7 +1,5 @@
 """Machine code of the vectorized passes: SIMD instructions of the full vector width."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 

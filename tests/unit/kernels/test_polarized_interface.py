@@ -1,7 +1,5 @@
 """Polarized light at smooth interfaces: Maxwell's equations, 50 digits, analytic cases."""
 
-from __future__ import annotations
-
 import math
 
 import mpmath as mp

@@ -1,7 +1,5 @@
 """Rotation and scattering of polarized light: rotations, dipoles, sampling and evaluation."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

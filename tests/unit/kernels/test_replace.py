@@ -1,7 +1,5 @@
 """Named tuples with replaced fields: the same in kernels as in Python."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 from chi2 import NEEDS_JIT

@@ -1,7 +1,5 @@
 """Versions of inlined functions for named tuples of other classes, as for other grain shapes."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ The tolerance is a relative error of 1e-12, or the effect of the last digit of a
 (`compute_rounding_sensitivity`), which no formula in float64 can avoid.
 """
 
-from __future__ import annotations
-
 import math
 
 import mpmath as mp

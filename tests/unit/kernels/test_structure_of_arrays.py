@@ -1,7 +1,5 @@
 """Structures of arrays: layout, access to fields, and initial values."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sums of waves: heights, slopes, and bounds on them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

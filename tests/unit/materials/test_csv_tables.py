@@ -1,7 +1,5 @@
 """CSV tables of users: ambiguous content is rejected everywhere."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Mixing rules: Maxwell Garnett against hand computations and limits, and the linear mean."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

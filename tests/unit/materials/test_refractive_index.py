@@ -1,7 +1,5 @@
 """Refractive indices: named datasets, interpolation, constants and user tables."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from pathlib import Path

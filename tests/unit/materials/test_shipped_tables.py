@@ -1,7 +1,5 @@
 """The tables of refractive indices in the package are identical to their sources."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,18 +1,27 @@
-"""Sand: defaults, derived quantities, refractive indices and errors."""
+"""Sand: derived quantities, sizes by soil separate (SPLITS section 4.2.6), and water."""
 
-from __future__ import annotations
+from itertools import pairwise
 
 import numpy as np
 import pytest
 import xarray as xr
+from scipy import integrate, stats
 
 import splits
 from splits import Sand, SandInterpretation
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.materials import make_refractive_index
-from splits.media.grain_statistics import surface_to_volume_ratio
+from splits.media.grain_statistics import N_TABLE_POINTS, surface_to_volume_ratio
 from splits.media.interpretations import INTERPRETATION_CHOICES
 from splits.media.kinds import read_named_medium
+from splits.media.sand_composition import (
+    MAX_RELATIVE_FILM_THICKNESS,
+    MAX_SERIES_SATURATION,
+    TruncatedLogNormal,
+    distribute_water,
+    make_size_distribution,
+    narrow_pore_fraction,
+)
 from splits.simulation.spectral_nodes import select_grain_interfaces
 
 ORDER = "min <= mean <= max <= 1"
@@ -267,3 +276,300 @@ def test_sand_is_immutable():
     sand = Sand()
     with pytest.raises(AttributeError):
         sand.porosity = 0.5
+
+
+LIMITS = {"clay": (5e-8, 2e-6), "silt": (2e-6, 5e-5), "sand": (5e-5, 2e-3)}
+TAIL = 1e-4
+TEXTURES = {
+    "Table 5": (0.0, 0.15, 0.85),
+    "sand alone": (0.0, 0.0, 1.0),
+    "all three": (0.01, 0.135, 0.855),
+    "no silt": (0.1, 0.0, 0.9),
+}
+# Clay slightly above the tail: the log-normal is so wide that only its slope remains.
+SMALL_CLAY_TEXTURES = {
+    gap: (TAIL * (1.0 + gap), 0.0, 1.0 - TAIL * (1.0 + gap)) for gap in (1e-14, 1e-9, 1e-3)
+}
+ALL_TEXTURES = {**TEXTURES, **SMALL_CLAY_TEXTURES}
+
+
+def evaluate_density(piece: TruncatedLogNormal, s):
+    """Return f_g(s) of Eq 19."""
+    score = (np.log(s) - piece.log_mean) / piece.log_sd
+    return np.exp(-0.5 * score**2) / (piece.log_sd * np.sqrt(2.0 * np.pi))
+
+
+def integrate_power(piece: TruncatedLogNormal, power: float):
+    """Return ∫ s^power f_g(s) ds over the piece, by adaptive quadrature in sections."""
+    edges = np.geomspace(piece.min_size_m, piece.max_size_m, 9)
+    return sum(
+        integrate.quad(
+            lambda s: s**power * evaluate_density(piece, s), a, b, epsabs=0.0, epsrel=1e-11
+        )[0]
+        for a, b in pairwise(edges)
+    )
+
+
+@pytest.mark.parametrize("name", TEXTURES)
+def test_separates_have_the_cumulative_mass_at_their_limits(name):
+    texture = TEXTURES[name]
+    bounds = np.clip([TAIL, *np.cumsum(texture)], TAIL, 1.0 - TAIL)
+    pieces = make_size_distribution(texture).separates
+    present = [i for i, mass in enumerate(texture) if mass > 0.0]
+    assert [(p.min_size_m, p.max_size_m) for p in pieces] == [
+        list(LIMITS.values())[i] for i in present
+    ]
+    for piece, i in zip(pieces, present, strict=True):
+        normal = stats.norm(piece.log_mean, piece.log_sd)
+        assert normal.cdf(np.log(piece.min_size_m)) == pytest.approx(bounds[i], rel=1e-9)
+        assert normal.cdf(np.log(piece.max_size_m)) == pytest.approx(bounds[i + 1], rel=1e-9)
+        assert piece.mass_fraction == pytest.approx(texture[i], rel=1e-12)
+    assert sum(p.mass_fraction for p in pieces) == pytest.approx(1.0, abs=1e-15)
+
+
+def test_silt_and_sand_of_table_5_match_hand_calculation():
+    """Scores Φ⁻¹ of 1e-4, 0.15 and 1 − 1e-4, from tables of the normal distribution."""
+    low, middle = -3.719016485455709, -1.0364333894937898
+    silt, sand = make_size_distribution((0.0, 0.15, 0.85)).separates
+    assert silt.log_sd == pytest.approx(np.log(25.0) / (middle - low), rel=1e-12)
+    assert silt.log_mean == pytest.approx(np.log(2e-6) - silt.log_sd * low, rel=1e-12)
+    assert sand.log_sd == pytest.approx(np.log(40.0) / (-low - middle), rel=1e-12)
+    assert sand.log_mean == pytest.approx(np.log(2e-3) + sand.log_sd * low, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", TEXTURES)
+def test_mean_inverse_size_matches_eq_23(name):
+    sizes = make_size_distribution(TEXTURES[name])
+    for piece in sizes.separates:
+        exact = integrate_power(piece, -2.0) / integrate_power(piece, -1.0)
+        assert piece.mean_inverse_size_per_m == pytest.approx(exact, rel=1e-9)
+        assert 1.0 / piece.max_size_m < piece.mean_inverse_size_per_m < 1.0 / piece.min_size_m
+    expected = sum(
+        p.mass_fraction * integrate_power(p, -2.0) / integrate_power(p, -1.0)
+        for p in sizes.separates
+    )
+    assert sizes.size_attenuation_per_m == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", TEXTURES)
+def test_masses_of_eq_20_match_the_texture(name):
+    """Each separate has its mass between its limits; the outermost ones lack the tail."""
+    texture = TEXTURES[name]
+    for piece in make_size_distribution(texture).separates:
+        assert integrate_power(piece, -1.0) == pytest.approx(piece.mass_fraction, abs=2.0001 * TAIL)
+    total = sum(integrate_power(p, -1.0) for p in make_size_distribution(texture).separates)
+    assert total == pytest.approx(1.0 - 2.0 * TAIL, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", TEXTURES)
+def test_hit_sizes_of_a_separate_follow_eq_25(name):
+    for piece in make_size_distribution(TEXTURES[name]).separates:
+        median = float(piece.compute_hit_sizes(np.array([0.5]))[0])
+        total = integrate_power(piece, -2.0)
+        below = integrate.quad(
+            lambda x, p=piece: np.exp(-x) * evaluate_density(p, np.exp(x)),
+            np.log(piece.min_size_m),
+            np.log(median),
+        )[0]
+        assert below / total == pytest.approx(0.5, abs=1e-6)
+        assert piece.compute_hit_sizes(np.array([0.0, 1.0])) == pytest.approx(
+            [piece.min_size_m, piece.max_size_m]
+        )
+
+
+@pytest.mark.parametrize("name", ALL_TEXTURES)
+@pytest.mark.parametrize("pieces", ["separates", "single"])
+def test_hit_sizes_decrease_monotonically(name, pieces):
+    if (name, pieces) == ("sand alone", "single"):
+        with pytest.raises(
+            ValueError, match=r"interpretation\.size_distribution = 'single'.*one separate alone"
+        ):
+            make_size_distribution(ALL_TEXTURES[name], TAIL, pieces)
+        return
+    sizes = make_size_distribution(ALL_TEXTURES[name], TAIL, pieces)
+    table = sizes.tabulate_hit_inverse_sizes()
+    assert table.shape == (N_TABLE_POINTS,)
+    assert np.isfinite(table).all() and (np.diff(table) > 0.0).all()
+    largest, smallest = 1.0 / table[[0, -1]]
+    assert largest == pytest.approx(sizes.largest_m) == pytest.approx(2e-3)
+    assert smallest >= sizes.separates[0].min_size_m * (1.0 - 1e-12)
+
+
+@pytest.mark.parametrize("gap", SMALL_CLAY_TEXTURES)
+def test_clay_slightly_above_the_tail(gap):
+    """A very wide log-normal is uniform in log size: ∫ s⁻² ds over ∫ s⁻¹ ds, up to a slope.
+
+    The score changes by gap·tail/φ(score) over the separate, and f_g by score times that.
+    """
+    sizes = make_size_distribution(SMALL_CLAY_TEXTURES[gap])
+    clay, sand = sizes.separates
+    low, high = LIMITS["clay"]
+    expected = (1.0 / low - 1.0 / high) / np.log(high / low)
+    assert np.isfinite([clay.log_mean, clay.log_sd, clay.mean_inverse_size_per_m]).all()
+    assert clay.mean_inverse_size_per_m == pytest.approx(expected, rel=gap + 1e-9)
+    assert clay.mass_fraction == pytest.approx(
+        TAIL, rel=2e-3
+    ) and sand.mass_fraction == pytest.approx(1.0 - TAIL)
+    median = float(clay.compute_hit_sizes(np.array([0.5]))[0])
+    assert median == pytest.approx(2.0 / (1.0 / low + 1.0 / high), rel=1e-3)
+
+
+def test_clay_below_the_tail_is_omitted():
+    for clay in (0.0, 0.5 * TAIL, TAIL):
+        sizes = make_size_distribution((clay, 0.0, 1.0 - clay))
+        (sand,) = sizes.separates
+        assert (sand.min_size_m, sand.max_size_m) == LIMITS["sand"] and sand.mass_fraction == 1.0
+        assert sizes.size_attenuation_per_m == pytest.approx(
+            make_size_distribution((0.0, 0.0, 1.0)).size_attenuation_per_m, rel=1e-4
+        )
+    assert len(make_size_distribution((TAIL, 0.0, 1.0 - TAIL), tail_mass=1e-5).separates) == 2
+
+
+@pytest.mark.parametrize("texture", [(0.0, 0.15, 0.85), (0.01, 0.135, 0.855), (0.1, 0.0, 0.9)])
+def test_one_log_normal_over_all_separates(texture):
+    """Shirazi & Boersma 1984: mass-weighted mean and deviation of ln of the separate centres."""
+    middle = np.log([1e-6, 26e-6, 1.025e-3])
+    mean = np.dot(texture, middle)
+    (piece,) = make_size_distribution(texture, size_model="single").separates
+    assert piece.log_mean == pytest.approx(mean, rel=1e-12)
+    assert piece.log_sd == pytest.approx(np.sqrt(np.dot(texture, (middle - mean) ** 2)), rel=1e-9)
+    assert (piece.min_size_m, piece.max_size_m) == (5e-8 if texture[0] else 2e-6, 2e-3)
+    assert piece.mass_fraction == 1.0
+    exact = integrate_power(piece, -2.0) / integrate_power(piece, -1.0)
+    assert piece.mean_inverse_size_per_m == pytest.approx(exact, rel=1e-9)
+
+
+def test_finer_soils_attenuate_more():
+    by_texture = [(0.0, 0.0, 1.0), (0.0, 0.05, 0.95), (0.0, 0.15, 0.85), (0.01, 0.135, 0.855)]
+    attenuation = [make_size_distribution(texture).size_attenuation_per_m for texture in by_texture]
+    assert (np.diff(attenuation) > 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("texture", "message"),
+    [
+        ((0.0, 0.2, 0.8), r"silt \+ 1.5 clay at most 0.15"),
+        ((0.11, 0.0, 0.89), r"silt \+ 1.5 clay at most 0.15"),
+        ((0.0, 0.1, 0.8), "add up to 1"),
+        ((-0.1, 0.2, 0.9), "add up to 1"),
+        ((0.1, 0.9), r"3 numbers \(clay, silt, sand\)"),
+    ],
+)
+def test_textures_other_than_sand_are_rejected(texture, message):
+    with pytest.raises(ValueError, match=rf"^texture.*{message}") as error:
+        Sand(texture=texture)
+    assert repr(texture) in str(error.value)
+
+
+def test_other_invalid_textures_are_rejected():
+    for tail in (1e-7, 0.02):
+        with pytest.raises(ValueError, match=rf"^size_tail = {tail}: must be in \[1e-06, 0.01\]"):
+            make_size_distribution((0.0, 0.15, 0.85), tail)
+    with pytest.raises(
+        ValueError, match=r"^interpretation.size_distribution = 'single': .*'separates'"
+    ):
+        make_size_distribution((0.0, 0.0, 1.0), size_model="single")
+    make_size_distribution((0.1, 0.0, 0.9))
+    make_size_distribution((0.0, 0.15 + 1e-10, 0.85 - 1e-10))
+
+
+W = np.array([700.0, 1450.0])
+
+
+@pytest.mark.parametrize("saturation", [0.01, 0.1, 0.4, 0.9])
+def test_the_shortest_segments_fill_first(saturation):
+    """Sorted exponential segments: the shortest ones with a length fraction of the saturation."""
+    n_segments = 1_000_000
+    segments = np.sort(-np.log((np.arange(n_segments) + 0.5) / n_segments))
+    fraction = np.searchsorted(segments.cumsum() / segments.sum(), saturation) / n_segments
+    assert narrow_pore_fraction(saturation) == pytest.approx(fraction, abs=2e-5)
+
+
+def test_narrow_pore_fraction_increases_from_0_to_1():
+    assert (narrow_pore_fraction(0.0), narrow_pore_fraction(1.0)) == (0.0, 1.0)
+    assert narrow_pore_fraction(MAX_SERIES_SATURATION * 0.999999) == pytest.approx(
+        narrow_pore_fraction(MAX_SERIES_SATURATION), rel=1e-5
+    )
+    assert narrow_pore_fraction(1e-18) == pytest.approx(np.sqrt(2e-18), rel=1e-8)
+    fractions = [narrow_pore_fraction(s) for s in np.linspace(0.0, 1.0, 201)]
+    assert (np.diff(fractions) > 0.0).all()
+
+
+@pytest.mark.parametrize("saturation", [0.05, 0.3, 0.8])
+def test_all_water_models_contain_the_same_water(saturation):
+    porosity, sphericity = 0.4, 0.8
+    surface = float(surface_to_volume_ratio(sphericity))
+    for water_model in ("whole_pores", "narrow_pores", "film"):
+        water = distribute_water(saturation, porosity, sphericity, water_model)
+        on_grains = water.relative_film_thickness * surface * (1.0 - porosity) / porosity
+        assert water.wet_fraction * water.filled_fraction + on_grains == pytest.approx(
+            saturation, rel=1e-9
+        )
+        assert (
+            water.relative_film_thickness <= MAX_RELATIVE_FILM_THICKNESS
+            and 0.0 <= water.wet_fraction <= 1.0
+        )
+
+
+def test_films_are_the_outermost_coating():
+    sand = Sand(saturation=0.1, partition=(0.0, 0.5, 0.5), interpretation={"water": "film"})
+    grains, names = sand.make_grain_population(), sand.list_materials()
+    assert names[:3] == ("air", "water", "water film")
+    rows = zip(grains.types.material, grains.types.n_shells, strict=True)
+    layers = [tuple(names[m] for m in row[:n]) for row, n in rows]
+    assert layers == [
+        ("water film", "quartz with goethite"),
+        ("water film", "kaolinite with goethite", "quartz"),
+    ]
+    thickness = grains.types.coating_thickness
+    assert (thickness[:, 0] == sand._water.relative_film_thickness).all()
+    assert thickness[1, 1] == sand.relative_coating_thickness
+    water = Sand(saturation=1.0).compute_refractive_indices(W)[:, 1]
+    np.testing.assert_array_equal(sand.compute_refractive_indices(W)[:, 2], water)
+    assert sand.wet_fraction == 0.0
+    assert sand.describe()["film_thickness_per_major_axis"] == sand._water.relative_film_thickness
+
+
+def test_water_above_the_film_capacity_fills_pores():
+    sand = Sand(saturation=0.9, interpretation={"water": "film"})
+    assert (
+        sand._water.relative_film_thickness == MAX_RELATIVE_FILM_THICKNESS
+        and 0.7 < sand.wet_fraction < 0.9
+    )
+    assert Sand(saturation=1.0, interpretation={"water": "film"}).wet_fraction == 1.0
+
+
+def test_absorption_is_proportional_to_the_water_content():
+    whole, narrow = (
+        Sand(saturation=0.1, interpretation={"water": water_model})
+        for water_model in ("whole_pores", "narrow_pores")
+    )
+    ratio = (
+        narrow.compute_refractive_indices(W)[:, 1].imag
+        / whole.compute_refractive_indices(W)[:, 1].imag
+    )
+    np.testing.assert_allclose(ratio * narrow.wet_fraction, whole.wet_fraction, rtol=1e-12)
+    np.testing.assert_array_equal(
+        narrow.compute_refractive_indices(W).real, whole.compute_refractive_indices(W).real
+    )
+
+
+def test_dry_and_saturated_sands_are_independent_of_the_model():
+    for saturation in (0.0, 1.0):
+        sands = [
+            Sand(saturation=saturation, interpretation={"water": water_model})
+            for water_model in ("whole_pores", "narrow_pores")
+        ]
+        np.testing.assert_array_equal(
+            sands[0].compute_refractive_indices(W), sands[1].compute_refractive_indices(W)
+        )
+        assert sands[0].wet_fraction == sands[1].wet_fraction == saturation
+
+
+@pytest.mark.parametrize("water_model", ["narrow_pores", "film"])
+def test_other_liquids_in_partially_wet_pores_are_rejected(water_model):
+    settings = {"pores": {"oil": 0.1}, "refractive_index": {"oil": 1.47}}
+    with pytest.raises(
+        ValueError, match=rf"pores = .*empty with interpretation\.water {water_model}"
+    ):
+        Sand(saturation=0.1, interpretation={"water": water_model}, **settings)

@@ -1,7 +1,5 @@
 """Composition of sand: SPLITS Tables 3-4 and Eqs 5-18, computed by hand."""
 
-from __future__ import annotations
-
 import math
 import re
 

@@ -1,7 +1,5 @@
 """Scattering matrices as inputs: forms, expansions, and messages."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -1,16 +1,29 @@
-"""Snow: defaults, derived quantities and errors."""
+"""Snow: defaults, measured quantities, derived quantities, statistics of grains, and errors."""
 
-from __future__ import annotations
-
+import math
 from dataclasses import fields
 
 import numpy as np
 import pytest
+from scipy import integrate
+from shipped import CONFIG
 
+import splits
 from splits import Interpretation, Snow
+from splits.core.validation import ConfigError
+from splits.experiments.config.load import load_experiment
 from splits.materials import ice_density
+from splits.media.grain_statistics import (
+    compute_shape_attenuation,
+    compute_size_attenuation,
+    surface_to_volume_ratio,
+    tabulate_hit_inverse_sizes,
+    tabulate_hit_sphericities,
+    tabulate_truncated_normal,
+)
 from splits.media.interpretations import INTERPRETATION_CHOICES, merge_interpretations
 from splits.media.kinds import check_medium, read_named_medium
+from splits.media.snow import NATURAL_GRAIN_SHAPE, override_keywords
 
 ORDER = "min <= mean <= max <= 1"
 INVALID_SNOWS = [
@@ -185,3 +198,278 @@ def test_description_contains_every_input():
     assert attributes["refractive_index_ice"] == "warren_brandt_2008"
     assert attributes["refractive_index_water"] == "1.33+0j"
     assert {f"interpretation_{name}" for name in NAMES} <= set(attributes)
+
+
+MEDIA = CONFIG / "media"
+
+
+@pytest.mark.parametrize("area", [0.25, 5.0, 20.0, 60.0, 1900.0])
+def test_grain_sizes_have_the_given_surface_area(area):
+    for snow in (
+        splits.Snow.natural(specific_surface_area_m2_kg=area),
+        splits.Snow(specific_surface_area_m2_kg=area, temperature_c=-20.0),
+    ):
+        assert snow.specific_surface_area_m2_kg == pytest.approx(area, rel=1e-12)
+        assert snow.grain_size_um[1] / snow.grain_size_um[0] == pytest.approx(2.5)
+        same = splits.Snow(
+            optical_radius_um=snow.optical_radius_um, sphericity=snow.sphericity,
+            temperature_c=snow.temperature_c,
+        )  # fmt: skip
+        assert same.grain_size_um == pytest.approx(snow.grain_size_um)
+
+
+def test_liquid_water_content_sets_the_saturation():
+    snow = splits.Snow(liquid_water_content=0.02, density_kg_m3=400)
+    assert snow.liquid_water_content == pytest.approx(0.02)
+    assert snow.saturation == pytest.approx(0.02 / snow.porosity)
+
+
+def test_natural_snow_is_semi_infinite_and_dry():
+    snow = splits.Snow.natural(specific_surface_area_m2_kg=20)
+    assert snow.depth_m == math.inf and snow.saturation == 0.0
+    assert snow.interpretation == splits.Interpretation.from_input("radiative_transfer")
+    assert snow.refractive_index["water"].name == "segelstein_1981"
+    assert "picard" in snow.refractive_index["ice"].name
+    attributes = snow.describe()
+    assert (
+        attributes["absorption_enhancement_900nm_dry"] == NATURAL_GRAIN_SHAPE.absorption_enhancement
+    )
+    assert attributes["optical_radius_um"] == pytest.approx(3e6 / (916.9 * 20), rel=1e-3)
+    for changed in (
+        {"facetness": (0.1, 0.1, 0.1, 0)},
+        {"interpretation": {"facet_sampling": "any"}},
+    ):
+        modified = splits.Snow.natural(specific_surface_area_m2_kg=20, **changed)
+        assert "absorption_enhancement_900nm_dry" not in modified.describe()
+    assert modified.interpretation.entry_point == "projected"
+    custom = splits.Snow.natural(specific_surface_area_m2_kg=20, refractive_index={"ice": 1.31})
+    assert custom.refractive_index["water"].name == "segelstein_1981"
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "message"),
+    [
+        (lambda: splits.Snow.natural(), ValueError, "area_m2_kg = None: must be given"),
+        (lambda: splits.Snow.natural(ssa=20), TypeError, "mean specific_surface_area_m2_kg"),
+        (lambda: splits.Snow(ssa=20), TypeError, "mean specific_surface_area_m2_kg"),
+        (lambda: splits.Snow(grain_size=3), TypeError, "mean grain_size_um"),
+        (lambda: splits.Snow(lwc=0.1), TypeError, "mean liquid_water_content"),
+        (
+            lambda: splits.Snow(specific_surface_area_m2_kg=20, grain_size_um=(100, 200)),
+            ValueError, "left out where specific_surface_area_m2_kg is given",
+        ),
+        (
+            lambda: splits.Snow((100, 200), optical_radius_um=100),
+            ValueError, "left out where grain_size_um is given",
+        ),
+        (
+            lambda: splits.Snow(saturation=0.1, liquid_water_content=0.1),
+            ValueError, "left out where saturation is given",
+        ),
+        (lambda: splits.Snow(liquid_water_content=0.9), ValueError, r"in \[0, 0.70"),
+        (lambda: splits.Snow(specific_surface_area_m2_kg=0.1), ValueError, r"\[0.2, 2000\]"),
+        (lambda: splits.Snow(optical_radius_um="a"), ValueError, "optical_radius_um = 'a'"),
+        (
+            lambda: splits.Snow.natural(specific_surface_area_m2_kg=20, density_kg_m3=0.25),
+            ValueError, r"\[10, 916.9\d*\) kg/m3 \(in g/cm3\? write 250; ice at",
+        ),
+        (
+            lambda: splits.Snow.natural(specific_surface_area_m2_kg=20, density_kg_m3=950),
+            ValueError, r"\[10, 916.9\d*\) kg/m3",
+        ),
+        (
+            lambda: splits.Snow.natural(
+                specific_surface_area_m2_kg=20, density_kg_m3=300, temperature_c=5
+            ),
+            ValueError, "temperature_c = 5",
+        ),
+        (lambda: splits.Snow(density_kg_m3=2750), ValueError, r"kg/m3 \(ice at -1 °C has 916\.9\)"),
+        (
+            lambda: splits.Snow.natural(
+                optical_radius_um=90, interpretation={"overlap_with_boundary": "skip"}
+            ),
+            ValueError, "overlap_with_boundary = 'skip': must be keep with grain_extent point",
+        ),
+    ],
+)  # fmt: skip
+def test_invalid_input_is_rejected_in_one_line(make, error, message):
+    with pytest.raises(error, match=message) as error_info:
+        make()
+    assert "\n" not in str(error_info.value)
+
+
+def test_alternative_keywords_override_those_of_the_base():
+    base = {"grain_size_um": (1, 2), "saturation": 0.1, "depth_m": 1}
+    merged = override_keywords(base, {"optical_radius_um": 3, "depth_m": 2})
+    assert merged == {"saturation": 0.1, "optical_radius_um": 3, "depth_m": 2}
+
+
+def load_text(folder, text):
+    path = folder / "made.yaml"
+    path.write_text(text)
+    return [medium for _, medium, _ in load_experiment(path, MEDIA).iter_points()]
+
+
+def test_natural_snow_in_experiment_files(tmp_path):
+    text = (
+        "medium: {kind: natural_snow, depth_m: 1, optical_radius_um: 100}\n"
+        "grid: {specific_surface_area_m2_kg: [10, 20]}\ninstrument: {wavelength_nm: [500]}\n"
+    )
+    with pytest.raises(ConfigError, match=r"medium.optical_radius_um = 100: must be left out"):
+        load_text(tmp_path, text)
+    media = load_text(tmp_path, text.replace(", optical_radius_um: 100", ""))
+    assert [medium.specific_surface_area_m2_kg for medium in media] == pytest.approx([10, 20])
+    assert all(
+        medium.interpretation == splits.Interpretation.from_input("radiative_transfer")
+        for medium in media
+    )
+    text = (
+        "medium: {base: splitsnow_table1, interpretation: geometric}\n"
+        "grid: {liquid_water_content: [0, 0.1], interpretation: {same: {}, "
+        "other: {facet_sampling: any}, paper: splitsnow_2021}}\n"
+        "instrument: {wavelength_nm: [500]}\n"
+    )
+    media = load_text(tmp_path, text)
+    assert media[3].liquid_water_content == pytest.approx(0.1)
+    interpretations = [medium.interpretation for medium in media[:3]]
+    assert [(medium.entry_point, medium.facet_sampling) for medium in interpretations] == [
+        ("projected", "projected"), ("projected", "any"), ("uniform", "any"),
+    ]  # fmt: skip
+    with pytest.raises(ConfigError, match=r"medium.ssa: unknown key.*specific_surface_area_m2_kg"):
+        load_text(tmp_path, "medium: {kind: natural_snow, ssa: 20}\n")
+    with pytest.raises(
+        ConfigError, match=r"medium.kind = 'natural_snow': must be snow, as its base"
+    ):
+        load_text(tmp_path, "medium: {base: splitsnow_table1, kind: natural_snow, ssa: 20}\n")
+    stack_text = "medium: {kind: stack, layers: [{kind: natural_snow, optical_radius_um: 90}]}\n"
+    (stack,) = load_text(tmp_path, stack_text + "instrument: {wavelength_nm: [500]}\n")
+    assert stack.layers[0].optical_radius_um == pytest.approx(90.0)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda **ground: splits.Snow.natural(specific_surface_area_m2_kg=20, **ground),
+        lambda **ground: splits.Snow(depth_m=math.inf, **ground),
+        lambda **ground: splits.Sand(depth_m=math.inf, **ground),
+        lambda **ground: splits.Stack([splits.Snow(depth_m=math.inf)], **ground),
+        lambda **ground: splits.Stack(
+            [splits.ParticleLayer(optical_thickness=math.inf, bottom_albedo=None)], **ground
+        ),
+    ],
+)
+@pytest.mark.parametrize("ground", [1.0, 0.0, "black", "camborthid"])
+def test_no_ground_is_below_an_infinite_depth(make, ground):
+    with pytest.raises(ValueError, match=r"^ground = .*must be left out \(no light reaches it"):
+        make(ground=ground)
+    assert make(ground="open").ground is None
+
+
+TABLE1 = (0.6, 0.95, 0.798, 0.064)
+
+
+@pytest.mark.parametrize(
+    ("temperature", "density"),
+    [(-40, 922.8), (-30, 921.6), (-20, 920.3), (-10, 918.7), (0, 916.7), (-1, 916.9), (-5, 917.7)],
+)
+def test_ice_density_at_and_between_tabulated_temperatures(temperature, density):
+    assert ice_density(temperature) == pytest.approx(density, rel=1e-12)
+
+
+@pytest.mark.parametrize("temperature", [-40.1, 0.1, float("nan"), None])
+def test_ice_density_outside_the_table_is_rejected(temperature):
+    with pytest.raises(ValueError, match=r"temperature_c = .*\[-40, 0\]"):
+        ice_density(temperature)
+
+
+def test_surface_to_volume_of_a_sphere_is_six():
+    assert surface_to_volume_ratio(1.0) == 6.0
+
+
+@pytest.mark.parametrize("psi", [0.1, 0.5, 0.8, 0.99])
+def test_surface_to_volume_of_a_prolate_spheroid(psi):
+    # Surface of revolution of an ellipse with semi-axes 1/2 and ψ²/2, by quadrature.
+    a, b = 0.5, 0.5 * psi**2
+    surface = integrate.quad(
+        lambda t: 2.0 * math.pi * b * math.sin(t) * math.hypot(a * math.sin(t), b * math.cos(t)),
+        0.0,
+        math.pi,
+        epsabs=0.0,
+        epsrel=1e-11,
+    )[0]
+    volume = 4.0 / 3.0 * math.pi * a * b * b
+    assert float(surface_to_volume_ratio(psi)) == pytest.approx(surface / volume, rel=1e-9)
+
+
+def test_surface_to_volume_is_smooth_near_a_sphere():
+    psi = 1.0 - np.logspace(-12.0, -3.0, 2000)[::-1]
+    ratio = surface_to_volume_ratio(psi)
+    # A = 6 + 8 (1 − ψ) + O((1 − ψ)²), through the change from closed form to series.
+    gap = 1.0 - psi
+    assert np.abs(ratio - 6.0 - 8.0 * gap).max() < 15.0 * gap.max() ** 2
+    assert (np.diff(ratio) <= 4e-15).all()
+
+
+def test_size_attenuation_of_equal_sizes_is_the_inverse():
+    assert compute_size_attenuation(2e-4, 2e-4) == 1.0 / 2e-4
+    for relative_width in np.logspace(-16.0, -3.0, 50):
+        k1 = compute_size_attenuation(2e-4, 2e-4 * (1.0 + relative_width))
+        assert k1 == pytest.approx(
+            (1.0 - 0.5 * relative_width) / 2e-4, rel=relative_width**2 + 1e-15
+        )
+
+
+def test_size_attenuation_matches_the_integrals():
+    low, high = 3e-4, 7.5e-4
+    # ∫ s⁻² ds over ∫ s⁻¹ ds.
+    exact = (1.0 / low - 1.0 / high) / math.log(high / low)
+    assert compute_size_attenuation(low, high) == pytest.approx(exact, rel=1e-14)
+
+
+def test_shape_attenuation_matches_quadrature():
+    low, high, mean, sd = TABLE1
+
+    def evaluate_normal(psi):
+        return math.exp(-0.5 * ((psi - mean) / sd) ** 2)
+
+    weighted = integrate.quad(
+        lambda p: evaluate_normal(p) * float(surface_to_volume_ratio(p)), low, high
+    )[0]
+    exact = weighted / integrate.quad(evaluate_normal, low, high)[0] / 4.0
+    assert compute_shape_attenuation(*TABLE1) == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.parametrize("limits", [(0.6, 0.9, 0.8, 0.0), (0.8, 0.8, 0.8, 0.1)])
+def test_degenerate_distributions_give_one_shape(limits):
+    assert compute_shape_attenuation(*limits) == pytest.approx(
+        float(surface_to_volume_ratio(0.8)) / 4.0
+    )
+    assert (tabulate_hit_sphericities(*limits) == 0.8).all()
+    assert (tabulate_truncated_normal(*limits) == 0.8).all()
+
+
+def test_a_narrow_distribution_tends_to_one_shape():
+    exact = float(surface_to_volume_ratio(0.8)) / 4.0
+    assert compute_shape_attenuation(0.1, 1.0, 0.8, 1e-6) == pytest.approx(exact, rel=1e-9)
+    assert np.abs(tabulate_hit_sphericities(0.1, 1.0, 0.8, 1e-6)[1:-1] - 0.8).max() < 1e-5
+
+
+@pytest.mark.parametrize("table", [tabulate_hit_sphericities, tabulate_truncated_normal])
+def test_quantiles_increase_within_their_limits(table):
+    psi = table(*TABLE1)
+    assert (np.diff(psi) > 0.0).all()
+    assert psi[0] == pytest.approx(TABLE1[0])
+    assert psi[-1] == pytest.approx(TABLE1[1])
+
+
+@pytest.mark.parametrize("weighting", ["cross_section", "uniform"])
+def test_inverse_sizes_increase_between_the_limits(weighting):
+    inverse = tabulate_hit_inverse_sizes(3e-4, 7.5e-4, weighting)
+    assert (np.diff(inverse) > 0.0).all()
+    assert 1.0 / inverse[[0, -1]] == pytest.approx([7.5e-4, 3e-4])
+
+
+def test_hit_grains_are_more_elongated_on_average():
+    assert (
+        tabulate_hit_sphericities(*TABLE1)[1:-1] < tabulate_truncated_normal(*TABLE1)[1:-1]
+    ).all()

@@ -1,7 +1,5 @@
 """Statements in words on BRDFs and on rough layers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

@@ -1,7 +1,5 @@
 """Sobol indices and information of bands, compared with functions known in closed form."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, judge_z

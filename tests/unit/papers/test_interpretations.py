@@ -1,7 +1,5 @@
 """Misfit to the statements of a paper: tolerances, effect of noise, and free choices."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

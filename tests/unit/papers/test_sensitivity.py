@@ -1,7 +1,5 @@
 """Mean sensitivity index of synthetic spectra."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from chi2 import compute_z_bound

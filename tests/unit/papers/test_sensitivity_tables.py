@@ -1,7 +1,5 @@
 """Mean sensitivity indices of pairs of values: conditions, tables and checks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

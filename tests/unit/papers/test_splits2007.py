@@ -1,7 +1,5 @@
 """Trends of sand and shifts between datasets, for synthetic spectra of known slope."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

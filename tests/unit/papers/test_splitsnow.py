@@ -1,7 +1,5 @@
 """Verdicts on the agreement with published and measured numbers, for synthetic data."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

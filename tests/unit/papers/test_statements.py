@@ -1,7 +1,5 @@
 """Trends: steps of band means along a grid, and their significance; checks of study inputs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

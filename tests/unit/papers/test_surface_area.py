@@ -1,13 +1,11 @@
 """Surface area of snow from spectra: known values are retrieved, with errors and flags."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
 
-from splits.analysis.theory.asymptotic import kz04
+from splits.analysis.theory.spectra import kz04
 from workflow.papers.surface_area import (
     AREA,
     FIELD_WAVELENGTH_NM,

@@ -1,7 +1,5 @@
 """Comparison of modelled and measured directions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

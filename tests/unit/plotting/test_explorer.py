@@ -1,7 +1,5 @@
 """The explorer: validation, and agreement of the browser with Python."""
 
-from __future__ import annotations
-
 import html
 import re
 

@@ -1,7 +1,5 @@
 """Figures of directional quantities: principal planes, maps, lobes, polarization."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

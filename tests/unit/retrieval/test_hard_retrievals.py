@@ -1,7 +1,5 @@
 """Difficult retrievals: local minima, bounds, priors, noisy Jacobians."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from formula_tables import W, evaluate_spectrum, make_snowlike_table, make_table

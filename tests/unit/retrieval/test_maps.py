@@ -1,7 +1,5 @@
 """Retrieval maps: agreement with single retrievals, and flags of invalid pixels."""
 
-from __future__ import annotations
-
 import dask.array
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Labels of measurements: conditions, receivers and pulses agree with the model or are refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

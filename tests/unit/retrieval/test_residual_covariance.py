@@ -1,7 +1,5 @@
 """Errors of fits: stated errors compared with the deviations of fits of synthetic spectra."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

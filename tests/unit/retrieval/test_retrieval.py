@@ -1,7 +1,5 @@
 """Retrievals: exact answers where available, coverage, and unconstrained parameters."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

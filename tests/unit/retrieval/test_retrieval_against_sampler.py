@@ -1,7 +1,5 @@
 """Posterior samples of a retrieval compared with an MCMC sampler, for a curved posterior."""
 
-from __future__ import annotations
-
 import emcee
 import numpy as np
 from chi2 import NEEDS_JIT

@@ -1,7 +1,5 @@
 """Bands of maps, tables and reflectance factors: labels, limits, weights and messages."""
 
-from __future__ import annotations
-
 import dask.array
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Results of retrievals: exact spectra, settings, alternative solutions, and messages."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

@@ -1,7 +1,5 @@
 """Fits of sand: valid proposals, retrieval of a known sand, and realistic errors."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT

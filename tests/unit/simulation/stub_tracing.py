@@ -1,7 +1,5 @@
 """A tally of given variances that traces without a kernel, for tests of the adaptive loop."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

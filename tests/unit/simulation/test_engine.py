@@ -1,12 +1,11 @@
-"""The adaptive loop: rounds of rays, stopping, allocation to strata, and progress."""
-
-from __future__ import annotations
+"""The adaptive loop: rounds of rays, jobs, stopping, rare light, strata, and progress."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT
+from scipy import stats
 from stub_tracing import SEGMENTS, StubTally
 
 import splits
@@ -15,12 +14,30 @@ from splits.kernels.scene import ALL_FEATURES
 from splits.kernels.tallies.exits import CROSSING_LENGTH, CROSSING_RAY, EXIT_LENGTH, TraceResult
 from splits.kernels.transport import history
 from splits.simulation import engine
-from splits.simulation.engine import MAX_ROUND_GROWTH, ProgressReport, limit_round, simulate
+from splits.simulation.engine import (
+    MAX_JOB_BYTES,
+    MAX_ROUND_GROWTH,
+    MAX_SEGMENTS_PER_JOB,
+    ProgressReport,
+    estimate_cost,
+    limit_round,
+    make_jobs,
+    simulate,
+)
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import build_scene
-from splits.simulation.spectral_nodes import make_separate_nodes
+from splits.simulation.shared_paths import SpectralRows
+from splits.simulation.spectral_nodes import IndexNodes, make_separate_nodes
+from splits.simulation.spectral_tally import SpectralTally
 from splits.simulation.strata import Evaluation, StoppingRule, Stratum, VarianceTerms, allocate_rays
-from splits.simulation.tally import RAYS_PER_CHUNK, ExitTally
+from splits.simulation.tally import (
+    RAYS_PER_CHUNK,
+    SUFFICIENT_RAYS,
+    UNSEEN_RAYS,
+    ExitTally,
+    allow_for_unseen_rays,
+    find_required_rays,
+)
 
 MANY_RAYS = 10**8
 WAVELENGTHS = [500.0, 1000.0, 1500.0]
@@ -415,3 +432,117 @@ def test_rays_are_allocated_to_strata_that_need_them():
         for seed in range(60)
     ]
     assert max(rays) < 3.0 * np.median(rays)
+
+
+THIN_SCENE = build_scene(splits.Snow(depth_m=0.02), 0.0, False)
+
+
+def make_tally(segments_per_ray):
+    """Return a tally of three strata with given mean numbers of segments."""
+    absorption = np.repeat([[0.0], [9.0], [99.0]], 3, axis=1)
+    index = np.ones((3, 3)) + 0j
+    rows = SpectralRows(index, absorption, absorption, np.zeros((0, 3, 3)), ())
+    nodes = IndexNodes(index[:1], np.ones((1, 3)), np.zeros(3))
+    tally = SpectralTally(rows, nodes, THIN_SCENE)
+    assert len(tally.strata) == 3
+    for stratum, n_segments in zip(tally.strata, segments_per_ray, strict=True):
+        stratum.n_rays, stratum.n_segments = RAYS_PER_CHUNK, RAYS_PER_CHUNK * n_segments
+    return tally
+
+
+def divide(tally, chunks, threads):
+    """Return the jobs for given numbers of chunks of the strata."""
+    return make_jobs(THIN_SCENE, tally, RAYS_PER_CHUNK * np.array(chunks), threads)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3, 7])
+@pytest.mark.parametrize("chunks", [(1, 1, 1), (40, 30, 1000), (5, 30_000, 0)])
+def test_jobs_contain_every_chunk_once_and_in_order(threads, chunks):
+    tally = make_tally((1000, 100, 10))
+    jobs = divide(tally, chunks, threads)
+    for stratum, count in zip(tally.strata, chunks, strict=True):
+        firsts = [
+            first
+            for job in jobs
+            for item_stratum, rays in job
+            for first in rays[::RAYS_PER_CHUNK]
+            if item_stratum is stratum
+        ]
+        n_rays = count * RAYS_PER_CHUNK
+        assert firsts == list(range(stratum.n_rays, stratum.n_rays + n_rays, RAYS_PER_CHUNK))
+    assert all(rays and len(rays) % RAYS_PER_CHUNK == 0 for job in jobs for _, rays in job)
+    bytes_per_chunk = 8 * (
+        RAYS_PER_CHUNK * tally.count_ray_values(THIN_SCENE) + tally.count_score_values()
+    )
+    n_chunks = [sum(len(rays) for _, rays in job) // RAYS_PER_CHUNK for job in jobs]
+    assert max(n_chunks) * bytes_per_chunk <= MAX_JOB_BYTES
+
+
+def test_rays_are_rounded_up_to_whole_chunks():
+    tally = make_tally((10, 10, 10))
+    items = [item for job in make_jobs(THIN_SCENE, tally, np.array([1, 0, 129]), 1) for item in job]
+    assert [(tally.strata.index(one), len(rays)) for one, rays in items] == [(0, 128), (2, 256)]
+
+
+@pytest.mark.parametrize("features", [None, ALL_FEATURES])
+def test_jobs_have_similar_cost(features):
+    tally = make_tally((1000, 100, 10))
+    for stratum in tally.strata:
+        stratum.features = features
+    jobs = divide(tally, (100, 500, 2000), 4)
+    costs = [sum(len(rays) * estimate_cost(one) for one, rays in job) for job in jobs]
+    max_segments = MAX_SEGMENTS_PER_JOB if features else MAX_SEGMENTS_PER_JOB / 8
+    assert max(costs) <= 1.2 * np.mean(costs) and max(costs) <= 1.1 * max_segments
+    assert len(jobs) % 4 == 0
+
+
+def test_jobs_use_one_kernel():
+    tally = make_tally((1000, 100, 10))
+    tally.strata[1].features = ALL_FEATURES
+    jobs = divide(tally, (100, 500, 2000), 4)
+    kernels = [{stratum.features for stratum, _ in job} for job in jobs]
+    assert all(len(one) == 1 for one in kernels)
+    assert {ALL_FEATURES} in kernels and {None} in kernels
+
+
+@pytest.mark.parametrize("threads, chunks", [(2, 3), (8, 11), (16, 38), (64, 80), (64, 95)])
+def test_chunks_are_divided_evenly_over_jobs(threads, chunks):
+    jobs = divide(make_tally((10, 10, 10)), (chunks, 0, 0), threads)
+    sizes = [sum(len(rays) for _, rays in job) // RAYS_PER_CHUNK for job in jobs]
+    assert sum(sizes) == chunks and max(sizes) <= -(-chunks // threads) + 1
+
+
+EXPECTED_COUNTS = np.geomspace(0.01, 100.0, 400)
+
+
+def compute_coverage(stderr, sigma):
+    """Return the probability that a Poisson count is within a multiple of its error."""
+    counts = np.arange(len(stderr))
+    inside = np.abs(counts - EXPECTED_COUNTS[:, np.newaxis]) <= sigma * stderr
+    return (stats.poisson.pmf(counts, EXPECTED_COUNTS[:, np.newaxis]) * inside).sum(axis=1)
+
+
+def test_two_errors_contain_rare_rays():
+    counts = np.arange(300.0)
+    allowed = np.sqrt(allow_for_unseen_rays(counts, np.ones_like(counts)))
+    assert compute_coverage(np.sqrt(counts), 2.0).min() < 0.1
+    # Rays of small weight give a scatter that hardly exceeds 0 if the others are missing.
+    assert compute_coverage(allowed, 2.0).min() > 0.92
+    assert compute_coverage(allowed, 3.0).min() > 0.98
+
+
+def test_sufficient_rays_are_not_changed():
+    variance = np.linspace(0.0, 20.0, 201)
+    allowed = allow_for_unseen_rays(variance, 1.0)
+    sufficient = variance >= SUFFICIENT_RAYS
+    np.testing.assert_array_equal(allowed[sufficient], variance[sufficient])
+    assert allowed[0] == UNSEEN_RAYS and (np.diff(allowed) > 0.0).all()
+    assert (allowed[~sufficient] > variance[~sufficient]).all()
+
+
+@pytest.mark.parametrize("variance", [0.0, 1e-6, 1e-3, 0.1, 1.0])
+@pytest.mark.parametrize("max_error", [1e-4, 0.003, 0.05])
+def test_required_rays_reach_the_error(variance, max_error):
+    rays = find_required_rays(np.array(variance), np.array(0.9), np.array(max_error**2))
+    reached = allow_for_unseen_rays(variance / rays, 0.9 / rays**2)
+    assert reached == pytest.approx(max_error**2, rel=1e-12)

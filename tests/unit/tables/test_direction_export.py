@@ -1,7 +1,5 @@
 """Export of tables of directions, compared with analytic values and with other programs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

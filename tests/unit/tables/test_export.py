@@ -1,7 +1,5 @@
 """Export of tables: formats compared with their definition, and with installed programs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """Tables larger than memory: written block by block, and read on access."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

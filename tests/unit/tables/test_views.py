@@ -1,7 +1,5 @@
 """Directions of observation of tables: interpolation, fields of view, isotropic light, messages."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from direction_tables import (

@@ -9,7 +9,7 @@ from compliance import collect_remarks
 import splits
 from splits.core.validation import InvalidValue
 from splits.materials import ice_density
-from splits.media.ground import load_soils
+from splits.media.ground import Ground, load_soils
 from splits.media.snow_packs import FLAGS
 
 SOOT = "impurities_ng_g.black_carbon"
@@ -574,3 +574,15 @@ def test_table_of_layers_with_a_column():
 def test_invalid_structure(ground, message):
     with pytest.raises(ValueError, match=message):
         make_packs(ground)
+
+
+@pytest.mark.parametrize(
+    ("column", "values"), [("ground", ["black", None]), ("ground_albedo", [0.3, np.nan])]
+)
+@pytest.mark.parametrize("order", [1, -1])
+def test_one_row_of_a_table_gives_the_ground_of_a_snowpack(column, values, order):
+    frame = pd.DataFrame({"time": "a", "layer": [0, 1], "thickness_m": 0.1, "density_kg_m3": 200.0})
+    frame = frame.assign(specific_surface_area_m2_kg=20.0, **{column: values[::order]})
+    assert splits.SnowPacks(frame).make_stack("a").ground == Ground.from_input(values[0])
+    with pytest.raises(ValueError, match=rf"^{column} = .*: must be the same for all layers"):
+        splits.SnowPacks(frame.assign(**{column: [values[0], type(values[0])(0.5)]}))

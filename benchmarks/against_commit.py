@@ -13,8 +13,6 @@ first      CPU time of a first spectrum, including the compilation of its kernel
 With --quick, one round of few rays tests that the program runs; its times are not meaningful.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

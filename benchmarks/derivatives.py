@@ -14,8 +14,6 @@
    same time.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import statistics

@@ -8,8 +8,6 @@ compare the lines: equal digests mean bit-identical values.  Vector units of dif
 round differently, so digests from different machines are not comparable.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable
 

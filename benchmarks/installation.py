@@ -9,8 +9,6 @@ kernels.  Exits with status 1 if a file is missing, the installation is larger t
 the spectrum differs from that of the checkout.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import shutil

@@ -22,8 +22,6 @@ features
 test that the program runs; its times are not meaningful.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Callable, Mapping

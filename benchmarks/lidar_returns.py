@@ -15,8 +15,6 @@ lidar_grains.csv     range bias for spheres and natural grains of 98 µm at 400 
     python benchmarks/lidar_returns.py [FOLDER] [--rays 100000] [--threads 2]
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Iterator

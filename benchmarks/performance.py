@@ -5,8 +5,6 @@ figure of merit is 1/(error² · time).  The ratio of two figures of merit is th
 at equal error.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

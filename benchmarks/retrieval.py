@@ -10,8 +10,6 @@ Tables and spectra are kept in FOLDER.  Twelve coverages are all within the prin
 probability of 99 % (Šidák).
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Callable

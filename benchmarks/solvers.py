@@ -18,8 +18,6 @@ ordinates traces paths through single grains, and the next ones read the result 
 
 # ruff: noqa: E402
 
-from __future__ import annotations
-
 import os
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):

@@ -16,8 +16,6 @@ The table is kept in the folder, from which a second call continues.  With --qui
 2 × 2 × 2 tests that the program runs; its times are not meaningful.
 """
 
-from __future__ import annotations
-
 import argparse
 import resource
 import time

@@ -32,10 +32,10 @@ ASYMPTOTIC_NM = (700.0, 1100.0)
 
 
 class SnowpackCase(NamedTuple):
-    """Layers of (surface area, density, depth, soot in ng/g) over a ground, and illumination."""
+    """Layers of (surface area, density, depth, soot in ng/g), ground if not deep, illumination."""
 
     layers: list[tuple[float, float, float, float]]
-    ground: float
+    ground: float | None
     incidence: float | str
 
     def simulate_albedo(
@@ -60,7 +60,7 @@ class SnowpackCase(NamedTuple):
         return np.asarray(
             tartes.albedo(
                 1e-9 * WAVELENGTHS_NM, area, density, np.where(np.isinf(depth), 1e3, depth),
-                impurities=1e-9 * soot, soilalbedo=self.ground, dir_frac=float(beam),
+                impurities=1e-9 * soot, soilalbedo=self.ground or 0.0, dir_frac=float(beam),
                 sza=float(self.incidence) if beam else 0.0, **shape,
             )
         )  # fmt: skip
@@ -85,7 +85,7 @@ TWO_LAYERS = [(40.0, 150.0, 0.05, 0.0), (12.0, 350.0, 0.2, 0.0)]
 SNOWPACK_CASES = {
     **{
         f"{area:g} m2/kg, deep, {'diffuse' if light == 'diffuse' else '53°'}": SnowpackCase(
-            [(area, 300.0, INFINITE_DEPTH, 0.0)], 0.0, light
+            [(area, 300.0, INFINITE_DEPTH, 0.0)], None, light
         )
         for area in (5.0, 20.0, 60.0)
         for light in (53.0, "diffuse")
@@ -95,10 +95,10 @@ SNOWPACK_CASES = {
         for angle in (0.0, 53.0, 75.0)
     },
     "20 m2/kg, deep, diffuse, 50 ng/g soot": SnowpackCase(
-        [(20.0, 300.0, INFINITE_DEPTH, 50.0)], 0.0, "diffuse"
+        [(20.0, 300.0, INFINITE_DEPTH, 50.0)], None, "diffuse"
     ),
     "20 m2/kg, deep, diffuse, 500 ng/g soot": SnowpackCase(
-        [(20.0, 300.0, INFINITE_DEPTH, 500.0)], 0.0, "diffuse"
+        [(20.0, 300.0, INFINITE_DEPTH, 500.0)], None, "diffuse"
     ),
     "two sooty layers on soil, diffuse": SnowpackCase(
         [(*one[:3], 50.0) for one in TWO_LAYERS], 0.2, "diffuse"

@@ -309,7 +309,8 @@ def measure_bins(medium, wavelength: float, rays: int, **settings):
 
 def count_segments(medium, wavelength: float, stokes: bool, rays: int = 2000) -> float:
     """Return the mean number of path segments of a ray."""
-    scene = build_scene(medium, INCIDENCE_DEG, False, stokes)
+    polarization = IncidentPolarization() if stokes else None
+    scene = build_scene(medium, INCIDENCE_DEG, False, polarization)
     constants = compute_optical_constants(medium, np.array([wavelength]))
     optics = make_bounding_optics(constants.indices[0], constants.absorption)
     n_stokes = 0 if scene.stokes is None else N_STOKES_COLUMNS

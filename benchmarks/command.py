@@ -40,6 +40,6 @@ def run_command(*benchmarks: Benchmark) -> None:
     options = vars(parser.parse_args())
     benchmark, path = options.pop("benchmark"), options.pop("table")
     table = pd.DataFrame(list(benchmark(**options)))
-    print(table.to_string(index=False, float_format="%.4g"))
+    print(table.to_string(index=False, float_format="{:.4g}".format))
     if path:
         write_data_frame(table, path)

@@ -72,22 +72,19 @@ lint: $(VENV)/dev
 docs: $(VENV)/dev
 	$(BIN)/sphinx-build --fail-on-warning --keep-going --fresh-env --write-all --quiet -b html docs docs/_build/html
 
+# Tables of benchmarks/ by program; others take longer or write the tables of docs/.
+BENCHMARKS = $(addprefix accuracy.,stopping node_bias sands derivatives) grains.shapes \
+	$(addprefix directions.,bins local_estimation reciprocity polarization_cost) \
+	$(addprefix directions.,polarization_error weights) costs.planes costs.profile_errors \
+	$(addprefix other_models.,exact_layers snowpacks albedo soot)
+
 benchmarks: $(VENV)/dev
 	$(BIN)/snakemake --cores $(CORES) benchmarks
 	$(BIN)/python benchmarks/solvers.py results/benchmarks/solvers.csv docs/images/solvers.png
-	$(BIN)/python benchmarks/interpolation.py
-	$(BIN)/python benchmarks/truncation_depth.py
-	$(BIN)/python benchmarks/stopping.py
-	$(BIN)/python benchmarks/goniophotometer.py
-	$(BIN)/python benchmarks/directional_table.py
-	$(BIN)/python benchmarks/grain_shape.py
-	$(BIN)/python benchmarks/reciprocity.py
-	$(BIN)/python benchmarks/exact_layers.py
-	$(BIN)/python benchmarks/local_estimation.py
-	$(BIN)/python benchmarks/polarization_cost.py
-	$(BIN)/python benchmarks/irradiance_profile_cost.py
-	$(BIN)/python benchmarks/snowpacks_against_tartes.py
-	$(BIN)/python benchmarks/snow_albedo_models.py
+	for table in $(BENCHMARKS); do \
+		$(BIN)/python benchmarks/$${table%.*}.py $${table#*.} || exit 1; \
+	done
+	$(BIN)/python benchmarks/costs.py view_table --table docs/how-to/directional_table.csv
 
 # uv installs in seconds what takes pip a minute.  pip is the fallback if uv finds no packages, for
 # example behind a mirror that only the settings of pip name.

@@ -49,7 +49,6 @@ import numpy as np
 import pandas as pd
 import performance
 import xarray as xr
-from method_table import MethodTable
 from performance import (
     MEASURED,
     MEASURED_PARTLY,
@@ -58,10 +57,17 @@ from performance import (
     SCALED,
     VECTORIZED,
 )
-from theories import THEORIES
 
 import splits
+from splits.analysis.theory.spectra import (
+    compute_shape_factors,
+    correct_dense_packing,
+    kz04,
+    propagate_errors,
+    solve_discrete_ordinates,
+)
 from splits.core.escaping import write_data_frame
+from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import expand_path
 from splits.simulation.spectral_tally import ANALOG_PILOT_RAYS
 
@@ -114,6 +120,109 @@ SHORT = SpeedPlan(
     errors=(0.016, 0.008, 0.004), reference_stderr=0.001, property_rays=20_000, n_repeats=1
 )
 QUICK = SpeedPlan(100, (0.02, 0.01, 0.005), 0.002, 4_000, 1)
+
+
+N_STREAMS = 32
+
+
+def compute_discrete_ordinates(
+    medium: splits.Snow, wavelengths: np.ndarray, rays: int
+) -> xr.Dataset:
+    """Return the spectrum by discrete ordinates, for the grains of the medium."""
+    optics = splits.single_scattering(
+        medium, wavelengths, N_STREAMS, rays, threads=1, wet_pores="equilibrium"
+    )
+    return solve_discrete_ordinates(correct_dense_packing(optics), streams=N_STREAMS)
+
+
+def compute_kz04(medium: splits.Snow, wavelengths: np.ndarray, rays: int) -> xr.Dataset:
+    """Return the spectrum by asymptotic theory, with B and g of the dry grains of the medium."""
+    optics = splits.single_scattering(
+        replace(medium, saturation=0.0), wavelengths, 1, rays, threads=1
+    )
+    area = medium.specific_surface_area_m2_kg
+    k = medium.refractive_index["ice"](wavelengths).imag
+
+    def theory(properties: xr.Dataset) -> np.ndarray:
+        enhancement, asymmetry = compute_shape_factors(properties, area, k)
+        spectrum = kz04(
+            wavelengths,
+            area,
+            extinction_coefficient=k,
+            absorption_enhancement=enhancement,
+            asymmetry=asymmetry,
+            density_kg_m3=medium.density_kg_m3,
+            depth_m=medium.depth_m,
+        )
+        reflectance, transmittance = spectrum.reflectance.values, spectrum.transmittance.values
+        return np.stack([reflectance, transmittance, 1.0 - reflectance - transmittance])
+
+    values, stderr = theory(optics), propagate_errors(theory, optics)
+    variables: dict[str, Variable] = {}
+    for row, name in enumerate(performance.QUANTITIES):
+        variables |= make_variable(name, "wavelength", values[row], stderr[row], name)
+    return xr.Dataset(variables, {"wavelength": wavelengths})
+
+
+THEORIES = {"discrete_ordinates": compute_discrete_ordinates, "kz04": compute_kz04}
+
+
+NUMBER_COLUMNS = (
+    "stderr_largest",
+    "stderr_rms",
+    "deviation_rms",
+    "deviation_largest",
+    "deviation_z",
+)
+
+
+class MethodTable:
+    """Rows of the result, printed when they are added.
+
+    Parameters
+    ----------
+    medium : str
+    reference : xarray.Dataset
+    """
+
+    def __init__(self, medium: str, reference: xr.Dataset) -> None:
+        self.medium = medium
+        self.reference = reference
+        self.rows: list[dict[str, Any]] = []
+
+    def add(
+        self,
+        method: str,
+        source: str,
+        seconds: float,
+        rays: float,
+        error: float = np.nan,
+        spectra: Sequence[xr.Dataset] = (),
+        **statistics: float,
+    ) -> None:
+        """Add a method, with the root mean square or maximum of each number over spectra."""
+        statistics |= performance.combine_runs(
+            [
+                performance.compute_deviations(spectrum, self.reference)
+                | performance.summarize_stated_errors(spectrum)
+                for spectrum in spectra
+            ]
+        )
+        row = {
+            "medium": self.medium,
+            "method": method,
+            "how": source,
+            "error": error,
+            "seconds": seconds,
+            "rays": round(rays),
+            **{key: statistics.get(key, np.nan) for key in NUMBER_COLUMNS},
+            "reference_stderr": float(
+                performance.summarize_stated_errors(self.reference)["stderr_largest"]
+            ),
+            "wavelengths_traced": spectra[0].sizes["wavelength"] if spectra else 0,
+        }
+        self.rows.append(row)
+        print(performance.format_row(row), flush=True)
 
 
 def time_call(

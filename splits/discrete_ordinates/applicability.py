@@ -98,7 +98,7 @@ def compute_extent_error(layer: GranularMedium) -> float:
 
     Fluxes follow from single scattering and from the mean distance between grains
     (`splits.discrete_ordinates.grains.TracedGrains.compute_packing_ratio`).  Near the
-    surface, they depend on more than the mean.  `benchmarks/finite_grains.py` measures the
+    surface, they depend on more than the mean.  `benchmarks/grains.py` measures the
     differences.  Point grains have none.
     """
     if layer.interpretation.grain_extent == "point":

@@ -3,7 +3,7 @@
 Natural snow consists of grains with the optical shape derived from tomography.  Their facetness and
 sphericity are those whose absorption enhancement B and asymmetry parameter g are closest to those
 of natural snow (Robledano et al. 2023, Nature Communications 14, 3955: B 1.68 ± 0.02, g 0.65 ± 0.03
-over 33 samples at 900 nm).  `benchmarks/grain_shape.py --search` found them from single scattering
+over 33 samples at 900 nm).  `benchmarks/grains.py closest_shape` found them from single scattering
 alone; no albedo was fitted.
 """
 

@@ -35,7 +35,7 @@ from splits.media.medium import Interface
 MAX_LOG_SLOPE = 0.3
 MAX_LOG_CURVATURE = 0.25
 """Bounds on |df/d(ln x)| and |d²f/d(ln x)²| for f a reflectance, transmittance or absorptance and
-x the mean contrast or the light that enters absorbing grains; `benchmarks/interpolation.py`
+x the mean contrast or the light that enters absorbing grains; `benchmarks/accuracy.py`
 measures them for snow and sand."""
 INTERFACE_WEIGHT = 0.5
 """Weight of a boundary in units of these bounds.  For its contrast c, external reflection changes

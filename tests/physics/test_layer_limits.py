@@ -342,7 +342,7 @@ def compare_with_reference(max_stderr: float) -> tuple[np.ndarray, int]:
 @compiled
 @pytest.mark.parametrize("error", [6e-3, pytest.param(1e-3, marks=pytest.mark.long)])
 def test_reflectance_and_transmittance_agree_with_reference(error):
-    # benchmarks/exact_layers.py makes the same comparison to an error of 2e-4.
+    # benchmarks/other_models.py makes the same comparison to an error of 2e-4.
     z, n_exact = compare_with_reference(error)
     # Each row is a separate run with a reflectance and, unless infinite, a transmittance.
     judge_z(z, f"reflectance and transmittance ({n_exact} exact)", independent=(z.size + 1) // 2)

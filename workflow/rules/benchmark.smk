@@ -36,12 +36,7 @@ rule benchmark:
         call=lambda wildcards: BENCHMARKS[wildcards.name],
         sources=lambda wildcards: hash_files(
             Path(workflow.basedir) / "benchmarks",
-            [
-                BENCHMARKS[wildcards.name][0],
-                "method_table.py",
-                "performance.py",
-                "theories.py",
-            ],
+            [BENCHMARKS[wildcards.name][0], "performance.py"],
         ),
         physics=hash_physics_sources(),
         theories=hash_sources(["analysis/theory"]),

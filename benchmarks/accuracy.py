@@ -1,17 +1,17 @@
-"""Derivatives of reflectance by refractive index, which bound the error of interpolation.
+"""Stated errors of spectra: the stopping rule, and the interpolation between refractive indices.
 
 The spectral estimator interpolates linearly between index nodes.  Its error bound is MAX_LOG_SLOPE
 times the relative distance of the contrasts from the chord, and MAX_LOG_CURVATURE/2 times the mean
-square of the relative distances from the nodes.  This program estimates the first and the second
-derivative of reflectance and transmittance by ln c from three contrasts c at fixed absorption, for
-dry and wet snow and sand, and prints them with their standard errors; for sands, the deviation of
-interpolated spectra from spectra traced at every wavelength; and, for snow of Table 1, that of few
-nodes from many at 211 wavelengths.
+square of the relative distances from the nodes.
 
-    python benchmarks/interpolation.py
+    python benchmarks/accuracy.py {stopping,node_bias,sands,derivatives} [--table TABLE.csv]
 """
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
+from command import run_command
 
 import splits
 from splits.simulation.engine import simulate
@@ -26,6 +26,16 @@ from splits.simulation.spectral_nodes import (
 )
 from splits.simulation.spectral_tally import SpectralTally, estimate_fixed_budget
 from splits.simulation.strata import STRATUM_BOUNDS, StoppingRule
+
+WAVELENGTHS_NM = np.arange(400, 2501, 10)
+SENSOR_BANDS = {
+    "400-800 nm": (400, 800),
+    "900-1400 nm": (900, 1400),
+    "1450-1600 nm": (1450, 1600),
+    "1950-2100 nm": (1950, 2100),
+    "2400-2500 nm": (2400, 2500),
+}
+
 
 # Wider apart than in any spectrum, so that the curvature is larger than the noise.
 MATERIALS = {
@@ -86,8 +96,8 @@ TOLERANCE = 0.0008
 RAYS = 40_000
 
 
-def print_interpolation_errors() -> None:
-    """Print deviations of interpolated reflectance of sands from that at every wavelength."""
+def sands() -> Iterator[dict[str, Any]]:
+    """Deviations of interpolated reflectances of sands from those traced at every wavelength."""
     wavelengths = np.arange(400.0, 1001.0, 50.0)
     for name, sand in SANDS.items():
         index = sand.compute_refractive_indices(wavelengths)
@@ -100,17 +110,16 @@ def print_interpolation_errors() -> None:
         deviation, noise = few[0] - traced[0], np.hypot(few_error[0], traced_error[0])
         off_nodes = np.setdiff1d(np.arange(len(wavelengths)), rows)
         z = deviation[off_nodes] / noise[off_nodes]
-        print(
-            f"{name}, {len(rows)} nodes for {len(wavelengths)} wavelengths: largest deviation "
-            f"between nodes {np.abs(deviation[off_nodes]).max(initial=0.0):.4f} "
-            f"± {noise.max():.4f}, mean {deviation[off_nodes].mean():+.4f}, rms z "
-            f"{np.sqrt(np.mean(z**2)):.2f}, largest bound {nodes.interpolation_bound.max():.4f}",
-            flush=True,
-        )
+        yield {
+            "sand": name, "nodes": len(rows), "wavelengths": len(wavelengths),
+            "largest_deviation": np.abs(deviation[off_nodes]).max(initial=0.0),
+            "noise": noise.max(), "mean_deviation": deviation[off_nodes].mean(),
+            "rms_z": np.sqrt(np.mean(z**2)), "largest_bound": nodes.interpolation_bound.max(),
+        }  # fmt: skip
 
 
-def print_bias() -> None:
-    """Print the deviation of the nodes of a spectrum of error 0.001 from many nodes, for snow.
+def node_bias() -> Iterator[dict[str, Any]]:
+    """Deviation of the nodes of a spectrum of error 0.001 from many nodes, for snow of Table 1.
 
     Both use the same paths, so that most of the noise cancels.  Deviations are compared with the
     stated error at every wavelength.
@@ -146,21 +155,49 @@ def print_bias() -> None:
     noise = np.std(deviations, axis=0, ddof=1) / np.sqrt(SEEDS)
     error = np.stack([stated.reflectance_stderr, stated.transmittance_stderr])
     ratio = np.abs(mean_deviation) / error
-    print(
-        f"Table 1, {len(few.index)} nodes against {len(many.index)} (bound "
-        f"{REFERENCE_TOLERANCE:g}), {len(wavelengths)} wavelengths: reflectance deviation rms "
-        f"{np.sqrt(np.mean(mean_deviation[0] ** 2)):.1e}, "
-        f"at most {np.abs(mean_deviation[0]).max():.1e} (noise up to {noise[0].max():.1e}); "
-        f"at most {ratio[0].max():.2f} of the stated error, larger at {(ratio[0] > 1.0).sum()} "
-        f"wavelengths; transmittance at most {np.abs(mean_deviation[1]).max():.1e}",
-        flush=True,
-    )
+    for row, name in enumerate(("reflectance", "transmittance")):
+        yield {
+            "quantity": name, "nodes": len(few.index), "many_nodes": len(many.index),
+            "rms_deviation": np.sqrt(np.mean(mean_deviation[row] ** 2)),
+            "largest_deviation": np.abs(mean_deviation[row]).max(), "noise": noise[row].max(),
+            "largest_of_stated": ratio[row].max(), "wavelengths_above": (ratio[row] > 1.0).sum(),
+        }  # fmt: skip
 
 
-def main() -> None:
-    """Print all three comparisons."""
-    print_bias()
-    print_interpolation_errors()
+def stopping(seeds: int = 200, max_stderr: float = 0.003) -> Iterator[dict[str, Any]]:
+    """Bias of the stopping rule: runs stop on their own estimated error, which biases low values.
+
+    Snow of SPLITSnow Table 1 at 211 wavelengths, many seeds at one error, compared with a reference
+    of a fifth of that error.  By band, in units of stated errors: the mean deviation over seeds
+    with its standard error, and the scatter between seeds.
+    """
+    snow = splits.Snow()
+
+    def simulate_spectrum(error: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+        spectrum = splits.spectrophotometer(snow, WAVELENGTHS_NM, max_stderr=error, seed=seed)
+        return spectrum.reflectance.values, spectrum.reflectance_stderr.values
+
+    reference, reference_error = simulate_spectrum(0.2 * max_stderr, 1_000_000)
+    runs = [simulate_spectrum(max_stderr, seed) for seed in range(seeds)]
+    values, errors = (np.stack([one[row] for one in runs]) for row in (0, 1))
+    stated = np.sqrt((errors**2).mean(axis=0))
+    bias = (values.mean(axis=0) - reference) / stated
+    noise = np.hypot(values.std(axis=0) / np.sqrt(seeds), reference_error) / stated
+    scatter = values.std(axis=0, ddof=1) / stated
+    for band, (low, high) in SENSOR_BANDS.items():
+        inside = (low <= WAVELENGTHS_NM) & (high >= WAVELENGTHS_NM)
+        yield {
+            "band": band, "reflectance": reference[inside].mean(), "bias": bias[inside].mean(),
+            "bias_stderr": noise[inside].mean(), "largest_bias": np.abs(bias[inside]).max(),
+            "scatter": scatter[inside].mean(), "largest_scatter": scatter[inside].max(),
+        }  # fmt: skip
+
+
+def derivatives() -> Iterator[dict[str, Any]]:
+    """First and second derivative of R and T by ln c, with errors, and their bounds.
+
+    From three contrasts c at fixed absorption k, for dry and wet snow and sand.
+    """
     for name, (saturation, solids, waters) in MATERIALS.items():
         kind = name[:4]
         pore = np.array(waters) if saturation == 1.0 else np.ones(3)
@@ -170,15 +207,12 @@ def main() -> None:
                 make_medium(kind, saturation, complex(solid, k), complex(water, k))
                 for solid, water in zip(solids, waters, strict=True)
             ]
-            slope, slope_error, curvature, curvature_error = compute_derivatives(mediums, x)
-            print(
-                f"{name}, k {k:g}: slope R {slope[0]:+.2f} ± {slope_error[0]:.2f}, "
-                f"T {slope[1]:+.2f} ± {slope_error[1]:.2f} (bound {MAX_LOG_SLOPE:g}); "
-                f"curvature R {curvature[0]:+.2f} ± {curvature_error[0]:.2f}, "
-                f"T {curvature[1]:+.2f} ± {curvature_error[1]:.2f} (bound {MAX_LOG_CURVATURE:g})",
-                flush=True,
-            )
+            row: dict[str, Any] = {"material": name, "k": k}
+            names = ("slope", "slope_stderr", "curvature", "curvature_stderr")
+            for label, values in zip(names, compute_derivatives(mediums, x), strict=True):
+                row |= {f"{label}_R": values[0], f"{label}_T": values[1]}
+            yield row | {"slope_bound": MAX_LOG_SLOPE, "curvature_bound": MAX_LOG_CURVATURE}
 
 
 if __name__ == "__main__":
-    main()
+    run_command(stopping, node_bias, sands, derivatives)

@@ -1,8 +1,10 @@
-"""Long names and units of the parameters of media in datasets."""
+"""Parameters of media and light in datasets: long names, units, attributes."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
+from typing import Any
 
 PARAMETERS: dict[str, tuple[str, str]] = {
     "algae_cells_ml": ("number of algae cells per volume of meltwater", "ml-1"),
@@ -86,3 +88,13 @@ def describe_parameter(parameter: str) -> tuple[str, str]:
     known = PARAMETERS.get(key) or DERIVED_QUANTITIES.get(key)
     long_name, units = known or (key.replace("_", " "), "1")
     return (f"{long_name}: {kind.replace('_', ' ')}" if kind else long_name), units
+
+
+INCIDENT_STOKES = "incident_stokes"
+UNPOLARIZED_LIGHT = (1.0, 0.0, 0.0, 0.0)
+"""Stokes vector of the incident light, by default."""
+
+
+def get_incident_stokes(attributes: Mapping[Any, Any]) -> tuple[float, ...]:
+    """Return I, Q, U and V of the incident light, unpolarized without the attribute."""
+    return tuple(float(value) for value in attributes.get(INCIDENT_STOKES, UNPOLARIZED_LIGHT))

@@ -59,15 +59,11 @@ STUDY_SOURCES = (
 """Folders and files that determine studies, besides their functions and the physics."""
 
 
-def list_sources(*, fit: bool = False) -> list[str]:
-    """Return the source files of a simulation, or of a fit, relative to the package."""
-    return _list_files(SIMULATION_SOURCES + (FIT_SOURCES if fit else ()))
-
-
 @functools.cache
 def hash_physics_sources(*, fit: bool = False) -> str:
     """Return the SHA-256 (first 16 hex digits) of the sources of a simulation, or of a fit."""
-    return hash_files(PACKAGE_FOLDER, list_sources(fit=fit))
+    sources = _list_files(SIMULATION_SOURCES + (FIT_SOURCES if fit else ()))
+    return hash_files(PACKAGE_FOLDER, sources)
 
 
 def hash_sources(names: Iterable[str]) -> str:

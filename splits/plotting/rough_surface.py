@@ -31,10 +31,6 @@ _REFERENCE_LINE_STYLE: dict[str, Any] = {"color": "0.6", "lw": 0.6, "ls": "--"}
 _LOWER_UPPER = np.array([-1.0, 1.0])
 
 
-def _find_range(values: np.ndarray) -> tuple[float, float]:
-    return float(values.min()), float(values.max())
-
-
 def _make_panels(count: int, map_panel: int, **settings: Any) -> tuple[Figure, np.ndarray]:
     """Return a figure with panels side by side, one of which is a map."""
     figure, panels = make_subplots(1, count, width=TWO_COLUMNS_INCHES, height=2.8, **settings)
@@ -129,15 +125,9 @@ def draw_lens(dataset: xr.Dataset, select: Mapping[str, float | str] | None = No
             screen.plot(*spot.T, ".", color=colour, ms=1.5, label=f"{depth[index]:g} m")
         rays.set(xlabel="x (m)", ylabel="height above the ring's centre (m)")
         is_detected = dataset.detected.values[shown] > 0
-        middle = np.array(
-            [
-                np.mean(_find_range(dataset.screen_position.values[shown][is_detected, i]))
-                for i in (0, 1)
-            ]
-        )
-        half = 0.58 * max(
-            np.ptp(dataset.screen_position.values[shown][is_detected, i]) for i in (0, 1)
-        )
+        positions = dataset.screen_position.values[shown][is_detected]
+        middle = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
+        half = 0.58 * np.ptp(positions, axis=0).max()
         screen.set(xlim=middle[0] + half * _LOWER_UPPER, ylim=middle[1] + half * _LOWER_UPPER)
         screen.set_aspect("equal")
         figure.legend(

@@ -21,8 +21,11 @@ from matplotlib.text import Text
 
 from splits.core.atomic import atomic_write
 from splits.core.escaping import escape_mathtext
-from splits.core.incident_stokes import UNPOLARIZED_LIGHT, get_incident_stokes
-from splits.core.parameter_names import parse_impurity_parameter
+from splits.core.parameter_names import (
+    UNPOLARIZED_LIGHT,
+    get_incident_stokes,
+    parse_impurity_parameter,
+)
 from splits.core.validation import expand_path
 from splits.media.formatting import count_digits
 

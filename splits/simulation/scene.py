@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.core.arrays import as_1d_array
-from splits.core.incident_stokes import INCIDENT_STOKES
+from splits.core.parameter_names import INCIDENT_STOKES
 from splits.core.validation import as_scalar, invalid
 from splits.kernels.arithmetic import Vector
 from splits.kernels.rough_surface.realization import HeightFields

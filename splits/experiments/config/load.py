@@ -97,7 +97,10 @@ def locate_job_errors(settings: Mapping[str, Any], name: str) -> Iterator[None]:
         yield
     except InvalidValue as error:
         folder = load_settings(dict(settings)).experiments_folder
-        files = [one for one in _list_yaml_files(folder) if _read_name(one) == name]
+        files = [
+            path for path in _list_yaml_files(folder)
+            if read_yaml(path).get("name", path.stem) == name
+        ]  # fmt: skip
         with locate_errors(files[0] if files else Path(name)):
             raise error from None
 
@@ -105,10 +108,6 @@ def locate_job_errors(settings: Mapping[str, Any], name: str) -> Iterator[None]:
 def _list_yaml_files(folder: str | Path) -> list[Path]:
     """Return the YAML files below a folder, which need not exist."""
     return sorted(expand_path(folder, "folder").rglob("*.y*ml"))
-
-
-def _read_name(path: Path) -> str:
-    return str(read_yaml(path).get("name", path.stem))
 
 
 def _to_single_line(text: str) -> str:

@@ -1,9 +1,8 @@
 """Cost and accuracy of a table of 9600 spectra of deep snow.
 
-20 optical radii (30 to 2000 µm), 8 angles, 6 liquid water contents, 10 amounts of soot, each a spectrum
-of 211 wavelengths to a standard error of 0.003, by discrete ordinates or by paths.
-The time per spectrum on one core is compared with single runs, TARTES and snowoptics, for similar
-snow.
+20 optical radii (30 to 2000 µm), 8 angles, 6 liquid water contents and 10 amounts of soot, each a
+spectrum of 211 wavelengths to a standard error of 0.003, by discrete ordinates or by paths.  The
+time per spectrum on one core is compared with single runs, TARTES and snowoptics, for similar snow.
 
 plan     Estimated cost of 10⁶ and 10⁸ spectra.
 axes     Number of nodes of each axis from which the others are interpolated within 0.005.

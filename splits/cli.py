@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from splits.core.optional import import_optional
+from splits.core.optional import DISTRIBUTION_NAME, import_optional
 from splits.core.progress import write_line
-from splits.core.validation import expand_path
+from splits.core.validation import check_integer, expand_path, invalid
 
 if TYPE_CHECKING:
     from splits.experiments.config.experiment import ExperimentConfig
@@ -131,7 +131,6 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
     from splits.analysis.measured import read_spectra
     from splits.core.atomic import check_writable
     from splits.core.process import exit_on_signals
-    from splits.core.validation import check_integer, invalid
     from splits.experiments.config.load import load_experiment, locate_errors
     from splits.experiments.config.sections import Accuracy
     from splits.experiments.config.simulation import SimulationConfig
@@ -230,7 +229,6 @@ def _print_versions(arguments: argparse.Namespace) -> None:
     import platform
     from importlib.metadata import PackageNotFoundError, version
 
-    from splits.core.optional import DISTRIBUTION_NAME
     from splits.core.provenance import get_git_commit, get_package_version
     from splits.io.netcdf import SCHEMA_VERSION
 

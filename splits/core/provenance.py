@@ -7,7 +7,6 @@ their own sources.
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import subprocess
 from collections.abc import Iterable
@@ -59,7 +58,7 @@ STUDY_SOURCES = (
 """Folders and files that determine studies, besides their functions and the physics."""
 
 
-@functools.cache
+@cache
 def hash_physics_sources(*, fit: bool = False) -> str:
     """Return the SHA-256 (first 16 hex digits) of the sources of a simulation, or of a fit."""
     sources = _list_files(SIMULATION_SOURCES + (FIT_SOURCES if fit else ()))

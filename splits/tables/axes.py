@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Set
-from itertools import pairwise
 from numbers import Real
 from typing import Any, NamedTuple, TypeVar
 
@@ -176,7 +175,7 @@ def _check_grid_axis(name: str, values_given: Any) -> tuple[Any, ...]:
         return tuple(values)
     allowed = "different, increasing numbers"
     numbers = as_1d_array(key, values, allowed).tolist()
-    if any(lower >= upper for lower, upper in pairwise(numbers)):
+    if any(lower >= upper for lower, upper in itertools.pairwise(numbers)):
         raise invalid(key, numbers, allowed)
     return tuple(numbers)
 

@@ -217,11 +217,11 @@ def test_bins_and_local_estimation_agree_on_polarization():
         ({"refractive_index": 0.9}, "refractive_index = 0.9"),
         ({"bottom_albedo": 2.0}, "bottom_albedo = 2.0"),
         ({"phase_function": "mie"}, "phase_function = 'mie'"),
-        ({"phase_function": {"cosine": [-1, 1]}}, "cosine and density"),
+        ({"phase_function": {"cosine": [-1, 1]}}, "cosine, density"),
         ({"phase_function": {"cosine": [-1, 0.5], "density": [1, 1]}}, "increasing from -1 to 1"),
         ({"polarized": "yes"}, "polarized = 'yes'"),
         ({"depth_m": 0.0}, "depth_m = 0.0"),
-        ({"phase_function": {1: 2, "a": 3}}, "cosine and density"),
+        ({"phase_function": {1: 2, "a": 3}}, "cosine, density"),
         ({"phase_function": {"cosine": [-1, 1], "density": [1e308, 1e308]}}, "0 to 1e100"),
     ],
 )

@@ -130,7 +130,7 @@ RUN_WRITE_FUNCTIONS = {
         lambda path: splits.build_table(
             make_snow, {"ground": ["black"]}, [500], max_stderr=0.2, folder=Path(path).parent
         ),
-        "blocks/block_000000_*.nc",
+        "blocks/block_*.nc",
     ),
 }
 

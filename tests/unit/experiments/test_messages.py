@@ -238,7 +238,7 @@ def test_all_invalid_files_are_reported_at_once(tmp_path):
     lines = str(error.value).splitlines()
     starts = (
         "a.yaml, line 1: titel: unknown", "c.yaml, line 1: name = 'b': already",
-        "d.yaml, line 1: not YAML",
+        "d.yaml, line 2: not YAML",
     )  # fmt: skip
     assert len(lines) == len(starts)
     for line, start in zip(lines, starts, strict=True):

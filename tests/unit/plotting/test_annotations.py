@@ -434,8 +434,7 @@ def make_spectrum():
 def test_figures_are_independent_of_pyplot(tmp_path):
     environment = os.environ | {"MPLBACKEND": "svg"}
     environment.pop("DISPLAY", None)
-    folder = os.path.dirname(__file__)
-    environment["PYTHONPATH"] = os.pathsep.join([folder, os.environ.get("PYTHONPATH", os.getcwd())])
+    environment["PYTHONPATH"] = os.pathsep.join([os.getcwd(), *sys.path])
     result = subprocess.run(
         [sys.executable, "-c", PROGRAM], env=environment, cwd=tmp_path, capture_output=True,
         text=True,

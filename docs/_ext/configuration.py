@@ -12,6 +12,7 @@ from pydantic.fields import FieldInfo
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
+from splits.experiments.config.figure import INSTRUMENT_FIGURES, INSTRUMENT_QUANTITIES
 from splits.experiments.config.instruments import INSTRUMENT_KINDS
 
 
@@ -120,7 +121,7 @@ class Instruments(SphinxDirective):
         """Return the table."""
         rows = []
         for kind, model in INSTRUMENT_KINDS.items():
-            columns = model.FIGURES, model.QUANTITIES
+            columns = INSTRUMENT_FIGURES[kind], INSTRUMENT_QUANTITIES.get(kind, ())
             cells = [", ".join(f"`{name}`" for name in column) or "—" for column in columns]
             rows.append([f"`{kind}`", describe(model), *cells])
         head = ["`instrument.kind`", "description", "`figure.kind`", "`figure.quantity`"]

@@ -1,1 +1,1 @@
-"""Analysis of datasets: sensitivity, colour, anisotropy and comparison with measurements."""
+"""Analysis of datasets: colour, principal planes, tables of measured numbers, theories."""

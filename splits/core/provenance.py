@@ -50,7 +50,9 @@ TABLE_SOURCES = (
     "tables/axis_interpolation.py", "tables/interpolation.py", "tables/table_interpolation.py",
 )  # fmt: skip
 """Files that determine how a table is made from its simulated parts."""
-FIGURE_SOURCES = ("plotting/*.py", "plotting/*.mplstyle")
+FIGURE_SOURCES = (
+    "plotting/*.py", "plotting/*.mplstyle", "analysis/*.py", "core/parameter_names.py",
+)  # fmt: skip
 """Files that determine figures."""
 STUDY_SOURCES = (
     "analysis", "illumination", "retrieval", "core/uncertainty.py", *FIGURE_SOURCES,

@@ -123,7 +123,7 @@ class BeamSpreadTally(ExitTally):
         jackknife_quantile = compute_quantile_radii(
             compute_leave_one_out_means(radial), RADIUS_QUANTILES
         )
-        pixel_area = (2.0 * self.half_width / N_MAP_PIXELS) ** 2
+        pixel_area = (2.0 * self.half_width / self.n_pixels) ** 2
         map_mean, map_error = (
             np.moveaxis(one, -1, 1) / pixel_area
             for one in self.combine_moments(*np.moveaxis(self.map_sums, 2, -1))
@@ -151,7 +151,7 @@ class BeamSpreadTally(ExitTally):
             variable_dims = ("side", "wavelength", *dims)
             variables |= make_variable(name, variable_dims, values, stderr, long_name, units)
         radius = np.sqrt(edges[1:] * edges[:-1])
-        pixels = (2.0 * np.arange(N_MAP_PIXELS) + 1.0) / N_MAP_PIXELS - 1.0
+        pixels = (2.0 * np.arange(self.n_pixels) + 1.0) / self.n_pixels - 1.0
         positions = self.half_width * pixels
         quantile_attributes = {"long_name": "fraction of the light", "units": "1"}
         coordinates = {

@@ -110,7 +110,7 @@ def make_angular_dataset(
     estimate : AngularEstimate
     stokes : dict
         Variables of polarized light and their errors by name, shape (wavelengths, directions), see
-        `splits.instruments.angular_tallies.StokesEstimate`.
+        `splits.instruments.angular_tallies.make_stokes_variables`.
     wavelengths : float, shape (wavelengths,)
         nm.
     angles : (float, float)

@@ -1,1 +1,1 @@
-"""Reading and writing of netCDF files, archives and BRDF files, with checksums."""
+"""Files: netCDF with checksums, archives, caches, and snow pits of CAAML and Crocus."""

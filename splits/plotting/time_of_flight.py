@@ -32,6 +32,9 @@ MAX_TICKS = 8
 HALF_SPEED_MM_PER_NS = 0.5e-6 * SPEED_OF_LIGHT
 """Apparent depth per delay."""
 
+MAX_RELATIVE_ERROR = 0.25
+"""Relative error above which a value is not drawn."""
+
 
 def draw_returns(
     dataset: xr.Dataset,
@@ -138,10 +141,6 @@ def _select_reflected(dataset: xr.Dataset, select: Mapping[str, float | str] | N
     """Return the reflected light at values of the grid; a table of returns has no other."""
     dataset = select_points(dataset, select or {})
     return dataset.sel(side="reflected") if "side" in dataset.dims else dataset
-
-
-MAX_RELATIVE_ERROR = 0.25
-"""Relative error above which a value is not drawn."""
 
 
 def draw_beam_spread(

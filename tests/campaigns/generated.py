@@ -10,12 +10,10 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from splits.experiments.config.instruments import INSTRUMENT_KINDS
+from splits.experiments.config.figure import INSTRUMENT_FIGURES
 from splits.experiments.config.media import make_label
 from splits.plotting.figure import POINT_KINDS
 from splits.plotting.panels import FIGURE_SETTINGS
-
-FIGURE_KINDS = {kind: model.FIGURES for kind, model in INSTRUMENT_KINDS.items()}
 
 
 class RawText(str):
@@ -328,9 +326,9 @@ def figures(draw, kind: str, grid: dict[str, Any]) -> dict[str, Any]:
     figure = {}
     if draw(st.booleans()):
         figure["kind"] = draw(
-            st.sampled_from([name for name in FIGURE_KINDS[kind] if name != "fit"])
+            st.sampled_from([name for name in INSTRUMENT_FIGURES[kind] if name != "fit"])
         )
-    shown = figure.get("kind", FIGURE_KINDS[kind][0])
+    shown = figure.get("kind", INSTRUMENT_FIGURES[kind][0])
     if kind in QUANTITIES and shown in ("spectra", "points", "principal_plane") and draw(OFTEN):
         several = st.lists(st.sampled_from(QUANTITIES[kind]), min_size=1, max_size=3, unique=True)
         figure["quantity"] = draw(several | several.map(lambda names: names[0]))

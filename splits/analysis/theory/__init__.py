@@ -1,1 +1,1 @@
-"""Radiative transfer theories for comparison with simulations."""
+"""Theories for comparison with simulations; Mie scattering, phase functions, shapes of grains."""

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from splits.core.validation import check_choice, invalid, key_prefix
+from splits.experiments.config.instruments import TableQuantity
 from splits.experiments.config.media import find_label, to_coordinate_values
 from splits.experiments.config.sections import (
     FiniteSection,
@@ -32,6 +33,25 @@ FigureKind = Literal[
     "principal_plane", "hemisphere", "lobes", "bins", "spread", "surface", "lens",
     "polarization", "return", "range_bias", "summary", "season", "none",
 ]  # fmt: skip
+
+INSTRUMENT_FIGURES: dict[str, tuple[str, ...]] = {
+    "refractive_index": ("refractive_index",),
+    "spectrophotometer": ("spectra", "points", "swatches", "fit", "season"),
+    "albedo": ("season",),
+    "goniophotometer": ("principal_plane", "hemisphere", "lobes", "bins", "polarization"),
+    "beam_spread": ("spread",),
+    **dict.fromkeys(("time_of_flight", "return_table"), ("return", "range_bias")),
+    "surface_map": ("surface",),
+    "lens": ("lens",),
+    "table": ("summary",),
+}
+"""Kinds of figures by instrument, the default first."""
+INSTRUMENT_QUANTITIES: dict[str, tuple[str, ...]] = {
+    "spectrophotometer": ("reflectance", "transmittance", "absorptance", "mean_grain_distance"),
+    "goniophotometer": ("brdf", "btdf", "reflectance_factor", "anisotropy_factor", "brdf_dolp"),
+    "table": get_args(TableQuantity),
+}
+"""Quantities that the figures of an instrument may show."""
 
 
 def _check_mathematics(value: str) -> str:
@@ -99,7 +119,7 @@ def resolve_figure(simulation: SimulationConfig, figure: FigureSection) -> dict[
     Kinds, quantities and values that the experiment does not have are rejected.
     """
     instrument, grid = simulation.instrument, simulation.grid
-    kinds = [kind for kind in instrument.FIGURES if kind not in ("fit", "season")]
+    kinds = [kind for kind in INSTRUMENT_FIGURES[instrument.kind] if kind not in ("fit", "season")]
     if simulation.has_packs or simulation.fit:
         kinds = ["season" if simulation.has_packs else "fit"]
     is_single = kinds[0] == "spectra" and grid and instrument.get_wavelengths().size == 1
@@ -109,7 +129,8 @@ def resolve_figure(simulation: SimulationConfig, figure: FigureSection) -> dict[
         raise invalid("figure.kind", kind, allowed)
     given = figure.model_dump(mode="json", exclude_unset=True, exclude_none=True)
     check_settings(kind, given)
-    quantities = getattr(instrument, "quantities", None) or instrument.QUANTITIES
+    chosen = getattr(instrument, "quantities", None)
+    quantities = chosen or INSTRUMENT_QUANTITIES.get(instrument.kind, ())
     for quantity in given.get("quantity", ()):
         check_choice("figure.quantity", quantity, quantities)
     fixed = {}

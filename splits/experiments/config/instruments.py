@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, ClassVar, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
 from pydantic import (
@@ -163,11 +163,6 @@ IncidentStokes = Annotated[
 class Instrument(FiniteSection):
     """A virtual instrument."""
 
-    FIGURES: ClassVar[tuple[str, ...]]
-    """Kinds of its figures, the default first."""
-    QUANTITIES: ClassVar[tuple[str, ...]] = ()
-    """Quantities that its figures may show."""
-
     kind: str
 
     def get_wavelengths(self) -> np.ndarray:
@@ -280,8 +275,6 @@ class OpticalInstrument(SpectralInstrument):
 class Refractometer(SpectralInstrument):
     """Refractive indices of the materials of a medium."""
 
-    FIGURES: ClassVar = ("refractive_index",)
-
     kind: Literal["refractive_index"]
 
     def check_grid(self, grid: Mapping[str, Mapping[str, Any]], *, is_single: bool) -> None:
@@ -292,9 +285,6 @@ class Refractometer(SpectralInstrument):
 
 class Spectrophotometer(OpticalInstrument):
     """Hemispherical reflectance and transmittance."""
-
-    FIGURES: ClassVar = ("spectra", "points", "swatches", "fit", "season")
-    QUANTITIES: ClassVar = ("reflectance", "transmittance", "absorptance", "mean_grain_distance")
 
     kind: Literal["spectrophotometer"] = "spectrophotometer"
     solver: Solver = "auto"
@@ -311,8 +301,6 @@ class Spectrophotometer(OpticalInstrument):
 
 class Albedo(SpectralInstrument):
     """Albedo of the snowpacks of a file under skies, for their zenith angles of the sun."""
-
-    FIGURES: ClassVar = ("season",)
 
     kind: Literal["albedo"]
     wavelength_nm: WavelengthGrid | tuple[Number, ...] = WavelengthGrid(
@@ -338,9 +326,6 @@ class Albedo(SpectralInstrument):
 
 class Goniophotometer(OpticalInstrument):
     """BRDF and BTDF by direction."""
-
-    FIGURES: ClassVar = ("principal_plane", "hemisphere", "lobes", "bins", "polarization")
-    QUANTITIES: ClassVar = ("brdf", "btdf", "reflectance_factor", "anisotropy_factor", "brdf_dolp")
 
     kind: Literal["goniophotometer"]
     solver: Solver = "auto"
@@ -373,8 +358,6 @@ class Goniophotometer(OpticalInstrument):
 class BeamSpread(OpticalInstrument):
     """Map of the light around a narrow beam."""
 
-    FIGURES: ClassVar = ("spread",)
-
     kind: Literal["beam_spread"]
     rays: Rays = None
     half_width_m: Number | None = None
@@ -390,8 +373,6 @@ class BeamSpread(OpticalInstrument):
 
 class DelayInstrument(OpticalInstrument):
     """An instrument that records delays of light."""
-
-    FIGURES: ClassVar = ("return", "range_bias")
 
     rays: Rays = None
     delay_s: Delays | None = None
@@ -426,8 +407,6 @@ class ReturnTable(DelayInstrument):
 class SurfaceMap(Instrument):
     """Heights of a rough surface."""
 
-    FIGURES: ClassVar = ("surface",)
-
     kind: Literal["surface_map"]
     seed: Seed = None
     half_width_m: Number
@@ -438,8 +417,6 @@ class SurfaceMap(Instrument):
 
 class Lens(Instrument):
     """Images of a ring of rays through a rough surface."""
-
-    FIGURES: ClassVar = ("lens",)
 
     kind: Literal["lens"]
     seed: Seed = None
@@ -462,9 +439,6 @@ class Lens(Instrument):
 
 class TableInstrument(OpticalInstrument):
     """Table of spectra over a grid, for interpolation and retrieval."""
-
-    FIGURES: ClassVar = ("summary",)
-    QUANTITIES: ClassVar = get_args(TableQuantity)
 
     kind: Literal["table"]
     polar_deg: PolarAngles | None = None

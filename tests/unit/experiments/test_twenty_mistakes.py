@@ -1,5 +1,7 @@
 """A file with 20 mistakes, corrected one after the other, and those that its schema reports."""
 
+from typing import get_args
+
 import pytest
 from jsonschema import Draft202012Validator
 from shipped import CONFIG
@@ -9,6 +11,7 @@ from splits.core.validation import ConfigError
 from splits.core.yaml import read_yaml
 from splits.experiments import load_experiment
 from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.figure import FigureKind
 from splits.experiments.config.schema import make_schema
 
 MEDIA = CONFIG / "media"
@@ -51,10 +54,8 @@ MISTAKES = [
      "instrument, grid, fit, group, reproduces, title, caption, figure, retrieve, "
      "retrieve_return (did you mean caption?)",
      IN_SCHEMA),
-    ("plan\n", "plane\n", "line 21: figure.kind = 'principal_plan': must be one of spectra, "
-     "points, refractive_index, swatches, fit, principal_plane, hemisphere, lobes, bins, spread, "
-     "surface, lens, polarization, return, range_bias, summary, season, none (did you mean "
-     "principal_plane?)",
+    ("plan\n", "plane\n", "line 21: figure.kind = 'principal_plan': must be one of "
+     f"{', '.join(get_args(FigureKind))} (did you mean principal_plane?)",
      IN_SCHEMA),
     ("$x^$", "$x^2$", "line 23: figure.legend = '$x^$': must be text that matplotlib can typeset "
      "(write \\$ for a dollar sign)", NO_FORMULAS),

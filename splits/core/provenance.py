@@ -55,7 +55,7 @@ FIGURE_SOURCES = (
 )  # fmt: skip
 """Files that determine figures."""
 STUDY_SOURCES = (
-    "analysis", "illumination", "retrieval", "core/uncertainty.py", *FIGURE_SOURCES,
+    "analysis/theory", "illumination", "retrieval", "core/uncertainty.py", *FIGURE_SOURCES,
 )  # fmt: skip
 """Folders and files that determine studies, besides their functions and the physics."""
 

@@ -11,11 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from splits.core.arrays import ContentEquality, check_array_range
+from splits.core.declarations import Quantity
+from splits.core.inputs import check_mapping
 from splits.core.validation import check_range, invalid, suggest_name
 from splits.materials.csv_table import read_numeric_csv, read_tabulated_function
 from splits.materials.refractive_index import check_wavelength_range
@@ -30,6 +32,23 @@ MAX_NG_G = 1e8
 MAX_CELLS_ML = 1e9
 USER_IMPURITY_NAME_PATTERN = re.compile(r"(?!ground$|refractive_index)[^/]{1,80}")
 HALF_BAND_WIDTH_NM = 5.0
+
+Impurities = Annotated[
+    Mapping[str, Any],
+    Quantity(
+        "mass of impurities per mass of ice", "1e-9",
+        check=check_mapping("a mapping of amounts by kind, such as {'black_carbon': 100}"),
+        schema={"type": "object"},
+    ),
+]  # fmt: skip
+AlgaeCells = Annotated[
+    Mapping[str, float],
+    Quantity(
+        "number of algae cells per volume of meltwater", "ml-1",
+        check=check_mapping("a mapping of amounts by kind, such as {'snow_algae': 100}"),
+        schema={"type": "object", "additionalProperties": {"type": "number"}},
+    ),
+]  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +99,9 @@ def list_impurities() -> tuple[str, ...]:
     return tuple(name for name in _load_known_impurities() if name not in ALGAE_NAMES)
 
 
-def make_impurities(mass_ng_g: Any, cells_ml: Any) -> tuple[Impurity, ...]:
+def make_impurities(
+    mass_ng_g: Mapping[str, Any], cells_ml: Mapping[str, float]
+) -> tuple[Impurity, ...]:
     """Return the impurities for a user's input.
 
     Parameters
@@ -97,10 +118,6 @@ def make_impurities(mass_ng_g: Any, cells_ml: Any) -> tuple[Impurity, ...]:
     ValueError
         For an unknown type, a negative amount or a malformed table.
     """
-    for key, given in (("impurities_ng_g", mass_ng_g), ("algae_cells_ml", cells_ml)):
-        if not isinstance(given, Mapping):
-            example = "black_carbon" if given is mass_ng_g else ALGAE_NAMES[1]
-            raise invalid(key, given, f"a mapping of amounts by kind, such as {{{example!r}: 100}}")
     impurities = [_make_mass_impurity(name, amount) for name, amount in mass_ng_g.items()]
     for name, amount in cells_ml.items():
         number = check_range(f"algae_cells_ml.{name}", amount, 0.0, MAX_CELLS_ML, "cells/ml")

@@ -6,13 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 
 from splits.core.arrays import ContentEquality, check_array_range
+from splits.core.declarations import Quantity
 from splits.core.labels import check_nanometres
 from splits.core.validation import check_number, check_range, invalid, suggest_name
 from splits.materials.csv_table import (
@@ -186,3 +187,8 @@ def check_ground_reached(
     if ground is not None and is_semi_infinite:
         hint = f"no light reaches it below {above}: give depth_m"
         raise invalid("ground", ground.name, "left out", hint)
+
+
+GroundInput = Annotated[
+    Any, Quantity("ground below", first_step=0.04, check=lambda _, value: Ground.from_input(value))
+]

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
+from splits.core.declarations import Quantity
 from splits.core.keywords import reject_unknown_keywords
 from splits.core.validation import check_choice, invalid, join_names, suggest_name
 from splits.kernels.scene import (
@@ -278,3 +279,11 @@ class SandInterpretation(TransportInterpretation):
                 "solid_fraction with this mean_free_path",
                 hint,
             )
+
+
+SnowInterpretation = Annotated[
+    Any,
+    Quantity(
+        "interpretation of the papers", check=lambda _, value: Interpretation.from_input(value)
+    ),
+]

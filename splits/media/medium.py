@@ -11,19 +11,16 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
-from functools import cached_property, partial
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from splits.core.arrays import check_named_numbers
 from splits.core.validation import (
     ROUNDING_TOLERANCE,
-    as_scalar,
     check_range,
     invalid,
-    snap_to_limits,
     suggest_name,
 )
 from splits.kernels.phase_function import PhaseFunction
@@ -216,16 +213,6 @@ EXPANDED_INPUTS = (
 AIR, WATER = "air", "water"
 
 
-def check_truncated_normal(key: str, value: Any, low: float) -> tuple[float, ...]:
-    """Return the validated (min, max, mean, sd) of a truncated normal distribution in [low, 1]."""
-    *limits_and_mean, sd = check_named_numbers(key, value, ("min", "max", "mean", "sd"))
-    minimum, maximum, mean = snap_to_limits(limits_and_mean, low, 1.0).tolist()
-    if not low <= minimum <= mean <= maximum <= 1.0:
-        raise invalid(key, value, f"{low:g} <= min <= mean <= max <= 1 (min, max, mean, sd)")
-    check_range(f"{key} (sd)", sd, 0.0, 1.0)
-    return minimum, maximum, mean, sd
-
-
 class GranularMedium(HomogeneousLayer):
     """Layer of grains: its population, boundaries, optical constants.
 
@@ -256,19 +243,8 @@ class GranularMedium(HomogeneousLayer):
         grain_materials : iterable of str
             Names of the materials of grains, which pore fluids cannot have.
         """
-        put = partial(object.__setattr__, self)
-        put("saturation", check_range("saturation", self.saturation, 0.0, 1.0))
-        put("sphericity", check_truncated_normal("sphericity", self.sphericity, 0.1))
-        put("ground", Ground.from_input(self.ground))
-        depth_m = as_scalar(self.depth_m)
-        if not (isinstance(depth_m, float) and depth_m == math.inf):
-            hint = "or infinite: .inf in YAML, math.inf in Python"
-            depth_m = check_range("depth_m", depth_m, 0.0, 1e4, "m", open_low=True, hint=hint)
-        put("depth_m", depth_m)
         check_ground_reached(self.ground, self.is_semi_infinite)
         pores, given = self.pores, self.refractive_index
-        if not isinstance(pores, Mapping):
-            raise invalid("pores", pores, "a mapping of fractions of the pore space by medium")
         reserved = (AIR, WATER, *grain_materials)
         fractions = {}
         for name, fraction in pores.items():
@@ -276,14 +252,11 @@ class GranularMedium(HomogeneousLayer):
                 hint = "saturation is the fraction of water, and air fills the rest"
                 raise invalid("pores", name, f"names other than {', '.join(reserved)}", hint)
             fractions[name] = check_range(f"pores.{name}", fraction, 0.0, 1.0, open_low=True)
-            if not isinstance(given, Mapping) or name not in given:
+            if name not in given:
                 hint = f"give refractive_index of {name}: n + kj or a table"
                 raise invalid("pores", name, "media of known refractive index", hint)
         if self.saturation + sum(fractions.values()) > 1.0 + ROUNDING_TOLERANCE:
             raise invalid("pores", dict(pores), "fractions that add up to at most 1 - saturation")
-        put("pores", fractions)
-        if not isinstance(given, Mapping):
-            raise invalid("refractive_index", given, "a mapping by material")
         materials = [*grain_materials, WATER]
         fluids = [*fractions, *([AIR] if AIR in given else [])]
         for name in given:
@@ -293,7 +266,12 @@ class GranularMedium(HomogeneousLayer):
                 raise invalid("refractive_index", name, allowed, hint)
         indices = {name: make_refractive_index(name, given.get(name)) for name in materials}
         indices |= {name: parse_refractive_index(name, given[name]) for name in fluids}
-        put("refractive_index", indices)
+        self._put(pores=fractions, refractive_index=indices)
+
+    def _put(self, **values: Any) -> None:
+        """Set inputs in their final form."""
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
 
     @property
     def has_grains(self) -> Literal[True]:

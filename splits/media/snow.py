@@ -10,132 +10,108 @@ alone; no albedo was fitted.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, field, fields
-from functools import cached_property, partial, wraps
-from inspect import Parameter, Signature, signature
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from collections.abc import Hashable, Mapping
+from dataclasses import field
+from functools import cached_property
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
 from splits.core.arrays import ContentEquality, check_named_numbers
-from splits.core.keywords import reject_unknown_arguments, reject_unknown_keywords
-from splits.core.validation import check_choice, check_range, invalid, suggest_unit
+from splits.core.declarations import Quantity, alternative, declare_class, other_constructor
+from splits.core.inputs import (
+    Depth,
+    Facetness,
+    Pores,
+    RefractiveIndices,
+    Saturation,
+    Sphericity,
+    describe_numbers,
+)
+from splits.core.validation import check_range, invalid, suggest_unit
 from splits.kernels.scene import GrainPopulation, GrainTypes
 from splits.materials import ice_density
-from splits.materials.impurities import Impurity, describe_impurities, make_impurities
+from splits.materials.impurities import (
+    AlgaeCells,
+    Impurities,
+    Impurity,
+    describe_impurities,
+    make_impurities,
+)
 from splits.media import grain_statistics as statistics
 from splits.media.formatting import count_digits, find_differences, format_call
-from splits.media.interpretations import Interpretation, merge_interpretations
-from splits.media.medium import GranularMedium, Interface, check_truncated_normal
+from splits.media.ground import GroundInput
+from splits.media.interpretations import Interpretation, SnowInterpretation, merge_interpretations
+from splits.media.medium import GranularMedium, Interface
 
 # --------------------------------------------------------------------------------------------------
-# Measured quantities that replace model parameters: surface area, optical radius, water content.
+# Inputs of snow.
 #
-# Specific surface area scales the range of grain sizes; liquid water content is the volume of water
-# per volume of snow, in place of saturation.
-
-Kind = TypeVar("Kind")
+# Specific surface area and optical radius scale the range of grain sizes; liquid water content, the
+# volume of water per volume of snow, determines the saturation.
 
 SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY, LIQUID_WATER_KEY = (
     "specific_surface_area_m2_kg",
     "optical_radius_um",
     "liquid_water_content",
 )
-REPLACED_FIELDS = {
-    SURFACE_AREA_KEY: "grain_size_um",
-    OPTICAL_RADIUS_KEY: "grain_size_um",
-    LIQUID_WATER_KEY: "saturation",
-}
-"""Field replaced by each keyword."""
 GRAIN_SIZE_RANGE_UM = (1.0, 1e5)
 """Limits of the sizes of grains (µm)."""
 MIN_SURFACE_AREA_M2_KG, MAX_SURFACE_AREA_M2_KG = 0.2, 2000.0
 """Limits of specific surface area (m²/kg): grains of a few cm and of a few µm."""
+MIN_DENSITY_KG_M3 = 1e-12
+"""Lower limit of the density: about one grain per 1e11 m of path, well within double precision."""
 
 
-def accepts_measured_inputs(kind: type[Kind]) -> type[Kind]:
-    """Add `REPLACED_FIELDS` to the keywords of a snow dataclass."""
-    construct: Callable[..., None] = kind.__init__  # type: ignore[misc]
+def _check_grain_size(key: str, value: Any) -> tuple[float, ...]:
+    low, high = GRAIN_SIZE_RANGE_UM
+    smallest, largest = check_named_numbers(key, value, ("min", "max"), GRAIN_SIZE_RANGE_UM)
+    if not low <= smallest <= largest <= high:
+        allowed = f"{low:g} <= min <= max <= {high:g} micrometres"
+        raise invalid(key, value, allowed, suggest_unit(smallest, low, high, "µm"))
+    if largest > 1e3 * smallest:
+        raise invalid(key, value, "max <= 1000 min")
+    return smallest, largest
 
-    @wraps(construct)
-    def construct_measured(self: Any, *values: Any, **keywords: Any) -> None:
-        keywords = {k: v for k, v in keywords.items() if k not in REPLACED_FIELDS or v is not None}
-        if any(name in keywords for name in REPLACED_FIELDS):
-            names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
-            keywords = {**dict(zip(names, values, strict=False)), **keywords}
-            values = ()
-            check_no_equivalents(keywords)
-            keywords = to_model_keywords(kind, keywords)
-        construct(self, *values, **keywords)
 
-    extras = [Parameter(n, Parameter.KEYWORD_ONLY, default=None, annotation="float | None")
-              for n in REPLACED_FIELDS]  # fmt: skip
-    full = Signature([*signature(construct).parameters.values(), *extras], return_annotation=None)
-    construct_measured.__signature__ = full  # type: ignore[attr-defined]
-    kind.__init__ = construct_measured  # type: ignore[method-assign,misc]
-    kind.OTHER_KEYWORDS = tuple(REPLACED_FIELDS)  # type: ignore[attr-defined]
-    return kind
+GrainSize = Annotated[
+    tuple[float, float],
+    Quantity(
+        "major-axis diameter of the grains, smallest to largest", "um", mean=-1,
+        check=_check_grain_size, schema=describe_numbers(2),
+    ),
+]  # fmt: skip
+SurfaceArea = Annotated[
+    float,
+    Quantity(
+        "specific surface area of the ice", "m2 kg-1",
+        low=MIN_SURFACE_AREA_M2_KG, high=MAX_SURFACE_AREA_M2_KG,
+        hint="about 60 for fresh snow, 10 for old snow, 3 for melting snow",
+    ),
+]  # fmt: skip
+OpticalRadius = Annotated[
+    float, Quantity("radius of spheres of the same specific surface area", "um")
+]
+LiquidWater = Annotated[
+    float, Quantity("volume of water per volume of snow", first_step=0.04, root_at=0.0)
+]
+SnowDensity = Annotated[
+    float,
+    Quantity(
+        "mass of ice per volume", "kg m-3",
+        low=MIN_DENSITY_KG_M3, high=ice_density(-40.0), open_high=True,
+    ),
+]  # fmt: skip
+SnowTemperature = Annotated[float, Quantity("temperature", "degC", low=-40.0, high=0.0)]
+ImpurityLocation = Annotated[Literal["ice", "pores"], Quantity("location of the impurities")]
 
 
 def override_keywords(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
     """Return `base` updated by `overrides`; keywords equivalent to overrides are removed."""
-    overridden = {REPLACED_FIELDS.get(name, name) for name in overrides}
-    remaining = {
-        name: v for name, v in base.items() if REPLACED_FIELDS.get(name, name) not in overridden
-    }
+    replaced = Snow.ALTERNATIVES
+    overridden = {replaced.get(name, name) for name in overrides}
+    remaining = {name: v for name, v in base.items() if replaced.get(name, name) not in overridden}
     return {**remaining, **overrides}
-
-
-def check_no_equivalents(keywords: dict[str, Any]) -> None:
-    """Check that no two keywords, or parameters of a layer, set the same field."""
-    seen: dict[str, str] = {}
-    for name, value in keywords.items():
-        layer, _, own_name = name.rpartition(".")
-        field = f"{layer}.{REPLACED_FIELDS.get(own_name, own_name)}"
-        if field in seen:
-            raise invalid(
-                name, value, f"left out where {seen[field]} is given", "they set the same field"
-            )
-        seen[field] = name
-
-
-def to_model_keywords(kind: Callable[..., Any], keywords: dict[str, Any]) -> dict[str, Any]:
-    """Return keywords with grain size and saturation in place of measured quantities.
-
-    Specific surface area is inversely proportional to size; sizes keep the ratio of the defaults.
-    """
-    model_keywords = {
-        name: value for name, value in keywords.items() if name not in REPLACED_FIELDS
-    }
-    default_medium = kind(**model_keywords)
-    if LIQUID_WATER_KEY in keywords:
-        water = check_range(
-            LIQUID_WATER_KEY, keywords[LIQUID_WATER_KEY], 0.0, default_medium.porosity,
-            hint="volume of water per volume of snow, at most that of its pores",
-        )  # fmt: skip
-        model_keywords["saturation"] = water / default_medium.porosity
-    if SURFACE_AREA_KEY in keywords or OPTICAL_RADIUS_KEY in keywords:
-        if SURFACE_AREA_KEY in keywords:
-            hint = "m2/kg: about 60 for fresh snow, 10 for old snow, 3 for melting snow"
-            area = check_range(
-                SURFACE_AREA_KEY,
-                keywords[SURFACE_AREA_KEY],
-                MIN_SURFACE_AREA_M2_KG,
-                MAX_SURFACE_AREA_M2_KG,
-                hint=hint,
-            )
-        else:
-            # Spheres of radius r have the specific surface area 3/(ρ_ice r).
-            ice = ice_density(default_medium.temperature_c)
-            low, high = 3e6 / (ice * MAX_SURFACE_AREA_M2_KG), 3e6 / (ice * MIN_SURFACE_AREA_M2_KG)
-            radius = check_range(OPTICAL_RADIUS_KEY, keywords[OPTICAL_RADIUS_KEY], low, high, "µm")
-            area = 3e6 / (ice * radius)
-        factor = default_medium.specific_surface_area_m2_kg / area
-        model_keywords["grain_size_um"] = tuple(
-            factor * size for size in default_medium.grain_size_um
-        )
-    return model_keywords
 
 
 def to_shortest_keywords(snow: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
@@ -178,23 +154,20 @@ MIN_NATURAL_DENSITY_KG_M3 = 10.0
 
 NATURAL_REFRACTIVE_INDICES = {"ice": "warren_brandt_2008_picard_2016", "water": "segelstein_1981"}
 
-NATURAL_GRAINS: dict[str, Any] = {
+NATURAL_DEFAULTS: dict[str, Any] = {
     "facetness": (0.05, 0.05, 0.05, 0.0),
     "sphericity": (0.75, 0.75, 0.75, 0.0),
+    "interpretation": "radiative_transfer",
+    "density_kg_m3": 300.0,
+    "depth_m": math.inf,
 }
-NATURAL_INTERPRETATION = "radiative_transfer"
-
+"""Defaults of natural snow where they differ from those of `Snow`; it is dry, too."""
 
 # --------------------------------------------------------------------------------------------------
 # Snow, after SPLITSnow and as in nature.
 
-MIN_DENSITY_KG_M3 = 1e-12
-"""Lower limit of the density: about one grain per 1e11 m of path, well within double precision."""
 
-
-@reject_unknown_keywords
-@accepts_measured_inputs
-@dataclass(frozen=True, eq=False, repr=False)
+@declare_class
 class Snow(ContentEquality, GranularMedium):
     """Homogeneous layer of snow, after SPLITSnow; the defaults are those of its Table 1.
 
@@ -270,68 +243,32 @@ class Snow(ContentEquality, GranularMedium):
 
     kind = "snow"
 
-    grain_size_um: tuple[float, float] = (300.0, 750.0)
-    facetness: tuple[float, float, float, float] = (0.2, 0.4, 0.3, 0.072)
-    sphericity: tuple[float, float, float, float] = (0.6, 0.95, 0.798, 0.064)
-    saturation: float = 0.05
-    density_kg_m3: float = 275.0
-    temperature_c: float = -1.0
-    depth_m: float = 0.12
-    refractive_index: Mapping[str, Any] = field(default_factory=dict)
-    interpretation: Interpretation = field(default_factory=Interpretation)
-    ground: Any = None
-    pores: Mapping[str, float] = field(default_factory=dict)
-    impurities_ng_g: Mapping[str, Any] = field(default_factory=dict, compare=False)
-    algae_cells_ml: Mapping[str, float] = field(default_factory=dict, compare=False)
-    impurities_in: str = "ice"
+    grain_size_um: GrainSize = (300.0, 750.0)
+    facetness: Facetness = (0.2, 0.4, 0.3, 0.072)
+    sphericity: Sphericity = (0.6, 0.95, 0.798, 0.064)
+    saturation: Saturation = 0.05
+    density_kg_m3: SnowDensity = 275.0
+    temperature_c: SnowTemperature = -1.0
+    depth_m: Depth = 0.12
+    refractive_index: RefractiveIndices = field(default_factory=dict)
+    interpretation: SnowInterpretation = field(default_factory=Interpretation)
+    ground: GroundInput = None
+    pores: Pores = field(default_factory=dict)
+    impurities_ng_g: Impurities = field(default_factory=dict, compare=False)
+    algae_cells_ml: AlgaeCells = field(default_factory=dict, compare=False)
+    impurities_in: ImpurityLocation = "ice"
+    specific_surface_area_m2_kg: SurfaceArea = alternative(
+        replaces="grain_size_um", compute="_compute_surface_area"
+    )
+    optical_radius_um: OpticalRadius = alternative(
+        replaces="grain_size_um", compute="_compute_optical_radius"
+    )
+    liquid_water_content: LiquidWater = alternative(
+        replaces="saturation", compute="_compute_liquid_water"
+    )
 
-    if TYPE_CHECKING:
-
-        def __init__(
-            self,
-            grain_size_um: tuple[float, float] = ...,
-            facetness: tuple[float, float, float, float] = ...,
-            sphericity: tuple[float, float, float, float] = ...,
-            saturation: float = ...,
-            density_kg_m3: float = ...,
-            temperature_c: float = ...,
-            depth_m: float = ...,
-            refractive_index: Mapping[str, Any] = ...,
-            interpretation: Interpretation | str | Mapping[str, Any] = ...,
-            ground: Any = ...,
-            pores: Mapping[str, float] = ...,
-            impurities_ng_g: Mapping[str, Any] = ...,
-            algae_cells_ml: Mapping[str, float] = ...,
-            impurities_in: str = ...,
-            *,
-            specific_surface_area_m2_kg: float | None = ...,
-            optical_radius_um: float | None = ...,
-            liquid_water_content: float | None = ...,
-        ) -> None: ...
-
-    @classmethod
-    @reject_unknown_arguments
-    def natural(
-        cls,
-        *,
-        specific_surface_area_m2_kg: float | None = None,
-        optical_radius_um: float | None = None,
-        grain_size_um: tuple[float, float] | None = None,
-        density_kg_m3: float = 300.0,
-        depth_m: float = math.inf,
-        temperature_c: float = -1.0,
-        saturation: float | None = None,
-        liquid_water_content: float | None = None,
-        impurities_ng_g: Mapping[str, Any] | None = None,
-        algae_cells_ml: Mapping[str, float] | None = None,
-        impurities_in: str = "ice",
-        ground: Any = None,
-        facetness: tuple[float, float, float, float] | None = None,
-        sphericity: tuple[float, float, float, float] | None = None,
-        pores: Mapping[str, float] | None = None,
-        refractive_index: Mapping[str, Any] | None = None,
-        interpretation: Interpretation | str | Mapping[str, Any] | None = None,
-    ) -> Snow:
+    @other_constructor(NATURAL_DEFAULTS)
+    def natural(cls, keywords: dict[str, Any]) -> dict[str, Any]:
         """Return modelled natural snow; dry, clean and semi-infinite by default.
 
         The grains have the absorption enhancement B and the asymmetry parameter measured for
@@ -367,29 +304,25 @@ class Snow(ContentEquality, GranularMedium):
         >>> round(snow.optical_radius_um, 1)
         163.6
         """
-        keywords = {**locals()}
-        keywords.pop("cls")
-        defaults = {
-            **NATURAL_GRAINS, "interpretation": NATURAL_INTERPRETATION,
-            "density_kg_m3": 300.0, "depth_m": math.inf,
-        }  # fmt: skip
-        if saturation is None and liquid_water_content is None:
-            defaults["saturation"] = 0.0
-        keywords = {**defaults, **{k: value for k, value in keywords.items() if value is not None}}
-        if {SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY, "grain_size_um"}.isdisjoint(keywords):
+        given = {name: value for name, value in keywords.items() if value is not None}
+        dry = {} if {"saturation", LIQUID_WATER_KEY} & given.keys() else {"saturation": 0.0}
+        complete = {**NATURAL_DEFAULTS, **dry, **given}
+        if {SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY, "grain_size_um"}.isdisjoint(complete):
             raise invalid(
                 SURFACE_AREA_KEY, None, "given, or optical_radius_um",
                 "m2/kg: 40 and more for fresh snow, 10 for old snow, 3 for melting snow",
             )  # fmt: skip
-        temperature = keywords.get("temperature_c", -1.0)
-        temperature = check_range("temperature_c", temperature, -40.0, 0.0, "°C")
-        _check_density(keywords["density_kg_m3"], MIN_NATURAL_DENSITY_KG_M3, temperature)
-        if isinstance(interpretation, Mapping):
-            given = [NATURAL_INTERPRETATION, interpretation]
-            keywords["interpretation"] = merge_interpretations(given)
-        if refractive_index is None or isinstance(refractive_index, Mapping):
-            keywords["refractive_index"] = NATURAL_REFRACTIVE_INDICES | {**(refractive_index or {})}
-        return cls(**keywords)
+        temperature = check_range(
+            "temperature_c", given.get("temperature_c", -1.0), -40.0, 0.0, "°C"
+        )
+        _check_density(complete["density_kg_m3"], MIN_NATURAL_DENSITY_KG_M3, temperature)
+        interpretation = NATURAL_DEFAULTS["interpretation"], complete["interpretation"]
+        if isinstance(interpretation[1], Mapping):
+            complete["interpretation"] = merge_interpretations(interpretation)
+        index = given.get("refractive_index", {})
+        if isinstance(index, Mapping):
+            complete["refractive_index"] = NATURAL_REFRACTIVE_INDICES | dict(index)
+        return complete
 
     def __repr__(self) -> str:
         """Return the call that constructs the snow, on one line."""
@@ -399,26 +332,26 @@ class Snow(ContentEquality, GranularMedium):
             return format_call("Snow.natural", to_shortest_keywords(self, inputs))
         return format_call("Snow", to_shortest_keywords(self, find_differences(self, type(self)())))
 
-    def __post_init__(self) -> None:
-        put = partial(object.__setattr__, self)
-        smallest, largest = check_named_numbers(
-            "grain_size_um", self.grain_size_um, ("min", "max"), GRAIN_SIZE_RANGE_UM
-        )
-        low, high = GRAIN_SIZE_RANGE_UM
-        if not low <= smallest <= largest <= high:
-            allowed = f"{low:g} <= min <= max <= {high:g} micrometres"
-            hint = suggest_unit(smallest, low, high, "µm")
-            raise invalid("grain_size_um", self.grain_size_um, allowed, hint)
-        if largest > 1e3 * smallest:
-            raise invalid("grain_size_um", self.grain_size_um, "max <= 1000 min")
-        put("grain_size_um", (smallest, largest))
-        put("facetness", check_truncated_normal("facetness", self.facetness, 0.0))
-        put("temperature_c", check_range("temperature_c", self.temperature_c, -40.0, 0.0, "°C"))
-        density = _check_density(self.density_kg_m3, MIN_DENSITY_KG_M3, self.temperature_c)
-        put("density_kg_m3", density)
-        put("interpretation", Interpretation.from_input(self.interpretation))
+    def __post_init__(
+        self, area: float | None, radius: float | None, liquid_water: float | None
+    ) -> None:
+        _check_density(self.density_kg_m3, MIN_DENSITY_KG_M3, self.temperature_c)
+        if liquid_water is not None:
+            hint = "volume of water per volume of snow, at most that of its pores"
+            water = check_range(LIQUID_WATER_KEY, liquid_water, 0.0, self.porosity, hint=hint)
+            self._put(saturation=water / self.porosity)
+        if radius is not None:
+            # Spheres of radius r have the specific surface area 3/(ρ_ice r).
+            ice = ice_density(self.temperature_c)
+            low, high = 3e6 / (ice * MAX_SURFACE_AREA_M2_KG), 3e6 / (ice * MIN_SURFACE_AREA_M2_KG)
+            area = 3e6 / (ice * check_range(OPTICAL_RADIUS_KEY, radius, low, high, "µm"))
+        if area is not None:
+            # It is inversely proportional to size; sizes keep the ratio of the defaults.
+            factor = self.specific_surface_area_m2_kg / area
+            del self.__dict__["attenuation_per_m"], self.__dict__["_diameter_limits_m"]
+            sizes = tuple(factor * size for size in self.grain_size_um)
+            self._put(grain_size_um=_check_grain_size("grain_size_um", sizes))
         self._check_inputs(["ice"])
-        check_choice("impurities_in", self.impurities_in, ("ice", "pores"))
         # Validates the impurities.
         _ = self._impurities
 
@@ -463,18 +396,15 @@ class Snow(ContentEquality, GranularMedium):
         """Mean distance between the grains that a ray hits (m), SPLITSnow Eq A.3."""
         return 1.0 / (self.ice_fraction * self.attenuation_per_m)
 
-    @property
-    def specific_surface_area_m2_kg(self) -> float:
+    def _compute_surface_area(self) -> float:
         """Specific surface area, 4K/ρ_ice for convex grains (m²/kg)."""
         return 4.0 * self.attenuation_per_m / ice_density(self.temperature_c)
 
-    @property
-    def optical_radius_um(self) -> float:
+    def _compute_optical_radius(self) -> float:
         """Radius of ice spheres of the same specific surface area, 3/(ρ_ice SSA) (µm)."""
         return 3e6 / (ice_density(self.temperature_c) * self.specific_surface_area_m2_kg)
 
-    @property
-    def liquid_water_content(self) -> float:
+    def _compute_liquid_water(self) -> float:
         """Volume of water per volume of snow."""
         return self.saturation * self.porosity
 
@@ -571,7 +501,8 @@ def _check_density(density_kg_m3: Any, lowest: float, temperature_c: float) -> f
 
 def is_natural(snow: Any) -> bool:
     """Return whether snow has the grains and the interpretation of natural snow."""
-    same_grains = all(getattr(snow, name) == value for name, value in NATURAL_GRAINS.items())
-    return same_grains and snow.interpretation == type(snow.interpretation).from_input(
-        NATURAL_INTERPRETATION
+    same_grains = all(
+        getattr(snow, name) == NATURAL_DEFAULTS[name] for name in ("facetness", "sphericity")
     )
+    interpretation = type(snow.interpretation).from_input(NATURAL_DEFAULTS["interpretation"])
+    return same_grains and snow.interpretation == interpretation

@@ -147,7 +147,7 @@ def node_bias() -> Iterator[dict[str, Any]]:
             # The same random streams at all nodes.
             stratum.stream %= len(STRATUM_BOUNDS)
         stop = StoppingRule(0.0, BIAS_RAYS * len(tally.strata), fixed=True)
-        simulate(scene, tally, stop, RunOptions.from_arguments(seed, None))
+        simulate(scene, tally, stop, RunOptions.start(seed, None))
         means = tally.moments[:2, 0] / tally.count_rays()
         means *= (weights[0] - weights[1])[tally.node_of_row, tally.rows]
         deviations.append([np.bincount(tally.rows, mean, len(wavelengths)) for mean in means])

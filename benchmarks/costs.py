@@ -165,7 +165,7 @@ def profile_errors(
         request = FluxRequest.from_arguments(
             snowpack, w, plane_depths, sky.zenith_deg, error, 10**8
         )
-        return simulate_flux(request, target, RunOptions.from_arguments(seed, 1), **PATHS)
+        return simulate_flux(request, target, RunOptions.start(seed, 1), **PATHS)
 
     irradiance = FluxTarget(True, band_weights[np.newaxis])
     absorbed_power = FluxTarget(False, band_weights[np.newaxis])

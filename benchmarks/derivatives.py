@@ -215,7 +215,7 @@ def compute_likelihood_ratio(medium: Any, rays: int) -> tuple[np.ndarray, np.nda
         index[middle : middle + 1], np.ones((1, n_wavelengths)), np.zeros(n_wavelengths)
     )
     tally = ScoreTally(nodes, absorption, 1.0 / medium.mean_free_path_m)
-    run = RunOptions.from_arguments(1, None)
+    run = RunOptions.start(1, None)
     scene = build_scene(medium, INCIDENCE_DEG, False)
     simulate(scene, tally, StoppingRule(0.0, rays, fixed=True), run)
     n_rays = tally.n_rays

@@ -33,6 +33,7 @@ import pandas as pd
 
 import splits
 from splits.core.escaping import write_data_frame
+from splits.core.process import count_cpus
 from splits.core.validation import expand_path
 from splits.kernels import vectorized
 from splits.kernels.scene import NO_MAX_ORDER, Features, Optics, make_bounding_optics
@@ -41,7 +42,6 @@ from splits.kernels.transport import history
 from splits.kernels.vectorized.trace import select_features
 from splits.materials.library import absorption_coefficient
 from splits.simulation.scene import build_scene
-from splits.simulation.threads import count_cpus
 
 WAVELENGTHS_NM = np.arange(400, 2501, 10)
 CASES: dict[str, tuple[str, dict[str, Any], tuple[float, float]]] = {

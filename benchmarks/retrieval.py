@@ -109,8 +109,8 @@ def load_or_simulate_spectra(
     if path.exists():
         kept = np.load(path)
         return SimulatedSpectra(kept["values"], kept["batches"])
-    request = SpectralRequest.from_arguments(
-        wavelengths_nm, incidence, TRUTH_STDERR, 20_000_000, RunOptions.from_arguments(seed)
+    request = SpectralRequest(
+        wavelengths_nm, incidence, TRUTH_STDERR, 20_000_000, RunOptions.start(seed)
     )
     values: list[Any] = [None] * len(media)
     batches: list[Any] = [None] * len(media)

@@ -137,10 +137,9 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
     from splits.experiments.run import write_run
     from splits.experiments.run_fit import run_fit
     from splits.io.netcdf import load, save
-    from splits.simulation.run_options import check_threads
 
     seed = 1 if arguments.seed is None else check_integer("--seed", arguments.seed, 0)
-    threads = check_threads(arguments.threads)
+    threads = arguments.threads
     experiment = load_experiment(arguments.file, arguments.media)
     file_seed = getattr(experiment.instrument, "seed", None)
     if arguments.seed is not None and file_seed is not None:

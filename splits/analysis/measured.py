@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from splits.core.inputs import check_wavelengths
 from splits.core.validation import key_prefix
 from splits.materials.csv_table import read_csv, read_numeric_csv
-from splits.simulation.run_options import check_wavelengths
 
 WAVELENGTH_COLUMN = "wavelength_nm"
 
@@ -61,7 +61,7 @@ def read_spectra(path: str | Path, key: str = "measured") -> pd.DataFrame:
     """
     table = read_numeric_csv(key, path, [WAVELENGTH_COLUMN])
     with key_prefix(key):
-        check_wavelengths(table[WAVELENGTH_COLUMN])
+        check_wavelengths("wavelength_nm", table[WAVELENGTH_COLUMN])
     return table
 
 

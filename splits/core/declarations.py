@@ -12,7 +12,9 @@ import functools
 import inspect
 import math
 import re
+import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import KW_ONLY, InitVar, dataclass
 from types import NoneType, UnionType
 from typing import (
@@ -183,6 +185,11 @@ class Input(NamedTuple):
     adapter: TypeAdapter[Any]
     default: Any
 
+    @property
+    def has_default(self) -> bool:
+        """Whether the input has a default, other than none at all."""
+        return self.default is not inspect.Parameter.empty and self.default is not None
+
     def check(self, key: str, value: Any) -> Any:
         """Return a value in its final form, or raise `InvalidValue` with the key."""
         try:
@@ -194,16 +201,30 @@ class Input(NamedTuple):
 @functools.cache
 def list_inputs(declared: Any) -> dict[str, Input]:
     """Return the declared inputs of a class or a function by name."""
-    owner = declared.__init__ if isinstance(declared, type) else declared
-    hints = get_type_hints(declared, include_extras=True)
+    if isinstance(declared, type):
+        hints = get_type_hints(declared, include_extras=True)
+    else:
+        hints = inspect.get_annotations(inspect.unwrap(declared))
     inputs = {}
-    for name, parameter in inspect.signature(owner).parameters.items():
+    for name, parameter in inspect.signature(declared).parameters.items():
         hint = hints.get(name)
+        if isinstance(hint, str):
+            # Types of other annotations may be imported only for type checkers.
+            with suppress(NameError):
+                hint = eval(hint, vars(sys.modules[declared.__module__]))
         hint = hint.type if isinstance(hint, InitVar) else hint
-        quantities = [one for one in get_args(hint)[1:] if isinstance(one, Quantity)]
-        if quantities:
-            inputs[name] = Input(quantities[-1], TypeAdapter(hint), parameter.default)
+        quantity = find_quantity(hint)
+        if quantity:
+            inputs[name] = Input(quantity, TypeAdapter(hint), parameter.default)
     return inputs
+
+
+def find_quantity(hint: Any) -> Quantity | None:
+    """Return the quantity of an annotated type, or of the first member of a union with one."""
+    found = [one for one in get_args(hint) if isinstance(one, Quantity)]
+    if get_origin(hint) in (Union, UnionType):
+        found = [one for member in get_args(hint) if (one := find_quantity(member))]
+    return found[0] if found else None
 
 
 # --------------------------------------------------------------------------------------------------
@@ -400,6 +421,7 @@ def declare_class(declared: Class) -> Class:
     signature = [
         one.replace(annotation=texts.get(name, one.annotation)) for name, one in parameters.items()
     ]
+
     def __replace__(self: Any, **changes: Any) -> Any:
         replaced = {*changes, *(cls.ALTERNATIVES.get(name) for name in changes)}
         kept = {f.name: getattr(self, f.name) for f in dataclasses.fields(cls)}

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Annotated, Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Annotated, Any, Literal, Protocol
 
-from splits.core.arrays import check_named_numbers
+import numpy as np
+
+from splits.core.arrays import as_1d_array, check_array_range, check_axis, check_named_numbers
 from splits.core.declarations import Quantity
-from splits.core.validation import check_range, invalid, snap_to_limits
+from splits.core.validation import (
+    check_range,
+    invalid,
+    snap_to_limits,
+    suggest_name,
+    suggest_number,
+)
 
 INFINITE_HINT = "or infinite: .inf in YAML, math.inf in Python"
 
@@ -84,5 +92,131 @@ RefractiveIndices = Annotated[
     Mapping[str, Any],
     Quantity(
         "refractive index", check=check_mapping("a mapping by material"), schema={"type": "object"}
+    ),
+]
+
+
+# --------------------------------------------------------------------------------------------------
+# Light and directions.
+
+DIFFUSE = "diffuse"
+"""Isotropic light in place of a beam."""
+WAVELENGTH_RANGE_NM = (200.0, 100_000.0)
+FULL_TURN_DEG = 360.0
+MAX_DATASET_VALUES = 10_000_000
+"""Largest number of values of a quantity over wavelength and direction: a run takes about thirty
+times their memory."""
+
+
+def check_wavelengths(key: str, wavelength_nm: Any, *, is_sorted: bool = True) -> np.ndarray:
+    """Return wavelengths (nm) as an array, after checking their range.
+
+    They must be strictly increasing unless `is_sorted` is false.
+    """
+    values = as_1d_array(key, wavelength_nm, "numbers in nanometres")
+    check = check_axis if is_sorted else check_array_range
+    return check(key, values, *WAVELENGTH_RANGE_NM, "nm")
+
+
+def check_beam_angle(key: str, value: Any, allowed: str = "an angle in degrees") -> float:
+    """Return the polar angle of a beam in [0, 89.9999] degrees, after checking it."""
+    if isinstance(value, str):
+        hint = suggest_number(value) or "this instrument takes a beam"
+        raise invalid(key, value, "an angle", hint)
+    if isinstance(value, Iterable) and getattr(value, "shape", None) != ():
+        raise invalid(key, value, allowed, "one call for each angle, or an experiment with a grid")
+    return check_range(key, value, 0.0, 89.9999, "degrees")
+
+
+def check_incidence(key: str, value: Any) -> float | str:
+    """Return the angle of incidence in [0, 89.9999] degrees, or "diffuse", after checking it."""
+    allowed = f"an angle in degrees, or {DIFFUSE}"
+    if isinstance(value, str) and value != DIFFUSE:
+        raise invalid(key, value, allowed, suggest_number(value) or suggest_name(value, [DIFFUSE]))
+    return DIFFUSE if isinstance(value, str) else check_beam_angle(key, value, allowed)
+
+
+def check_polar_angles(key: str, values: Any) -> np.ndarray:
+    """Return increasing angles from 0 to below 90 degrees, after checking them."""
+    angles = as_1d_array(key, values, "numbers in degrees")
+    return check_axis(key, angles, 0.0, 90.0, "degrees", open_high=True)
+
+
+def check_azimuths(key: str, values: Any) -> np.ndarray:
+    """Return increasing angles from 0 to below 360 degrees, after checking them."""
+    angles = as_1d_array(key, values, "numbers in degrees")
+    outside = angles[(angles < 0.0) | (angles >= FULL_TURN_DEG)]
+    hint = f"write {outside[0] % FULL_TURN_DEG:g}" if outside.size else ""
+    return check_axis(key, angles, 0.0, FULL_TURN_DEG, "degrees", open_high=True, hint=hint)
+
+
+class Array(Protocol):
+    """Array of any library, or labelled values of pandas and xarray."""
+
+    def __array__(self) -> np.ndarray: ...
+
+
+Numbers = float | Sequence[float] | Array
+"""Numbers as users give them."""
+NUMBERS_SCHEMA = {"type": "array", "items": {"type": "number"}, "minItems": 1}
+ANGLE_SCHEMA = {"type": "number", "minimum": 0.0, "maximum": 89.9999}
+
+Wavelengths = Annotated[
+    Numbers,
+    Quantity("wavelength in vacuum", "nm", check=check_wavelengths, schema=NUMBERS_SCHEMA),
+]
+BeamAngle = Annotated[
+    float, Quantity("angle of incidence", "degree", check=check_beam_angle, schema=ANGLE_SCHEMA)
+]
+Incidence = Annotated[
+    float | Literal["diffuse"],
+    Quantity(
+        "angle of incidence", "degree", first_step=4.0, check=check_incidence,
+        schema={"anyOf": [ANGLE_SCHEMA, {"const": DIFFUSE}]},
+    ),
+]  # fmt: skip
+PolarAngles = Annotated[
+    Numbers,
+    Quantity("angle from the normal", "degree", check=check_polar_angles, schema=NUMBERS_SCHEMA),
+]
+Azimuths = Annotated[
+    Numbers,
+    Quantity(
+        "angle from the direction in which the beam travels", "degree", check=check_azimuths,
+        schema=NUMBERS_SCHEMA,
+    ),
+]  # fmt: skip
+
+
+def declare_numbers(
+    long_name: str, unit: str, plural: str, low: float, high: float, *, open_low: bool = False
+) -> Quantity:
+    """Return the quantity of increasing numbers in a range, in a unit with a name in the plural."""
+
+    def check(key: str, values: Any) -> np.ndarray:
+        numbers = as_1d_array(key, values, f"numbers in {plural}")
+        return check_axis(key, numbers, low, high, unit, open_low=open_low)
+
+    return Quantity(long_name, unit, check=check, schema=NUMBERS_SCHEMA)
+
+
+# --------------------------------------------------------------------------------------------------
+# Accuracy, solver and options of a run.
+
+StandardError = Annotated[float, Quantity("largest standard error", low=1e-6, high=0.5)]
+RelativeError = Annotated[float, Quantity("largest relative standard error", low=1e-4, high=0.5)]
+MaxRays = Annotated[int, Quantity("number of rays after which the run stops", low=1)]
+Rays = Annotated[
+    int | None, Quantity("number of rays, by default as many as the target error requires", low=1)
+]
+RayCount = Annotated[int, Quantity("number of rays, rounded up", low=1)]
+Seed = Annotated[int, Quantity("seed of the random numbers", low=0)]
+Threads = Annotated[int | None, Quantity("number of threads, by default of all CPUs", low=1)]
+Kernel = Annotated[Literal["auto", "vectorized", "scalar"], Quantity("kernel")]
+Solver = Annotated[
+    Literal["auto", "discrete_ordinates", "monte_carlo"],
+    Quantity(
+        "discrete ordinates solve the equation of radiative transfer in plane layers, Monte Carlo "
+        "traces paths; auto solves the equation for natural snow where it is accurate enough"
     ),
 ]

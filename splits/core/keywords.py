@@ -7,7 +7,6 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from dataclasses import fields
 from functools import wraps
 from inspect import Parameter, signature
 from os import PathLike
@@ -16,36 +15,12 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 import xarray as xr
 
+from splits.core.declarations import list_inputs
 from splits.core.progress import LogCallback, open_progress
 from splits.core.validation import InvalidValue, short_repr, unknown_key
 
-Class = TypeVar("Class", bound=type)
 Given = ParamSpec("Given")
 Result = TypeVar("Result")
-
-
-def list_keywords(kind: Any) -> list[str]:
-    """Return the keywords of a dataclass: its fields and those in `OTHER_KEYWORDS`."""
-    return [field.name for field in fields(kind)] + list(getattr(kind, "OTHER_KEYWORDS", ()))
-
-
-def reject_unknown_keywords(kind: Class) -> Class:
-    """Decorate a dataclass to reject unknown keywords with a message that lists the known ones.
-
-    Errors are raised from here; see `reject_unknown_arguments`.
-    """
-    construct: Callable[..., None] = kind.__init__  # type: ignore[misc]
-
-    @wraps(construct)
-    def checked(self: Any, *values: Any, **keywords: Any) -> None:
-        _check_keywords(keywords, list_keywords(kind))
-        try:
-            construct(self, *values, **keywords)
-        except (InvalidValue, FileNotFoundError) as error:
-            raise error.with_traceback(None) from None
-
-    kind.__init__ = checked  # type: ignore[misc]
-    return kind
 
 
 def _are_wavelengths(value: object) -> bool:
@@ -91,24 +66,28 @@ def suggest_order(
     return type(error)(error.key, error.value, error.allowed, order)
 
 
-def reject_unknown_arguments(function: Callable[Given, Result]) -> Callable[Given, Result]:
-    """Decorate a public function to reject unknown keywords with a list of the known ones.
+def declare_function(function: Callable[Given, Result]) -> Callable[Given, Result]:
+    """Decorate a public function to check its declared inputs, and to reject unknown keywords.
 
-    Errors of invalid values and missing files are raised from here, so that the traceback shows
-    the line of the call without the internal calls between it and the check.  The keyword
-    ``progress=True`` becomes a progress bar, see `splits.core.progress.open_progress`.  A function
-    that is asked for an error warns once if its result does not reach it.
+    The function receives its inputs in their final form, also their defaults other than None; see
+    `splits.core.declarations`.  Errors of invalid values and missing files are raised from here, so
+    that the traceback shows the line of the call without the internal calls between it and the
+    check.  The keyword ``progress=True`` becomes a progress bar, see
+    `splits.core.progress.open_progress`.  A function that is asked for an error warns once if its
+    result does not reach it.
     """
     parameters = signature(function).parameters
     positional = [n for n, one in parameters.items() if one.kind is Parameter.POSITIONAL_OR_KEYWORD]
     keyword_only = [n for n, one in parameters.items() if one.kind is Parameter.KEYWORD_ONLY]
     requests_error = not parameters.keys().isdisjoint(ERROR_NAMES)
     takes_any = any(parameter.kind is Parameter.VAR_KEYWORD for parameter in parameters.values())
-    names = None if takes_any else [name for name in parameters if name not in ("self", "cls")]
+    names = [name for name in parameters if name not in ("self", "cls")]
 
     @wraps(function)
     def checked(*values: Given.args, **keywords: Given.kwargs) -> Result:
-        _check_keywords(keywords, names)
+        unknown = [key for key in keywords if key not in names and not takes_any]
+        if unknown:
+            raise unknown_key(unknown[0], names)
         if len(values) > len(positional) and keyword_only:
             surplus = short_repr(values[len(positional)])
             raise TypeError(f"{surplus}: must have a keyword, such as {keyword_only[0]}={surplus}")
@@ -119,7 +98,18 @@ def reject_unknown_arguments(function: Callable[Given, Result]) -> Callable[Give
             ):
                 if "progress" in keywords:
                     keywords["progress"] = callback
-                result = function(*values, **keywords)
+                given = dict(zip(positional, values, strict=False))
+                if len(given) == len(values) and given.keys().isdisjoint(keywords):
+                    given |= keywords
+                    inputs = list_inputs(function)
+                    given |= {
+                        name: one.check(name, given.get(name, one.default))
+                        for name, one in inputs.items() if name in given or one.has_default
+                    }  # fmt: skip
+                    result = function(**given)  # type: ignore[call-arg]
+                else:
+                    # Python tells what is given twice.
+                    result = function(*values, **keywords)
         except InvalidValue as error:
             error = suggest_order(error, function.__name__, positional, values)
             raise error.with_traceback(None) from None
@@ -132,11 +122,15 @@ def reject_unknown_arguments(function: Callable[Given, Result]) -> Callable[Give
     return checked
 
 
-def _check_keywords(keywords: Mapping[str, Any], names: list[str] | None) -> None:
-    """Check that keywords are known; None allows all."""
-    for key in keywords:
-        if names is not None and key not in names:
-            raise unknown_key(key, names)
+INSTRUMENTS: dict[str, Callable[..., xr.Dataset]] = {}
+"""Instruments by name, which is the kind of a section `instrument` of experiment files."""
+
+
+def instrument(function: Callable[Given, xr.Dataset]) -> Callable[Given, xr.Dataset]:
+    """Decorate an instrument: check its inputs by their declarations, and register its name."""
+    checked = declare_function(function)
+    INSTRUMENTS[function.__name__] = checked
+    return checked
 
 
 ERROR_NAMES = {

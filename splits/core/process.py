@@ -6,11 +6,21 @@ import os
 import signal
 import socket
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from types import FrameType
 
 INTERRUPTED_EXIT_STATUS = 130
 """Exit status of an interrupted job, the one shells report for SIGINT."""
+
+
+def count_cpus() -> int:
+    """Return the number of CPUs this process may use, at least 1."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    # macOS and Windows; Python 3.13 has a count that heeds PYTHON_CPU_COUNT.
+    count: Callable[[], int | None] = getattr(os, "process_cpu_count", os.cpu_count)
+    return count() or 1
 
 
 def exit_on_signals(name: str, resume_hint: str = "") -> None:

@@ -229,4 +229,4 @@ def save_natural_grains(folder: Path, rays: int, run: RunOptions) -> None:
 
 if __name__ == "__main__":
     # Called by the workflow with a folder and a number of threads.
-    save_natural_grains(Path(sys.argv[1]), N_RAYS, RunOptions.from_arguments(1, int(sys.argv[2])))
+    save_natural_grains(Path(sys.argv[1]), N_RAYS, RunOptions.start(1, int(sys.argv[2])))

@@ -450,7 +450,7 @@ class GrainTracing(NamedTuple):
             Hexadecimal.
         threads : int
         """
-        run = RunOptions.from_arguments(int(digest[:8], 16), threads)
+        run = RunOptions.start(int(digest[:8], 16), threads)
         shapes = self.compute_shapes()
         moments, displacements = np.zeros(shapes[0]), np.zeros(shapes[1])
         fractions = np.diff(self.scene.layers.type_cdf[0], prepend=0.0)

@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.atomic import check_writable
+from splits.core.inputs import MAX_DATASET_VALUES
 from splits.core.keywords import REACHED_ATTRIBUTES, log_missed_error, nest_runs
 from splits.core.progress import LogCallback, Progress
 from splits.core.provenance import hash_physics_sources
@@ -41,7 +42,7 @@ from splits.io.cache import NO_CACHE, Cache
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
-from splits.simulation.run_options import MAX_DATASET_VALUES, RunOptions, make_wavelength_coordinate
+from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 from splits.simulation.scene import check_stokes
 from splits.simulation.shared_paths import MediaGroup, group_by_shared_paths
 from splits.simulation.strata import STOP_REASONS
@@ -267,7 +268,7 @@ def simulate_points(
     def simulate(number: int) -> list[xr.Dataset]:
         indices, group = groups[number]
         progress = _make_progress_callback(_format_prefix(experiment.name, points, indices), log)
-        run = RunOptions.from_arguments(seed, threads, progress=progress)
+        run = RunOptions.start(seed, threads, progress=progress)
         members = [points[index] for index in indices]
         with nest_runs(), experiment.locate_errors(members[0][0]):
             if group is None or not isinstance(instrument, Spectrophotometer):
@@ -356,7 +357,7 @@ def _simulate_group(
     """
     rays = accuracy.max_rays or MAX_RAYS
     wavelengths, (_, medium, beam) = instrument.get_wavelengths(), points[0]
-    request = SpectralRequest.from_arguments(wavelengths, beam, error, rays, run)
+    request = SpectralRequest(wavelengths, beam, error, rays, run)
     request = request._replace(polarization=check_stokes(instrument.stokes, medium, beam))
     spectra = simulate_spectra(group.path_sharing, request)
     pairs = zip(group.media_indices, points, strict=True)

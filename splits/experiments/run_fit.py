@@ -10,6 +10,8 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from splits.core.inputs import check_wavelengths
+from splits.core.process import count_cpus
 from splits.core.progress import LogCallback
 from splits.core.provenance import hash_physics_sources
 from splits.core.uncertainty import Variable, make_variable
@@ -21,8 +23,8 @@ from splits.experiments.run_retrieve import list_samples
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.retrieval.least_squares import MIN_RESIDUAL_DOF
 from splits.retrieval.sand_fit import Effort, FitResult, UnitCube, fit
-from splits.simulation.run_options import check_wavelengths, make_wavelength_coordinate
-from splits.simulation.threads import DaemonThreadPool, count_cpus
+from splits.simulation.run_options import make_wavelength_coordinate
+from splits.simulation.threads import DaemonThreadPool
 
 MAX_GOOD_RMSE = 0.03
 """Root-mean-square error below which SPLITS section 5.1.1 calls a reconstruction good."""
@@ -116,7 +118,7 @@ def check_fit(experiment: SimulationConfig, measured: pd.DataFrame) -> list[str]
         raise invalid("fit", None, "a section that names a measured table")
     samples = list_samples("fit", measured, section.samples)
     with key_prefix("fit.measured"):
-        wavelength = check_wavelengths(measured.wavelength_nm.tolist())
+        wavelength = check_wavelengths("wavelength_nm", measured.wavelength_nm.tolist())
     for sample in samples:
         for x, value in zip(wavelength, measured[sample], strict=True):
             key = f"fit.measured ({sample} at {x:g} nm)"

@@ -81,8 +81,8 @@ def prepare_table(
             has_views=views is not None, with_diffuse=has_diffuse(quantities),
         )  # fmt: skip
     error, rays = instrument.scale_stderr(accuracy.max_stderr), accuracy.max_rays or MAX_RAYS
-    run = RunOptions.from_arguments(instrument.get_seed(seed), threads)
-    request = SpectralRequest.from_arguments(wavelengths, 0.0, error, rays, run)
+    run = RunOptions.start(instrument.get_seed(seed), threads)
+    request = SpectralRequest(wavelengths, 0.0, error, rays, run)
     with experiment.locate_errors({}):
         solver = instrument.choose_solver(plan.list_media(), error)
     return plan, TableRequest(request, quantities, has_covariance, solver, views)

@@ -6,13 +6,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from splits.core.arrays import ContentEquality, check_named_numbers
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.declarations import Quantity
+from splits.core.keywords import declare_function
 from splits.core.optional import import_optional
 from splits.core.validation import check_choice, invalid, join_names, snap_to_limits, to_text_keys
 from splits.materials.csv_table import read_csv, read_tabulated_function, to_columns
@@ -46,7 +47,7 @@ HALF_RANGE_WIDTHS = 1.5
 N_RESPONSE_POINTS = 37
 
 
-@reject_unknown_arguments
+@declare_function
 def sensor_bands(name: str) -> dict[str, dict[str, np.ndarray]]:
     """Return the bands of a sensor in the form that `splits.albedo` takes.
 
@@ -330,3 +331,17 @@ def interpolate_locally(nodes: np.ndarray, points: np.ndarray, n_nodes: int) -> 
         spans = nodes[stencil[:, [i]]] - nodes[stencil[:, others]]
         weights[np.arange(points.size), stencil[:, i]] = (distances[:, others] / spans).prod(axis=1)
     return weights
+
+
+def _check_bands(_: str, bands: Any) -> Any:
+    as_bands(bands)
+    return bands
+
+
+Bands = Annotated[
+    Mapping[str, Any] | str | None,
+    Quantity(
+        "limits (nm) or spectral responses of bands by name, or the name of a sensor",
+        check=_check_bands, schema={"type": ["object", "string"]},
+    ),
+]  # fmt: skip

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
 
 from splits.core.arrays import ContentEquality, check_array_range
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.declarations import Quantity
+from splits.core.keywords import declare_function
 from splits.core.optional import import_optional
 from splits.core.validation import check_range, invalid, suggest_name
 from splits.illumination.bands import SpectralBand, as_bands, interpolate_locally
@@ -205,7 +206,7 @@ def list_sky_names() -> tuple[str, ...]:
     return tuple(name for name in _load_snicar_skies().columns if name != "wavelength_nm")
 
 
-@reject_unknown_arguments
+@declare_function
 def sky(
     spectrum: Any = "midlatitude_winter",
     zenith_deg: float | None = None,
@@ -331,3 +332,12 @@ def sky(
         *(light[::-1] if name.endswith(CLOUDY_SUFFIX) else light),
         relative=True,
     )
+
+
+SkyInput = Annotated[
+    Sky | str | Mapping[str, Any] | Callable[[float], Sky],
+    Quantity(
+        "sky: clear, or one of the skies of SNICAR, see `splits.sky`",
+        check=lambda _, value: value, schema={"type": ["string", "object"]},
+    ),
+]  # fmt: skip

@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Mapping
 
 import xarray as xr
 
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.inputs import (
+    Azimuths,
+    Kernel,
+    MaxRays,
+    PolarAngles,
+    RelativeError,
+    Seed,
+    Solver,
+    StandardError,
+    Threads,
+    Wavelengths,
+)
+from splits.core.keywords import instrument
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import make_deviation_variable, make_variable
-from splits.core.validation import check_range, invalid
-from splits.illumination.bands import check_bands, choose_band_wavelengths
-from splits.illumination.sky import Sky
+from splits.core.validation import invalid
+from splits.illumination.bands import Bands, check_bands, choose_band_wavelengths
+from splits.illumination.sky import SkyInput
 from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG, goniophotometer
 from splits.instruments.sky_mixing import (
     as_sky,
@@ -33,17 +44,19 @@ from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 # Spectral and band albedo under a sky, with correlated errors propagated.
 
 
-@reject_unknown_arguments
+@instrument
 def albedo(
     medium: Medium | Mapping[str, Medium] | SnowPacks,
-    sky: Sky | str | Mapping[str, Any] | Callable[[float], Sky],
-    wavelength_nm: Any = None,
-    max_stderr: float = 0.005,
-    seed: int = 1,
+    sky: SkyInput,
+    wavelength_nm: Wavelengths | None = None,
     *,
-    solver: str = "auto",
-    bands: Mapping[str, Any] | str | None = None,
-    threads: int | None = None,
+    max_stderr: StandardError = 0.005,
+    solver: Solver = "auto",
+    bands: Bands = None,
+    seed: Seed = 1,
+    max_rays: MaxRays = 20_000_000,
+    threads: Threads = None,
+    kernel: Kernel = "auto",
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
     """Simulate the albedo of a medium under a sky (blue-sky albedo).
@@ -73,8 +86,8 @@ def albedo(
         Names of bands to their limits (nm): ``{"visible": (305, 700)}``; or to a spectral response,
         a mapping of ``wavelength_nm`` and ``response`` or the path of a CSV file with these
         columns; or the name of a sensor, see `splits.sensor_bands`.
-    threads : int, optional
-        Default: every CPU that this process may use.
+    max_rays, threads, kernel
+        As for `splits.spectrophotometer`.
     progress : callable or bool, optional
         True shows a progress bar; a function is called periodically with a `Progress`.
 
@@ -95,19 +108,19 @@ def albedo(
     ValueError
         For a value outside its range, or wavelengths outside the spectrum of the sky.
     """
-    run = RunOptions.from_arguments(seed, threads, progress=progress)
+    run = RunOptions.start(seed, threads, kernel, progress)
     if isinstance(medium, SnowPacks):
         return compute_pack_albedo(medium, sky, wavelength_nm, max_stderr, solver, bands, run)
     sky_spectrum = as_sky(sky)
     wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 2)
-    max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
     named = sky_spectrum.make_bands(bands)
     sky_spectrum.check_bands(named, wavelengths)
 
     def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
         return spectrophotometer(
-            medium, wavelengths, incidence, max_stderr, run.seed + number,
-            solver=solver, threads=run.threads, progress=progress,
+            medium, wavelengths, incidence, max_stderr=max_stderr, solver=solver,
+            seed=run.seed + number, max_rays=max_rays, threads=run.threads, kernel=kernel,
+            progress=progress,
         )  # fmt: skip
 
     mixed = mix_direct_and_diffuse(sky_spectrum, wavelengths, simulate_component, ["reflectance"])
@@ -144,19 +157,21 @@ def albedo(
 # Hemispherical-directional reflectance factor under a sky.
 
 
-@reject_unknown_arguments
+@instrument
 def hdrf(
     medium: Medium,
-    sky: Sky | str | Mapping[str, Any],
-    wavelength_nm: Any = None,
-    relative_stderr: float = 0.02,
-    seed: int = 1,
+    sky: SkyInput,
+    wavelength_nm: Wavelengths | None = None,
     *,
-    solver: str = "auto",
-    polar_deg: Any = POLAR_DEG,
-    azimuth_deg: Any = AZIMUTH_DEG,
-    bands: Mapping[str, Any] | str | None = None,
-    threads: int | None = None,
+    relative_stderr: RelativeError = 0.02,
+    solver: Solver = "auto",
+    polar_deg: PolarAngles = POLAR_DEG,
+    azimuth_deg: Azimuths = AZIMUTH_DEG,
+    bands: Bands = None,
+    seed: Seed = 1,
+    max_rays: MaxRays = 1_000_000_000,
+    threads: Threads = None,
+    kernel: Kernel = "auto",
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
     """Simulate the hemispherical-directional reflectance factor of a medium under a sky.
@@ -180,8 +195,8 @@ def hdrf(
         Directions of view, see `splits.goniophotometer`; azimuth 0 is forward, away from the sun.
     bands : mapping or str, optional
         As for `splits.albedo`.
-    threads : int, optional
-        Default: every CPU that this process may use.
+    max_rays, threads, kernel
+        As for `splits.goniophotometer`.
     progress : callable or bool, optional
         True shows a progress bar; a function is called periodically with a `Progress`.
 
@@ -214,13 +229,13 @@ def hdrf(
         wavelength_nm = choose_band_wavelengths(named, *sky_spectrum.wavelength_nm[[0, -1]])
     wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 2 if named else 1)
     sky_spectrum.check_bands(named, wavelengths)
-    run = RunOptions.from_arguments(seed, threads, progress=progress)
+    run = RunOptions.start(seed, threads, kernel, progress)
 
     def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
         return goniophotometer(
-            medium, wavelengths, incidence, seed=run.seed + number, solver=solver,
-            relative_stderr=relative_stderr, polar_deg=polar_deg, azimuth_deg=azimuth_deg,
-            threads=threads, progress=progress,
+            medium, wavelengths, incidence, relative_stderr=relative_stderr, solver=solver,
+            polar_deg=polar_deg, azimuth_deg=azimuth_deg, seed=run.seed + number,
+            max_rays=max_rays, threads=threads, kernel=kernel, progress=progress,
         )  # fmt: skip
 
     name = "reflectance_factor"

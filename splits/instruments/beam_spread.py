@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import xarray as xr
 
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.declarations import Quantity
+from splits.core.inputs import BeamAngle, Kernel, RayCount, Seed, Threads, Wavelengths
+from splits.core.keywords import instrument
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import (
     Variable,
@@ -16,20 +18,12 @@ from splits.core.uncertainty import (
     compute_leave_one_out_means,
     make_variable,
 )
-from splits.core.validation import check_integer
 from splits.instruments.angular_estimate import N_ANGULAR_BATCHES
 from splits.kernels.tallies.distributions import RadialSums, tally_radial
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.simulation.engine import simulate
-from splits.simulation.run_options import (
-    HALF_WIDTH_RANGE_M,
-    RunOptions,
-    check_beam_angle,
-    check_half_width,
-    check_wavelengths,
-    make_wavelength_coordinate,
-)
+from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 from splits.simulation.scene import build_scene, compute_optical_constants
 from splits.simulation.spectral_nodes import IndexNodes, choose_nodes
 from splits.simulation.strata import StoppingRule, Stratum
@@ -193,17 +187,27 @@ NODE_TOLERANCE = 0.001
 """Bound on the error of a reflectance from interpolation between refractive indices."""
 
 
-@reject_unknown_arguments
+HALF_WIDTH_RANGE_M = (1e-9, 1e6)
+MapHalfWidth = Annotated[
+    float | None,
+    Quantity(
+        "half the side length of the map, by default from the spread", "m",
+        low=HALF_WIDTH_RANGE_M[0], high=HALF_WIDTH_RANGE_M[1],
+    ),
+]  # fmt: skip
+
+
+@instrument
 def beam_spread(
     medium: Medium,
-    wavelength_nm: Any,
-    incidence_deg: float = 0.0,
-    rays: int = 200_000,
-    seed: int = 1,
+    wavelength_nm: Wavelengths,
+    incidence_deg: BeamAngle = 0.0,
     *,
-    half_width_m: float | None = None,
-    threads: int | None = None,
-    kernel: str = "auto",
+    rays: RayCount = 200_000,
+    half_width_m: MapHalfWidth = None,
+    seed: Seed = 1,
+    threads: Threads = None,
+    kernel: Kernel = "auto",
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
     """Simulate the distances from an infinitely thin beam at which its light leaves the medium.
@@ -253,12 +257,8 @@ def beam_spread(
     Nicodemus et al. (1977), section III; SPLITSnow section 4.1.
     """
     check_medium(medium)
-    wavelengths = check_wavelengths(wavelength_nm)
-    incidence = check_beam_angle(incidence_deg)
-    check_integer("rays", rays, 1)
-    run = RunOptions.from_arguments(seed, threads, kernel, progress)
-    if half_width_m is not None:
-        check_half_width("beam_spread", half_width_m)
+    wavelengths, incidence = np.asarray(wavelength_nm), incidence_deg
+    run = RunOptions.start(seed, threads, kernel, progress)
     index, absorption = compute_optical_constants(medium, wavelengths)
     nodes = choose_nodes(index, medium.list_interfaces(), NODE_TOLERANCE)
     scene = build_scene(medium, incidence, False)
@@ -270,7 +270,7 @@ def beam_spread(
         )
         # One mean free path where no light leaves; the edge must be positive.
         radius = radii[0].max() or 1.0 / scene.layers.collision_coefficient.max()
-        half_width_m = np.clip(radius, *HALF_WIDTH_RANGE_M["beam_spread"])
+        half_width_m = np.clip(radius, *HALF_WIDTH_RANGE_M)
     tally = BeamSpreadTally(nodes, absorption, float(half_width_m))
     evaluation = simulate(scene, tally, StoppingRule(0.0, rays, fixed=True), run)
     attributes = {

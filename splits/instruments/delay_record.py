@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from splits.core.arrays import (
     check_increasing,
     read_columns,
 )
+from splits.core.declarations import Quantity
+from splits.core.inputs import NUMBERS_SCHEMA, Numbers
 from splits.core.validation import as_scalar, check_range, invalid
 from splits.kernels.scene import NO_MAX_ORDER, WET_PORE, Layers
 from splits.kernels.tallies.distributions import Receiver
@@ -146,24 +148,69 @@ def _check_seconds(key: str, delays: np.ndarray) -> None:
     check_array_range(key, delays, -MAX_DELAY_S, MAX_DELAY_S, "s", hint=SECONDS_HINT)
 
 
-def check_record(delay_s: Any, end_s: Any, pulse: Pulse) -> tuple[np.ndarray, float]:
+def check_delay_edges(key: str, delay_s: Any) -> np.ndarray:
+    """Return the delays between bins (s), after checking them."""
+    edges = as_1d_array(key, delay_s, "numbers in seconds")
+    _check_seconds(key, edges)
+    if edges.size < 2:
+        raise invalid(key, edges.tolist(), "at least two delays, the edges of bins")
+    check_increasing(key, edges)
+    if np.diff(edges).min() < MIN_BIN_S:
+        raise invalid(key, edges.tolist(), f"at least {MIN_BIN_S:g} s apart")
+    return edges
+
+
+def _check_pulse(_: str, pulse: Any) -> Any:
+    Pulse.from_argument(pulse)
+    return pulse
+
+
+DelayEdges = Annotated[
+    Numbers,
+    Quantity("edges of the bins of delay", "s", check=check_delay_edges, schema=NUMBERS_SCHEMA),
+]
+RecordEnd = Annotated[
+    float | None,
+    Quantity(
+        "delay until which light counts in moments, by default the last of the bins", "s",
+        low=0.0, infinite=True,
+    ),
+]  # fmt: skip
+PulseInput = Annotated[
+    Any,
+    Quantity(
+        "full width at half maximum of a Gaussian pulse (s), or delay_s and power of any pulse; by "
+        "default, the pulse is instantaneous",
+        check=_check_pulse,
+    ),
+]
+AcceptanceAngle = Annotated[
+    float | None,
+    Quantity(
+        "largest angle between received light and the direction to the source, by default all "
+        "light is received at the surface", "degree", low=0.0, high=90.0, open_low=True,
+    ),
+]  # fmt: skip
+FootprintRadius = Annotated[
+    float | None,
+    Quantity("radius of the field of view on the surface", "m", low=0.0, open_low=True),
+]
+RecordDepths = Annotated[
+    Numbers | None,
+    Quantity(
+        "depths that divide the light by the largest depth reached", "m", schema=NUMBERS_SCHEMA
+    ),
+]
+
+
+def check_record(edges: np.ndarray, end_s: float | None, pulse: Pulse) -> tuple[np.ndarray, float]:
     """Return the delays between bins, and the end of the record (s), after checking them.
 
     Raises
     ------
     ValueError
-        For fewer than two delays, a wrong order, delays before the pulse, or a record that is
-        shorter than the pulse or than the bins.
+        For delays before the pulse, or a record that is shorter than the pulse or than the bins.
     """
-    edges = DEFAULT_EDGES_S
-    if delay_s is not None:
-        edges = as_1d_array("delay_s", delay_s, "numbers in seconds")
-        _check_seconds("delay_s", edges)
-    if edges.size < 2:
-        raise invalid("delay_s", edges.tolist(), "at least two delays, the edges of bins")
-    check_increasing("delay_s", edges)
-    if np.diff(edges).min() < MIN_BIN_S:
-        raise invalid("delay_s", edges.tolist(), f"at least {MIN_BIN_S:g} s apart")
     earliest, length = float(pulse.delay_s[0]), float(np.ptp(pulse.delay_s))
     if edges[0] < earliest:
         hint = "light cannot return before it was sent; delays count from the centre of the pulse"
@@ -175,7 +222,7 @@ def check_record(delay_s: Any, end_s: Any, pulse: Pulse) -> tuple[np.ndarray, fl
         )  # fmt: skip
     if end_s is None:
         return edges, float(edges[-1])
-    if as_scalar(end_s) == math.inf:
+    if end_s == math.inf:
         return edges, math.inf
     hint = "not before the end of the bins; it may be infinite"
     return edges, check_range("end_s", end_s, float(edges[-1]), math.inf, "s", hint=hint)
@@ -189,13 +236,13 @@ def check_granular_layers(medium: Medium) -> None:
             raise invalid(f"layers[{number}]", layer.kind, "a layer of grains", hint)
 
 
-def check_depths(depths_m: Any, medium: Medium) -> np.ndarray:
+def check_depths(depth_m: Any, medium: Medium) -> np.ndarray:
     """Return depths that divide light by the largest depth reached (m), after checking them."""
-    if depths_m is None:
+    if depth_m is None:
         return np.zeros(0)
-    depths = as_1d_array("depths_m", depths_m, "numbers in metres")
+    depths = as_1d_array("depth_m", depth_m, "numbers in metres")
     limits = 0.0, float(medium.depth_m)
-    return check_axis("depths_m", depths, *limits, "m", open_low=True, open_high=True)
+    return check_axis("depth_m", depths, *limits, "m", open_low=True, open_high=True)
 
 
 def make_receiver(
@@ -211,19 +258,16 @@ def make_receiver(
     radius_m : float or None
         Radius of the field of view on the surface; None for no limit.
     """
-    radius = math.inf
-    if radius_m is not None:
-        radius = check_range("footprint_radius_m", radius_m, 0.0, math.inf, "m", open_low=True)
+    radius = math.inf if radius_m is None else radius_m
     if isinstance(incidence_deg, str) and not (acceptance_deg is None and radius_m is None):
         given = {"acceptance_deg": acceptance_deg, "footprint_radius_m": radius_m}
         key = next(key for key, value in given.items() if value is not None)
         raise invalid(key, given[key], "left out for diffuse light", "it needs a beam")
     if acceptance_deg is None:
         return Receiver(np.array([0.0, 0.0, 1.0]), -2.0, radius, 0.0)
-    acceptance = check_range("acceptance_deg", acceptance_deg, 0.0, 90.0, "deg", open_low=True)
     angle = math.radians(float(incidence_deg))
     direction = np.array([-math.sin(angle), 0.0, math.cos(angle)])
-    return Receiver(direction, math.cos(math.radians(acceptance)), radius, 1.0 / SPEED_OF_LIGHT)
+    return Receiver(direction, math.cos(math.radians(acceptance_deg)), radius, 1.0 / SPEED_OF_LIGHT)
 
 
 def compute_max_order(medium: Medium, layers: Layers, receiver: Receiver, end_s: float) -> int:

@@ -3,18 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import xarray as xr
 
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.declarations import Quantity
+from splits.core.inputs import (
+    MAX_DATASET_VALUES,
+    Azimuths,
+    Incidence,
+    Kernel,
+    MaxRays,
+    PolarAngles,
+    Rays,
+    RelativeError,
+    Seed,
+    Solver,
+    Threads,
+    Wavelengths,
+    describe_numbers,
+)
+from splits.core.keywords import instrument
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import ErrorTarget, Variable, make_variable
 from splits.core.validation import (
-    check_choice,
     check_integer,
-    check_range,
     invalid,
 )
 from splits.instruments.angular_estimate import AngularEstimate, AngularTally, make_direction_grid
@@ -43,21 +57,13 @@ from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.simulation.deep_medium import ERROR_BUDGET_FRACTION, THEORY_UNCERTAINTY, TruncatedMedium
 from splits.simulation.engine import simulate
-from splits.simulation.run_options import (
-    MAX_DATASET_VALUES,
-    RunOptions,
-    check_direction_angles,
-    check_incidence,
-    check_n_bins,
-    check_wavelengths,
-    make_wavelength_coordinate,
-)
+from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 from splits.simulation.scene import (
+    IncidentStokes,
     build_scene,
     check_stokes,
     compute_optical_constants,
     describe_polarization,
-    requests_polarization,
 )
 from splits.simulation.shared_paths import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_nodes import choose_nodes
@@ -170,7 +176,6 @@ AZIMUTH_DEG = tuple(np.arange(0.0, 360.0, 5.0).tolist())
 MAX_CONVERGED_POLAR_DEG = 82.5
 """Largest polar angle at which the requested error must be reached."""
 DEFAULT_BIN_RAYS = 1_000_000
-ANGULAR_ESTIMATORS = ("expansion", "bins", "next_event")
 TARGET_SIDES = {"brdf": 0, "btdf": 1}
 TRANSMITTED_VARIABLES = ("btdf", "transmittance_factor", "transmittance", "direct_transmittance")
 """Variables of light that leaves below, which is undefined over a ground."""
@@ -180,25 +185,50 @@ INTERPOLATION_FRACTION = 0.05
 the requested relative error."""
 
 
-@reject_unknown_arguments
+AngularEstimator = Annotated[
+    Literal["expansion", "bins", "next_event"], Quantity("how exiting rays become results")
+]
+AngularTarget = Annotated[
+    Literal["brdf", "btdf"], Quantity("quantity to which the target error applies")
+]
+
+
+def _check_n_bins(key: str, n_bins: Any) -> tuple[int, int]:
+    try:
+        polar, azimuth = (check_integer(key, n, 1, 1000) for n in n_bins)
+    except (TypeError, ValueError):
+        raise invalid(key, n_bins, "two whole numbers from 1 to 1000") from None
+    return polar, azimuth
+
+
+BinNumbers = Annotated[
+    tuple[int, int],
+    Quantity(
+        "numbers of angular bins from the horizon to the zenith, and in azimuth",
+        check=_check_n_bins, schema=describe_numbers(2),
+    ),
+]  # fmt: skip
+
+
+@instrument
 def goniophotometer(
     medium: Medium,
-    wavelength_nm: Any,
-    incidence_deg: float | str = 0.0,
-    rays: int | None = None,
-    seed: int = 1,
+    wavelength_nm: Wavelengths,
+    incidence_deg: Incidence = 0.0,
     *,
-    relative_stderr: float = 0.02,
-    solver: str = "auto",
-    target: str = "brdf",
-    polar_deg: Any = POLAR_DEG,
-    azimuth_deg: Any = AZIMUTH_DEG,
-    estimator: str = "expansion",
-    n_bins: tuple[int, int] = DEFAULT_N_BINS,
-    max_rays: int = 1_000_000_000,
-    stokes: Any = False,
-    threads: int | None = None,
-    kernel: str = "auto",
+    relative_stderr: RelativeError = 0.02,
+    rays: Rays = None,
+    solver: Solver = "auto",
+    target: AngularTarget = "brdf",
+    polar_deg: PolarAngles = POLAR_DEG,
+    azimuth_deg: Azimuths = AZIMUTH_DEG,
+    estimator: AngularEstimator = "expansion",
+    n_bins: BinNumbers = DEFAULT_N_BINS,
+    stokes: IncidentStokes = False,
+    seed: Seed = 1,
+    max_rays: MaxRays = 1_000_000_000,
+    threads: Threads = None,
+    kernel: Kernel = "auto",
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
     """Simulate the BRDF and the BTDF of a medium under a beam, or its factors under diffuse light.
@@ -302,31 +332,24 @@ def goniophotometer(
     terms.
     """
     check_medium(medium, allow_semi_infinite=solver != MONTE_CARLO)
-    wavelengths, incidence = check_wavelengths(wavelength_nm), check_incidence(incidence_deg)
-    relative_stderr = check_range("relative_stderr", relative_stderr, 1e-4, 0.5)
+    wavelengths, incidence = np.asarray(wavelength_nm), incidence_deg
     has_ground = medium.reflecting_ground is not None
-    side = TARGET_SIDES[check_choice("target", target, TARGET_SIDES)]
+    side = TARGET_SIDES[target]
     if has_ground and side == 1:
         raise invalid("target", target, "brdf over a ground", "no light leaves through a ground")
-    max_rays = check_integer("max_rays", max_rays, 1)
-    if rays is not None:
-        check_integer("rays", rays, 1)
-    run = RunOptions.from_arguments(seed, threads, kernel, progress)
+    run = RunOptions.start(seed, threads, kernel, progress)
     polarization = check_stokes(stokes, medium, incidence)
-    check_choice("estimator", estimator, ANGULAR_ESTIMATORS)
     if isinstance(incidence, str) and estimator != "expansion":
         allowed = "an angle for this estimator"
         raise invalid("incidence_deg", incidence, allowed, "expansion allows it")
-    if requests_polarization(stokes) and estimator == "expansion":
+    if stokes is not False and estimator == "expansion":
         has_grains = any(layer.has_grains for layer in medium.scene_layers)
         allowed = "bins with stokes" if has_grains else "bins or next_event with stokes"
         raise invalid("estimator", estimator, allowed)
-    bins = check_n_bins(n_bins) if estimator == "bins" else None
+    bins = n_bins if estimator == "bins" else None
+    polar, azimuth = np.asarray(polar_deg), np.asarray(azimuth_deg)
     if bins is not None:
         polar, azimuth = compute_bin_centres(bins)
-    else:
-        polar = check_direction_angles("polar_deg", polar_deg, 90.0)
-        azimuth = check_direction_angles("azimuth_deg", azimuth_deg, 360.0)
     n_directions = len(polar) * len(azimuth)
     if len(wavelengths) * n_directions > MAX_DATASET_VALUES:
         raise invalid(

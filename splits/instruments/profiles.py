@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from splits.core.arrays import as_1d_array, check_axis
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.declarations import Quantity
+from splits.core.inputs import (
+    NUMBERS_SCHEMA,
+    Incidence,
+    Kernel,
+    MaxRays,
+    Numbers,
+    Seed,
+    Solver,
+    StandardError,
+    Threads,
+    Wavelengths,
+)
+from splits.core.keywords import instrument
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import Variable, compute_weighted_error, make_variable
-from splits.core.validation import (
-    ROUNDING_TOLERANCE,
-    check_choice,
-    check_integer,
-    check_range,
-    invalid,
-)
+from splits.core.validation import ROUNDING_TOLERANCE, invalid
 from splits.discrete_ordinates.applicability import find_obstacle, find_profile_obstacle
-from splits.illumination.sky import Sky
+from splits.illumination.bands import Bands
+from splits.illumination.sky import SkyInput
 from splits.instruments.flux_dataset import make_flux_dataset, solve_flux
 from splits.instruments.flux_media import TracedMedium, prepare_medium
 from splits.instruments.flux_tally import FluxTally, FluxTarget
@@ -43,7 +50,7 @@ from splits.instruments.solver import (
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.simulation.engine import simulate
-from splits.simulation.run_options import RunOptions, check_incidence, check_wavelengths
+from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import add_recording_planes, build_scene
 from splits.simulation.spectral_nodes import (
     INTERPOLATION_FRACTION,
@@ -59,24 +66,30 @@ from splits.simulation.strata import StoppingRule
 MAX_DEPTHS = 200
 BAND_INTERPOLATION_FRACTION = 0.04
 """The same for errors of bands, for which more index nodes need hardly any more rays."""
-ERROR_QUANTITIES = ("irradiance", "absorptance")
-"""Quantities to which the largest error applies; the first means all of them."""
+ProfileDepths = Annotated[
+    Numbers,
+    Quantity("depths, besides those of top and bottom", "m", schema=NUMBERS_SCHEMA),
+]
+ProfileTarget = Annotated[
+    Literal["irradiance", "absorptance"],
+    Quantity("quantity to which the target error applies; irradiance means all of them"),
+]
 
 
-@reject_unknown_arguments
+@instrument
 def irradiance_profile(
     medium: Medium,
-    wavelength_nm: Any,
-    depth_m: Any,
-    incidence_deg: float | str = 0.0,
-    max_stderr: float = 0.005,
-    seed: int = 1,
+    wavelength_nm: Wavelengths,
+    incidence_deg: Incidence = 0.0,
     *,
-    solver: str = "auto",
-    target: str = "irradiance",
-    max_rays: int = 20_000_000,
-    threads: int | None = None,
-    kernel: str = "auto",
+    depth_m: ProfileDepths,
+    max_stderr: StandardError = 0.005,
+    solver: Solver = "auto",
+    target: ProfileTarget = "irradiance",
+    seed: Seed = 1,
+    max_rays: MaxRays = 20_000_000,
+    threads: Threads = None,
+    kernel: Kernel = "auto",
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
     """Simulate the irradiances inside a medium, and the absorptance between depths.
@@ -148,12 +161,13 @@ def irradiance_profile(
     Paths and weights are those of SPLITSnow Eqs 5-6; actinic flux as path per volume, for example
     Mayer (2009), EPJ Web of Conferences 1, 75, section 4.
     """
-    limit_irradiance = check_choice("target", target, ERROR_QUANTITIES) == ERROR_QUANTITIES[0]
-    request = FluxRequest.from_arguments(
-        medium, wavelength_nm, depth_m, incidence_deg, max_stderr, max_rays
-    )
-    run = RunOptions.from_arguments(seed, threads, kernel, progress)
-    return simulate_flux(request, FluxTarget(limit_irradiance), run, solver)
+    check_medium(medium, allow_semi_infinite=True)
+    request = FluxRequest(
+        medium, np.asarray(wavelength_nm), _check_depths(depth_m, medium), incidence_deg,
+        max_stderr, max_rays,
+    )  # fmt: skip
+    run = RunOptions.start(seed, threads, kernel, progress)
+    return simulate_flux(request, FluxTarget(target == "irradiance"), run, solver)
 
 
 class FluxRequest(NamedTuple):
@@ -165,27 +179,6 @@ class FluxRequest(NamedTuple):
     incidence: float | str
     max_stderr: float
     max_rays: int
-
-    @classmethod
-    def from_arguments(
-        cls,
-        medium: Any,
-        wavelength_nm: Any,
-        depth_m: Any,
-        incidence_deg: Any,
-        max_stderr: Any,
-        max_rays: Any,
-    ) -> FluxRequest:
-        """Return the request, after checking all values."""
-        check_medium(medium, allow_semi_infinite=True)
-        return cls(
-            medium,
-            check_wavelengths(wavelength_nm),
-            _check_depths(depth_m, np.inf if medium.is_semi_infinite else medium.depth_m),
-            check_incidence(incidence_deg),
-            check_range("max_stderr", max_stderr, 1e-6, 0.5),
-            check_integer("max_rays", max_rays, 1),
-        )
 
 
 def simulate_flux(
@@ -230,7 +223,7 @@ def _describe_request(
         **run.make_attributes("Light inside", "irradiance_profile", request.medium),
         "incidence_deg": request.incidence,
         "max_stderr": request.max_stderr,
-        "target": ERROR_QUANTITIES[0 if target.limit_irradiance else 1],
+        "target": "irradiance" if target.limit_irradiance else "absorptance",
         "max_rays": request.max_rays,
         "solver": solver,
     }
@@ -246,8 +239,9 @@ def _choose_nodes(traced_medium: TracedMedium, max_stderr: float, has_bands: boo
     return choose_nodes(index, interfaces, INTERPOLATION_FRACTION * max_stderr)
 
 
-def _check_depths(depth_m: Any, thickness: float) -> np.ndarray:
-    """Return depths inside a sample of a thickness (m), after checking them."""
+def _check_depths(depth_m: Any, medium: Medium) -> np.ndarray:
+    """Return depths inside a medium (m), after checking them."""
+    thickness = np.inf if medium.is_semi_infinite else medium.depth_m
     depths = as_1d_array("depth_m", depth_m, "numbers in metres")
     if depths.size > MAX_DEPTHS:
         raise invalid("depth_m", f"{depths.size} depths", f"at most {MAX_DEPTHS}")
@@ -269,25 +263,32 @@ OUTPUT_VARIABLES = {
     "absorptance": ("absorbed_power", "interval", "absorbed power of the interval"),
 }
 """Variables of an irradiance profile; names, dimensions and labels of those under a sky."""
-POWER_ERROR_QUANTITIES = ("absorbed_power", "irradiance")
-"""Quantities to which the largest error applies; the last means all of them."""
+PowerTarget = Annotated[
+    Literal["absorbed_power", "irradiance"],
+    Quantity("quantity to which the target error applies; irradiance means all of them"),
+]
+TotalIrradiance = Annotated[
+    float | None,
+    Quantity("incident irradiance at all wavelengths of the sky", "W m-2", low=0.0, open_low=True),
+]
 
 
-@reject_unknown_arguments
+@instrument
 def radiation_profile(
     medium: Medium,
-    sky: Sky | str | Mapping[str, Any],
-    depth_m: Any,
-    wavelength_nm: Any = None,
-    max_stderr: float = 0.005,
-    seed: int = 1,
+    sky: SkyInput,
+    wavelength_nm: Wavelengths | None = None,
     *,
-    solver: str = "auto",
-    target: str = "absorbed_power",
-    total_w_m2: float | None = None,
-    bands: Mapping[str, Any] | str | None = None,
-    max_rays: int = 20_000_000,
-    threads: int | None = None,
+    depth_m: ProfileDepths,
+    max_stderr: StandardError = 0.005,
+    solver: Solver = "auto",
+    target: PowerTarget = "absorbed_power",
+    total_w_m2: TotalIrradiance = None,
+    bands: Bands = None,
+    seed: Seed = 1,
+    max_rays: MaxRays = 20_000_000,
+    threads: Threads = None,
+    kernel: Kernel = "auto",
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
     """Simulate the irradiances inside a medium under a sky, and the power that it absorbs.
@@ -347,24 +348,23 @@ def radiation_profile(
     >>> import splits
     >>> snow = splits.Snow.natural(specific_surface_area_m2_kg=30, depth_m=0.1)
     >>> sky = splits.sky("midlatitude_winter")
-    >>> ds = splits.radiation_profile(snow, sky, [0.02], [400, 700, 1000], 0.05, total_w_m2=400)
+    >>> ds = splits.radiation_profile(
+    ...     snow, sky, [400, 700, 1000], depth_m=[0.02], max_stderr=0.05, total_w_m2=400
+    ... )
     >>> ds.absorbed_power.dims
     ('band', 'interval')
     """
     check_medium(medium, allow_semi_infinite=True)
     sky_spectrum = as_sky(sky).scale_to(total_w_m2)
     wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 2)
-    check_choice("target", target, POWER_ERROR_QUANTITIES)
-    limit_irradiance = target == POWER_ERROR_QUANTITIES[1]
-    run = RunOptions.from_arguments(seed, threads, progress=progress)
-    request = FluxRequest.from_arguments(
-        medium, wavelengths, depth_m, "diffuse", max_stderr, max_rays
-    )
+    run = RunOptions.start(seed, threads, kernel, progress)
+    depths = _check_depths(depth_m, medium)
+    request = FluxRequest(medium, wavelengths, depths, "diffuse", max_stderr, max_rays)
     named = sky_spectrum.make_bands(bands)
     sky_spectrum.check_bands(named, wavelengths)
     weights, band_irradiance = compute_band_weights(sky_spectrum, named, wavelengths)
     direct_fraction = sky_spectrum.compute_direct_fraction(wavelengths)
-    targets = make_sky_targets(direct_fraction, weights, limit_irradiance)
+    targets = make_sky_targets(direct_fraction, weights, target == "irradiance")
 
     def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
         component = request._replace(incidence=incidence)

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import xarray as xr
 
 from splits.core.arrays import (
-    as_1d_array,
     as_float_array,
-    check_axis,
     find_labels,
     match_labels,
 )
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.declarations import Quantity
+from splits.core.inputs import Numbers, Seed, declare_numbers
+from splits.core.keywords import instrument
 from splits.core.uncertainty import make_variable
-from splits.core.validation import check_choice, check_integer, check_range, invalid
+from splits.core.validation import check_integer, invalid
 from splits.kernels.rough_surface.intersection import refract_vertical_rays
 from splits.kernels.rough_surface.realization import (
     AMPLITUDE,
@@ -28,23 +28,30 @@ from splits.kernels.rough_surface.realization import (
 )
 from splits.media.kinds import check_medium
 from splits.media.particle_layer import ParticleLayer
-from splits.simulation.run_options import RunOptions, check_half_width
+from splits.simulation.run_options import RunOptions
 
 # --------------------------------------------------------------------------------------------------
 # Height map of a realization of a rough surface, and the roughness of realizations.
 
 DEFAULT_POINTS = 201
 MAX_REALIZATIONS = 10_000_000
+MapHalfWidth = Annotated[
+    float, Quantity("half the side length of the map", "m", low=1e-9, high=1e9)
+]
+MapPoints = Annotated[int, Quantity("number of points per side", low=2, high=3000)]
+MapRealizations = Annotated[
+    int, Quantity("number of realizations of the surface", low=2, high=MAX_REALIZATIONS)
+]
 
 
-@reject_unknown_arguments
+@instrument
 def surface_map(
     medium: ParticleLayer,
-    half_width_m: float,
     *,
-    points: int = DEFAULT_POINTS,
-    realizations: int = 100,
-    seed: int = 1,
+    half_width_m: MapHalfWidth,
+    points: MapPoints = DEFAULT_POINTS,
+    realizations: MapRealizations = 100,
+    seed: Seed = 1,
 ) -> xr.Dataset:
     """Return the heights of the rough surface of a layer around the origin.
 
@@ -77,10 +84,7 @@ def surface_map(
     Budak & Grimailo 2020, Eq 3 and Fig 1.
     """
     check_medium(medium, ParticleLayer)
-    width = check_half_width("surface_map", half_width_m)
-    points = check_integer("points", points, 2, 3000)
-    realizations = check_integer("realizations", realizations, 2, MAX_REALIZATIONS)
-    run = RunOptions.from_arguments(seed, threads=1)
+    run, width = RunOptions.start(seed, threads=1), half_width_m
     if medium.surface is None:
         raise invalid("surface", None, "given for a map")
     positions = np.linspace(-width, width, points)
@@ -117,7 +121,6 @@ def surface_map(
 #
 # Budak & Grimailo 2020, section 3.1 and Fig 2.
 
-CENTRE_CHOICES = ("crest", "trough", "origin")
 DEFAULT_RAYS = 360
 MAX_SCREEN_POINTS = 10_000_000
 """Largest number of points on screens, and of images, in one result."""
@@ -127,17 +130,39 @@ N_SEARCH_POINTS = 161
 """Points per side of the grid on which the highest or lowest point is searched."""
 
 
-@reject_unknown_arguments
+ScreenDepths = Annotated[
+    Numbers,
+    declare_numbers("depths of the screens", "m", "metres", 0.0, 1e9, open_low=True),
+]
+RingRadius = Annotated[
+    float, Quantity("radius of the ring of rays", "m", low=0.0, high=1e6, open_low=True)
+]
+RingCentre = Annotated[
+    Literal["crest", "trough", "origin"],
+    Quantity("point of the surface above which the ring is centred"),
+]
+SearchHalfWidth = Annotated[
+    float | None,
+    Quantity(
+        "half the side length of the square in which the crest is searched", "m",
+        low=1e-9, high=1e6,
+    ),
+]  # fmt: skip
+RingRays = Annotated[int, Quantity("number of rays in the ring", low=3)]
+Realizations = Annotated[int, Quantity("number of realizations of the surface", low=1)]
+
+
+@instrument
 def lens(
     medium: ParticleLayer,
-    screen_depth_m: Any,
-    radius_m: float,
     *,
-    centre_on: str = "crest",
-    half_width_m: float | None = None,
-    rays: int = DEFAULT_RAYS,
-    realizations: int = 1,
-    seed: int = 1,
+    screen_depth_m: ScreenDepths,
+    radius_m: RingRadius,
+    centre_on: RingCentre = "crest",
+    half_width_m: SearchHalfWidth = None,
+    rays: RingRays = DEFAULT_RAYS,
+    realizations: Realizations = 1,
+    seed: Seed = 1,
     waves: Any = None,
 ) -> xr.Dataset:
     """Simulate the image of a ring of vertical rays, through a rough surface, on screens below.
@@ -182,19 +207,17 @@ def lens(
         For a value outside its range, or a layer with a smooth surface.
     """
     check_medium(medium, ParticleLayer)
-    depths = check_screen_depths("screen_depth_m", screen_depth_m)
-    radius = check_ring_radius(radius_m)
-    check_choice("centre_on", centre_on, CENTRE_CHOICES)
+    depths, radius = np.asarray(screen_depth_m), radius_m
     if half_width_m is None and centre_on != "origin":
         hint = f"half the side of the square searched for the {centre_on}"
         hint += '; centre_on="origin" needs none'
         raise invalid("half_width_m", None, "given (m)", hint)
-    width = 0.0 if half_width_m is None else check_half_width("lens", half_width_m)
+    width = 0.0 if half_width_m is None else half_width_m
     # Results must fit into memory.
     max_value = MAX_SCREEN_POINTS // depths.size
-    rays = check_integer("rays", rays, 3, max_value)
-    realizations = check_integer("realizations", realizations, 1, max_value)
-    run = RunOptions.from_arguments(seed, threads=1)
+    for key, number in (("rays", rays), ("realizations", realizations)):
+        check_integer(key, number, 1, max_value)
+    run = RunOptions.start(seed, threads=1)
     if waves is not None:
         surface_waves = check_plane_waves(waves)
         if realizations > 1:
@@ -311,14 +334,3 @@ def find_centre(waves: np.ndarray, centre_on: str, half_width: float) -> tuple[f
     height = compute_heights_and_slopes(waves, x, y).height
     row = int(height.argmin() if centre_on == "trough" else height.argmax())
     return float(x[row]), float(y[row]), float(height[row])
-
-
-def check_screen_depths(key: str, values: Any) -> np.ndarray:
-    """Return increasing depths of screens (m), after checking them."""
-    depths = as_1d_array(key, values, "numbers in metres")
-    return check_axis(key, depths, 0.0, 1e9, "m", open_low=True)
-
-
-def check_ring_radius(radius_m: Any) -> float:
-    """Return the radius of a ring (m), after checking it."""
-    return check_range("radius_m", radius_m, 0.0, 1e6, "m", open_low=True)

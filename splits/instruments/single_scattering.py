@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Literal
 
 import numpy as np
 import xarray as xr
 
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.declarations import Quantity
+from splits.core.inputs import Seed, Threads, Wavelengths
+from splits.core.keywords import instrument
 from splits.core.uncertainty import Variable, make_variable
-from splits.core.validation import check_choice, check_flag, check_integer, invalid
+from splits.core.validation import invalid
 from splits.media.kinds import check_medium
 from splits.media.medium import GranularMedium
 from splits.media.particle_layer import ANGLE, ELEMENTS
 from splits.simulation.grain_optics import (
     GRAIN_RAYS_PER_CHUNK,
     INTERPOLATION_TOLERANCE,
-    WET_PORE_MODELS,
     GrainOpticsRequest,
     compute_grain_matrix,
     compute_grain_optics,
 )
-from splits.simulation.run_options import RunOptions, check_wavelengths, make_wavelength_coordinate
+from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 from splits.simulation.scene import IncidentPolarization, build_scene, compute_material_constants
 from splits.simulation.spectral_nodes import choose_nodes
 
@@ -45,17 +46,26 @@ ERROR_COMPONENTS = {
 """Components of the errors, for theories: suffixes of names, additional dimensions, and labels."""
 
 
-@reject_unknown_arguments
+MomentOrder = Annotated[int, Quantity("highest order of the Legendre moments", low=1, high=4096)]
+GrainRays = Annotated[int, Quantity("rays per refractive-index node, rounded up", low=2)]
+WetPores = Annotated[
+    Literal["saturation", "equilibrium"],
+    Quantity("fraction of the light between grains that is in wet pores"),
+]
+TracesStokes = Annotated[bool, Quantity("whether polarization is traced")]
+
+
+@instrument
 def single_scattering(
     medium: GranularMedium,
-    wavelength_nm: Any,
-    moments: int = 64,
-    rays: int = 200_000,
-    seed: int = 1,
-    threads: int | None = None,
+    wavelength_nm: Wavelengths,
     *,
-    wet_pores: str = "saturation",
-    stokes: bool = False,
+    moments: MomentOrder = 64,
+    rays: GrainRays = 200_000,
+    wet_pores: WetPores = "saturation",
+    stokes: TracesStokes = False,
+    seed: Seed = 1,
+    threads: Threads = None,
 ) -> xr.Dataset:
     """Simulate the single-scattering properties of the grains of a medium.
 
@@ -131,12 +141,9 @@ def single_scattering(
     check_medium(medium, GranularMedium, allow_semi_infinite=True)
     if medium.pores:
         raise invalid("pores", dict(medium.pores), "empty: pores are dry or wet here")
-    wavelengths = check_wavelengths(wavelength_nm)
-    moments = check_integer("moments", moments, 1, 4096)
-    rays = GRAIN_RAYS_PER_CHUNK * -(-check_integer("rays", rays, 2) // GRAIN_RAYS_PER_CHUNK)
-    run = RunOptions.from_arguments(seed, threads)
-    check_choice("wet_pores", wet_pores, WET_PORE_MODELS)
-    check_flag("stokes", stokes)
+    wavelengths = np.asarray(wavelength_nm)
+    rays = GRAIN_RAYS_PER_CHUNK * -(-rays // GRAIN_RAYS_PER_CHUNK)
+    run = RunOptions.start(seed, threads)
     # Polarization changes how much light successive interfaces reflect, and so all other means.
     scene = build_scene(medium, 0.0, False, IncidentPolarization() if stokes else None)
     request = GrainOpticsRequest(moments, rays, wet_pores, run)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.core.inputs import check_wavelengths
 from splits.core.keywords import REACHED_ATTRIBUTES
 from splits.core.uncertainty import (
     Variable,
@@ -20,7 +21,6 @@ from splits.core.validation import invalid
 from splits.illumination.bands import SpectralBand, compute_mean_error_weights
 from splits.illumination.sky import Sky, sky
 from splits.instruments.solver import DISCRETE_ORDINATES
-from splits.simulation.run_options import check_wavelengths
 from splits.simulation.strata import STOP_REASONS
 
 DEFAULT_STEP_NM = 10.0
@@ -44,7 +44,7 @@ def choose_wavelengths(wavelength_nm: Any, sky: Sky, min_count: int) -> np.ndarr
     if wavelength_nm is None:
         last = min(MAX_DEFAULT_NM, float(sky.wavelength_nm[-1]))
         wavelength_nm = np.arange(float(sky.wavelength_nm[0]), last + 0.5, DEFAULT_STEP_NM)
-    wavelengths = check_wavelengths(wavelength_nm)
+    wavelengths = check_wavelengths("wavelength_nm", wavelength_nm)
     if wavelengths.size < min_count:
         raise invalid("wavelength_nm", wavelengths.tolist(), f"at least {min_count} wavelengths")
     sky.check_coverage(wavelengths)

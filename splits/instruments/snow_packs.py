@@ -10,9 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from splits.core.inputs import DIFFUSE
 from splits.core.progress import Progress, open_progress
 from splits.core.uncertainty import Variable, make_variable
-from splits.core.validation import check_choice, check_range, invalid
+from splits.core.validation import invalid
 from splits.discrete_ordinates.snow_packs import (
     MAX_ROWS,
     PackMaterials,
@@ -31,16 +32,11 @@ from splits.instruments.sky_mixing import (
     compute_band_weights,
     make_sky_attributes,
 )
-from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO, SOLVERS
+from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO
 from splits.io.netcdf import ANCILLARY_ATTRIBUTE
 from splits.media.snow_pack_input import FLAG_NAME, LAYER_DIM, ZENITH_KEY
 from splits.media.snow_packs import FLAGS, HORIZON_DEG, SnowPacks
-from splits.simulation.run_options import (
-    RunOptions,
-    check_incidence,
-    check_wavelengths,
-    make_wavelength_coordinate,
-)
+from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 from splits.simulation.spectral_tally import QUANTITY_LABELS
 from splits.simulation.threads import DaemonThreadPool, limit_blas_threads
 
@@ -50,7 +46,7 @@ from splits.simulation.threads import DaemonThreadPool, limit_blas_threads
 UNSUPPORTED = "unsupported"
 RESULT_FLAGS = {**FLAGS, UNSUPPORTED: 5}
 """Flags of results: those of snowpacks, and one for those outside the tables of grains."""
-SUN, DIFFUSE = "sun", "diffuse"
+SUN = "sun"
 MAX_INCIDENCE_DEG = 89.9999
 MIN_TASKS = 8
 """Smallest number of tasks for each thread, so that all of them end at about the same time."""
@@ -100,7 +96,7 @@ class PackSpectra(NamedTuple):
 
 def check_pack_solver(solver: Any) -> None:
     """Check the solver for snowpacks, which are discrete ordinates."""
-    if check_choice("solver", solver, SOLVERS) != MONTE_CARLO:
+    if solver != MONTE_CARLO:
         return
     hint = "paths are for one snowpack: packs.make_stack(label)"
     raise invalid("solver", solver, f"'{DISCRETE_ORDINATES}' or 'auto' for SnowPacks", hint)
@@ -253,20 +249,18 @@ def compute_pack_spectra(
     run : RunOptions
     """
     check_pack_solver(solver)
-    wavelengths = check_wavelengths(wavelength_nm)
-    max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
     incidence: float | str = SUN
     if isinstance(incidence_deg, str) and incidence_deg == SUN:
         if ZENITH_KEY not in packs.dataset:
             hint = "packs.with_sun_zenith(angles) adds it"
             raise invalid("incidence_deg", SUN, f"for snowpacks with {ZENITH_KEY}", hint)
-    elif not isinstance(incidence_deg, str) and np.ndim(incidence_deg):
+    elif np.ndim(incidence_deg):
         # Those with the sun at the horizon or below get the flag night, missing ones missing_value.
         packs = packs.with_sun_zenith(incidence_deg)
     else:
-        incidence = check_incidence(incidence_deg)
+        incidence = incidence_deg
     cosines = compute_beam_cosines(packs, incidence)
-    spectra = solve_packs(packs, wavelengths, cosines, max_stderr, run)
+    spectra = solve_packs(packs, wavelength_nm, cosines, max_stderr, run)
     illumination = "hemispherical" if incidence == DIFFUSE else "directional"
     column = -1 if incidence == DIFFUSE else 0
     reflectance, transmittance = (
@@ -286,7 +280,7 @@ def compute_pack_spectra(
         "incidence_deg": "sun zenith of each snowpack" if incidence == SUN else incidence,
         **make_error_attributes(spectra, max_stderr, float(largest)),
     }
-    axes = {"wavelength": make_wavelength_coordinate(wavelengths)}
+    axes = {"wavelength": make_wavelength_coordinate(wavelength_nm)}
     return make_pack_dataset(packs, spectra.flags, variables, axes).assign_attrs(attributes)
 
 
@@ -389,7 +383,6 @@ def compute_pack_albedo(
     run : RunOptions
     """
     check_pack_solver(solver)
-    max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
     skies, number, incidence = make_skies(sky, packs)
     wavelengths = choose_wavelengths(wavelength_nm, skies[0], 2)
     for one in skies:

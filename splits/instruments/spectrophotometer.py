@@ -4,16 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.declarations import Quantity
+from splits.core.inputs import (
+    ANGLE_SCHEMA,
+    DIFFUSE,
+    Kernel,
+    MaxRays,
+    Numbers,
+    Seed,
+    Solver,
+    StandardError,
+    Threads,
+    Wavelengths,
+    check_incidence,
+)
+from splits.core.keywords import instrument
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
-from splits.core.validation import check_choice, check_integer, check_range, invalid, to_text_keys
-from splits.instruments.snow_packs import check_no_paths, compute_pack_spectra
+from splits.core.validation import invalid, to_text_keys
+from splits.instruments.snow_packs import SUN, check_no_paths, compute_pack_spectra
 from splits.instruments.solver import (
     DISCRETE_ORDINATES,
     choose_solver,
@@ -38,18 +52,13 @@ from splits.simulation.derivatives import (
     compute_finite_difference,
 )
 from splits.simulation.engine import simulate
-from splits.simulation.run_options import (
-    RunOptions,
-    check_incidence,
-    check_wavelengths,
-    make_wavelength_coordinate,
-)
+from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 from splits.simulation.scene import (
     IncidentPolarization,
+    IncidentStokes,
     build_scene,
     check_stokes,
     describe_polarization,
-    requests_polarization,
 )
 from splits.simulation.shared_paths import PathSharingMedia, SpectralRows, check_path_sharing
 from splits.simulation.spectral_nodes import (
@@ -66,24 +75,41 @@ from splits.simulation.spectral_tally import (
 )
 from splits.simulation.strata import StoppingRule
 
-ESTIMATORS = ("spectral", "analog")
+SpectralEstimator = Annotated[
+    Literal["spectral", "analog"], Quantity("how exiting rays become results")
+]
 
 
-@reject_unknown_arguments
+def _check_pack_incidence(key: str, value: Any) -> Any:
+    # Snowpacks of a season have angles of their own, which `compute_pack_spectra` checks.
+    is_single = isinstance(value, str) or np.ndim(value) == 0
+    return check_incidence(key, value) if is_single and value != SUN else value
+
+
+PackIncidence = Annotated[
+    Numbers | Literal["diffuse", "sun"],
+    Quantity(
+        "angle of incidence", "degree", first_step=4.0, check=_check_pack_incidence,
+        schema={"anyOf": [ANGLE_SCHEMA, {"enum": [DIFFUSE, SUN]}]},
+    ),
+]  # fmt: skip
+
+
+@instrument
 def spectrophotometer(
     medium: Medium | Mapping[str, Medium] | SnowPacks,
-    wavelength_nm: Any,
-    incidence_deg: Any = 0.0,
-    max_stderr: float = 0.002,
-    seed: int = 1,
+    wavelength_nm: Wavelengths,
+    incidence_deg: PackIncidence = 0.0,
     *,
-    solver: str = "auto",
-    estimator: str = "spectral",
+    max_stderr: StandardError = 0.002,
+    solver: Solver = "auto",
+    estimator: SpectralEstimator = "spectral",
     jacobian: Sequence[str] = (),
-    max_rays: int = 20_000_000,
-    stokes: Any = False,
-    threads: int | None = None,
-    kernel: str = "auto",
+    stokes: IncidentStokes = False,
+    seed: Seed = 1,
+    max_rays: MaxRays = 20_000_000,
+    threads: Threads = None,
+    kernel: Kernel = "auto",
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
     """Simulate the hemispherical reflectance, transmittance and absorptance of one or more media.
@@ -200,10 +226,12 @@ def spectrophotometer(
     >>> ds.reflectance.dims
     ('medium', 'wavelength')
     """
-    run = RunOptions.from_arguments(seed, threads, kernel, progress)
+    run = RunOptions.start(seed, threads, kernel, progress)
+    wavelengths = np.asarray(wavelength_nm)
     if isinstance(medium, SnowPacks):
         check_no_paths(estimator, jacobian)
-        return compute_pack_spectra(medium, wavelength_nm, incidence_deg, max_stderr, solver, run)
+        return compute_pack_spectra(medium, wavelengths, incidence_deg, max_stderr, solver, run)
+    incidence = check_incidence("incidence_deg", incidence_deg)
     is_mapping, analog = isinstance(medium, Mapping), estimator == "analog"
     media: dict[str, Medium] = {}
     if isinstance(medium, Mapping):
@@ -218,15 +246,12 @@ def spectrophotometer(
     else:
         check_medium(medium, allow_semi_infinite=estimator == "spectral")
         media[""] = medium
-    check_choice("estimator", estimator, ESTIMATORS)
-    request = SpectralRequest.from_arguments(
-        wavelength_nm, incidence_deg, max_stderr, max_rays, run
-    )
     first = next(iter(media.values()))
-    request = request._replace(polarization=check_stokes(stokes, first, request.incidence))
+    polarization = check_stokes(stokes, first, incidence)
+    request = SpectralRequest(wavelengths, incidence, max_stderr, max_rays, run, polarization)
     parameters: tuple[str, ...] = ()
     if not is_mapping:
-        parameters = check_jacobian(first, request.incidence, jacobian)
+        parameters = check_jacobian(first, incidence, jacobian)
         if parameters and analog:
             raise invalid("jacobian", list(parameters), "left out for this estimator")
     elif analog:
@@ -234,12 +259,11 @@ def spectrophotometer(
     elif not isinstance(jacobian, Sequence) or len(jacobian):
         raise invalid("jacobian", jacobian, "left out for several media")
     obstacle = find_path_obstacle(estimator, stokes)
-    wavelengths, error = request.wavelengths, request.max_stderr
-    chosen = choose_solver(solver, media.values(), wavelengths, obstacle, parameters, error)
+    chosen = choose_solver(solver, media.values(), wavelengths, obstacle, parameters, max_stderr)
     perturbations, truncation = NO_PERTURBATIONS, None
     if chosen == DISCRETE_ORDINATES:
         estimate = solve_estimate(
-            list(media.values()), wavelengths, request.incidence, error, run.threads, parameters
+            list(media.values()), wavelengths, incidence, max_stderr, run.threads, parameters
         )
     else:
         perturbations = Perturbations.select_exact(first, parameters, wavelengths)
@@ -273,7 +297,7 @@ def find_path_obstacle(estimator: str, stokes: Any) -> str | None:
     """Return why discrete ordinates cannot replace a spectrophotometer, None if they can."""
     if estimator == "analog":
         return "the estimator needs paths"
-    return "polarization needs paths" if requests_polarization(stokes) else None
+    return None if stokes is False else "polarization needs paths"
 
 
 def _simulate_differences(
@@ -331,7 +355,7 @@ MAX_ATTEMPTS = 3
 
 
 class SpectralRequest(NamedTuple):
-    """Validated arguments of `splits.spectrophotometer`."""
+    """Light, accuracy and options of spectra."""
 
     wavelengths: np.ndarray
     incidence: float | str
@@ -339,19 +363,6 @@ class SpectralRequest(NamedTuple):
     max_rays: int
     run: RunOptions
     polarization: IncidentPolarization | None = None
-
-    @classmethod
-    def from_arguments(
-        cls, wavelength_nm: Any, incidence_deg: Any, max_stderr: Any, max_rays: Any, run: RunOptions
-    ) -> SpectralRequest:
-        """Return the request, after checking all values."""
-        return cls(
-            check_wavelengths(wavelength_nm),
-            check_incidence(incidence_deg),
-            check_range("max_stderr", max_stderr, 1e-6, 0.5),
-            check_integer("max_rays", max_rays, 1),
-            run,
-        )
 
     def truncate(self, path_sharing: PathSharingMedia) -> TruncatedMedium | None:
         """Return the truncated media, which do not depend on the incidence."""

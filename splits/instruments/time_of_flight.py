@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.inputs import Incidence, Kernel, RayCount, Seed, Threads, Wavelengths
+from splits.core.keywords import instrument
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import (
     Variable,
@@ -17,12 +18,19 @@ from splits.core.uncertainty import (
     compute_leave_one_out_means,
     make_variable,
 )
-from splits.core.validation import InvalidValue, check_integer, invalid
+from splits.core.validation import InvalidValue, invalid
 from splits.instruments.angular_estimate import N_ANGULAR_BATCHES
 from splits.instruments.beam_spread import NODE_TOLERANCE, SIDES, divide_or_zero
 from splits.instruments.delay_record import (
+    DEFAULT_EDGES_S,
     SPEED_OF_LIGHT,
+    AcceptanceAngle,
+    DelayEdges,
+    FootprintRadius,
     Pulse,
+    PulseInput,
+    RecordDepths,
+    RecordEnd,
     Slowness,
     check_depths,
     check_granular_layers,
@@ -44,12 +52,7 @@ from splits.kernels.tallies.distributions import (
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.simulation.engine import simulate
-from splits.simulation.run_options import (
-    RunOptions,
-    check_incidence,
-    check_wavelengths,
-    make_wavelength_coordinate,
-)
+from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 from splits.simulation.scene import (
     add_recording_planes,
     build_scene,
@@ -94,22 +97,22 @@ class DelayRequest(NamedTuple):
     pulse: Pulse
 
 
-@reject_unknown_arguments
+@instrument
 def time_of_flight(
     medium: Medium,
-    wavelength_nm: Any,
-    incidence_deg: float | str = 0.0,
-    rays: int = 200_000,
-    seed: int = 1,
+    wavelength_nm: Wavelengths,
+    incidence_deg: Incidence = 0.0,
     *,
-    delay_s: Any = None,
-    end_s: float | None = None,
-    pulse: Any = None,
-    acceptance_deg: float | None = None,
-    footprint_radius_m: float | None = None,
-    depths_m: Any = None,
-    threads: int | None = None,
-    kernel: str = "auto",
+    rays: RayCount = 200_000,
+    delay_s: DelayEdges = DEFAULT_EDGES_S,
+    end_s: RecordEnd = None,
+    pulse: PulseInput = None,
+    acceptance_deg: AcceptanceAngle = None,
+    footprint_radius_m: FootprintRadius = None,
+    depth_m: RecordDepths = None,
+    seed: Seed = 1,
+    threads: Threads = None,
+    kernel: Kernel = "auto",
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
     """Simulate the delays with which the light of a pulse leaves a medium.
@@ -145,7 +148,7 @@ def time_of_flight(
         at the surface.
     footprint_radius_m : float, optional
         Radius (m) around the point of entry of a beam within which reflected light is received.
-    depths_m : array_like, optional
+    depth_m : array_like, optional
         Increasing depths (m) below the surface that divide reflected light by the largest depth
         that it has reached.
     threads : int, optional
@@ -163,7 +166,7 @@ def time_of_flight(
         instantaneous pulse and delays before the end of the record: ``fraction`` of the incident
         light, ``mean_delay`` (s), ``delay_spread`` (s), the standard deviation,
         ``delay_skewness``, and ``path_length`` (m), the mean length of the path in each
-        ``material``.  With `depths_m`, the first four also as ``…_by_depth`` over
+        ``material``.  With `depth_m`, the first four also as ``…_by_depth`` over
         ``depth_interval`` for reflected light.  If all reflected light is received,
         ``late_fraction``, the fraction of the incident light that is reflected after the record:
         all reflected light as of `splits.spectrophotometer`, minus that in the record; it is left
@@ -189,15 +192,14 @@ def time_of_flight(
     """
     check_medium(medium, allow_semi_infinite=True)
     check_granular_layers(medium)
-    wavelengths = check_wavelengths(wavelength_nm)
-    incidence = check_incidence(incidence_deg)
-    rays = check_integer("rays", rays, 1)
-    run = RunOptions.from_arguments(seed, threads, kernel, progress)
+    wavelengths, incidence = np.asarray(wavelength_nm), incidence_deg
+    run = RunOptions.start(seed, threads, kernel, progress)
     record_pulse = Pulse.from_argument(pulse)
-    edges, end = check_record(delay_s, end_s, record_pulse)
+    edges, end = check_record(np.asarray(delay_s), end_s, record_pulse)
     receiver = make_receiver(incidence, acceptance_deg, footprint_radius_m)
     request = DelayRequest(incidence, rays, receiver, edges, end, record_pulse)
-    dataset = simulate_delays(medium, wavelengths, request, run, check_depths(depths_m, medium))
+    depths = check_depths(depth_m, medium)
+    dataset = simulate_delays(medium, wavelengths, request, run, depths)
     dataset.attrs |= describe_record(pulse, acceptance_deg, footprint_radius_m)
     if acceptance_deg is None and footprint_radius_m is None and math.isfinite(end):
         # Some semi-infinite media have no solution without an end of the record.

@@ -38,7 +38,7 @@ import pandas as pd
 import xarray as xr
 
 from splits.core.atomic import atomic_write
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.keywords import declare_function
 from splits.core.process import make_lock
 from splits.core.provenance import get_git_commit, get_package_version
 from splits.core.validation import (
@@ -167,7 +167,7 @@ def drop_run_specific_attributes(dataset: xr.Dataset) -> xr.Dataset:
     return copy
 
 
-@reject_unknown_arguments
+@declare_function
 def save(dataset: xr.Dataset, path: str | Path) -> None:
     """Write a dataset to a netCDF file atomically.
 
@@ -237,7 +237,7 @@ def _check_dataset(dataset: Any, name: str) -> xr.Dataset:
     return dataset
 
 
-@reject_unknown_arguments
+@declare_function
 def load(path: str | Path) -> xr.Dataset:
     """Read a dataset into memory, and verify its origin and its checksums.
 

@@ -7,12 +7,12 @@ on reflectance.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
-from typing import Annotated, Any, Self
+from dataclasses import asdict, fields
+from typing import Annotated, Any, Literal, Self, get_args, get_type_hints
 
-from splits.core.declarations import Quantity
-from splits.core.keywords import reject_unknown_keywords
-from splits.core.validation import check_choice, invalid, join_names, suggest_name
+from splits.core.arrays import ContentEquality
+from splits.core.declarations import Quantity, declare_class
+from splits.core.validation import check_choice, invalid, join_names, key_prefix, suggest_name
 from splits.kernels.scene import (
     ENTRY_SAMPLING,
     FACET_SAMPLING,
@@ -21,27 +21,7 @@ from splits.kernels.scene import (
     WRONG_SIDE_RULE,
     SamplingRules,
 )
-from splits.materials import MIXING_RULES
 from splits.media.formatting import find_differences, format_input
-from splits.media.sand_composition import EXCESS_MAGNETITE_RULES, WATER_MODELS
-
-INTERPRETATION_CHOICES: dict[str, tuple[str, ...]] = {
-    "entry_point": tuple(ENTRY_SAMPLING),
-    "facet_sampling": tuple(FACET_SAMPLING),
-    "wrong_side_ray": tuple(WRONG_SIDE_RULE),
-    "boundary_fresnel": ("yes", "no"),
-    "overlap_with_previous_segment": tuple(OVERLAP_RULE),
-    "overlap_with_boundary": tuple(OVERLAP_RULE),
-    "mean_free_path": ("pore_only", "including_grain"),
-    "grain_extent": tuple(GRAIN_EXTENT),
-    "size_definition": ("diameter", "semi_axis"),
-    "size_sampling": ("cross_section", "uniform"),
-    "mixing": tuple(MIXING_RULES),
-    "size_distribution": ("separates", "single"),
-    "excess_magnetite": EXCESS_MAGNETITE_RULES,
-    "attenuation_factor": ("solid_fraction", "as_printed"),
-    "water": WATER_MODELS,
-}
 
 INTERPRETATION_SETS: dict[str, dict[str, str]] = {
     "splits_2007": {
@@ -81,8 +61,8 @@ def merge_interpretations(given: Sequence[Any]) -> Any:
     return merged[SET_KEY] if list(merged) == [SET_KEY] else merged
 
 
-@dataclass(frozen=True)
-class TransportInterpretation:
+@declare_class
+class TransportInterpretation(ContentEquality):
     """Interpretation of the transport model common to SPLITS and SPLITSnow.
 
     Parameters
@@ -122,27 +102,21 @@ class TransportInterpretation:
         both overlap rules must be "keep".
     """
 
-    entry_point: str = "uniform"
-    facet_sampling: str = "projected"
-    wrong_side_ray: str = "cosine_lobe"
-    boundary_fresnel: str = "yes"
-    overlap_with_previous_segment: str = "reject"
-    overlap_with_boundary: str = "reject"
-    mean_free_path: str = "pore_only"
-    grain_extent: str = "finite"
+    entry_point: Literal["uniform", "projected"] = "uniform"
+    facet_sampling: Literal["projected", "unweighted", "any"] = "projected"
+    wrong_side_ray: Literal["cosine_lobe", "mirror"] = "cosine_lobe"
+    boundary_fresnel: Literal["yes", "no"] = "yes"
+    overlap_with_previous_segment: Literal["reject", "keep", "skip"] = "reject"
+    overlap_with_boundary: Literal["reject", "keep", "skip"] = "reject"
+    mean_free_path: Literal["pore_only", "including_grain"] = "pore_only"
+    grain_extent: Literal["finite", "point"] = "finite"
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            check_choice(
-                f"interpretation.{field.name}",
-                getattr(self, field.name),
-                INTERPRETATION_CHOICES[field.name],
-            )
         for name in ("overlap_with_previous_segment", "overlap_with_boundary"):
             rule = getattr(self, name)
             if self.grain_extent == "point" and rule != "keep":
                 hint = "or grain_extent finite, as in the set geometric"
-                raise invalid(f"interpretation.{name}", rule, "keep with grain_extent point", hint)
+                raise invalid(name, rule, "keep with grain_extent point", hint)
 
     @classmethod
     def from_input(cls, value: Any) -> Self:
@@ -175,7 +149,8 @@ class TransportInterpretation:
             if name not in names:
                 allowed = "one of " + ", ".join(names)
                 raise invalid("interpretation", name, allowed, suggest_name(name, names))
-        return cls(**given)
+        with key_prefix("interpretation"):
+            return cls(**given)
 
     def to_sampling_rules(self, analog: bool = False) -> SamplingRules:
         """Return the sampling rules in the form the kernels take."""
@@ -206,8 +181,7 @@ class TransportInterpretation:
         return f"{type(self).__name__}.from_input({format_input(self)})"
 
 
-@reject_unknown_keywords
-@dataclass(frozen=True, repr=False)
+@declare_class
 class Interpretation(TransportInterpretation):
     """Interpretation of SPLITSnow, in addition to that of `TransportInterpretation`.
 
@@ -227,14 +201,13 @@ class Interpretation(TransportInterpretation):
         K1 (SPLITS Eqs 20-25), or uniform like P(s).
     """
 
-    facet_sampling: str = "any"
-    wrong_side_ray: str = "mirror"
-    size_definition: str = "diameter"
-    size_sampling: str = "cross_section"
+    facet_sampling: Literal["projected", "unweighted", "any"] = "any"
+    wrong_side_ray: Literal["cosine_lobe", "mirror"] = "mirror"
+    size_definition: Literal["diameter", "semi_axis"] = "diameter"
+    size_sampling: Literal["cross_section", "uniform"] = "cross_section"
 
 
-@reject_unknown_keywords
-@dataclass(frozen=True, repr=False)
+@declare_class
 class SandInterpretation(TransportInterpretation):
     """Interpretation of SPLITS, in addition to that of `TransportInterpretation`.
 
@@ -263,27 +236,40 @@ class SandInterpretation(TransportInterpretation):
         `splits.media.sand_composition`.
     """
 
-    mixing: str = "maxwell_garnett"
-    size_distribution: str = "separates"
-    excess_magnetite: str = "first"
-    attenuation_factor: str = "solid_fraction"
-    water: str = "whole_pores"
+    mixing: Literal["maxwell_garnett", "linear"] = "maxwell_garnett"
+    size_distribution: Literal["separates", "single"] = "separates"
+    excess_magnetite: Literal["first", "clipped"] = "first"
+    attenuation_factor: Literal["solid_fraction", "as_printed"] = "solid_fraction"
+    water: Literal["whole_pores", "narrow_pores", "film"] = "whole_pores"
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.attenuation_factor == "as_printed" and self.mean_free_path != "pore_only":
             hint = "mean chord and mean distance are both 1/K, which leaves no pore space"
             raise invalid(
-                "interpretation.attenuation_factor",
+                "attenuation_factor",
                 self.attenuation_factor,
                 "solid_fraction with this mean_free_path",
                 hint,
             )
 
 
-SnowInterpretation = Annotated[
+InterpretationInput = Annotated[
     Any,
     Quantity(
         "interpretation of the papers", check=lambda _, value: Interpretation.from_input(value)
     ),
 ]
+SandInterpretationInput = Annotated[
+    Any,
+    Quantity(
+        "interpretation of the papers", check=lambda _, value: SandInterpretation.from_input(value)
+    ),
+]
+INTERPRETATION_CHOICES: dict[str, tuple[str, ...]] = {
+    name: get_args(hint)
+    for kind in (Interpretation, SandInterpretation)
+    for name, hint in get_type_hints(kind).items()
+    if get_args(hint)
+}
+"""Choices by name."""

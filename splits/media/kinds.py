@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.keywords import declare_function
 from splits.core.optional import import_optional
 from splits.core.validation import check_choice, expand_path, format_limit, invalid, key_prefix
 from splits.media.formatting import NAMED_MEDIA, NAMED_MEDIA_FOLDER, suggest_medium
@@ -153,7 +153,7 @@ def list_media() -> dict[str, str]:
     return {name: _read_named_file(name)["description"] for name in NAMED_MEDIA}
 
 
-@reject_unknown_arguments
+@declare_function
 def load_medium(name: str | Path, **keywords: Any) -> Medium:
     """Return a named medium, or the medium of a YAML file.
 

@@ -16,9 +16,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import xarray as xr
@@ -31,14 +30,12 @@ from splits.core.arrays import (
     check_increasing,
     read_columns,
 )
-from splits.core.keywords import reject_unknown_keywords
+from splits.core.declarations import Quantity, declare_class
+from splits.core.inputs import INFINITE_HINT
 from splits.core.validation import (
     ROUNDING_TOLERANCE,
-    as_scalar,
     check_choice,
-    check_flag,
     check_integer,
-    check_range,
     expand_path,
     format_limit,
     invalid,
@@ -372,11 +369,54 @@ MAX_OPTICAL_DISTANCE = 5e5
 MAX_DEPOLARIZATION = 6.0 / 7.0
 """Largest depolarization factor of small particles."""
 
+OpticalThickness = Annotated[
+    float,
+    Quantity("optical thickness", low=0.0, high=1e6, infinite=True, hint=INFINITE_HINT),
+]
+SingleScatteringAlbedo = Annotated[
+    float,
+    Quantity("single-scattering albedo", low=0.0, high=1.0, first_step=0.004, root_at=1.0),
+]
+Asymmetry = Annotated[
+    float,
+    Quantity("mean cosine of the scattering angle", low=-0.999, high=0.999, first_step=0.04),
+]
+MatrixIndex = Annotated[float, Quantity("refractive index", low=1.0, high=10.0)]
+BottomAlbedo = Annotated[
+    float | None, Quantity("albedo of the bottom", low=0.0, high=1.0, first_step=0.04)
+]
+Surface = Annotated[
+    Any,
+    Quantity(
+        "surface of the layer",
+        check=lambda _, value: None if value is None else RoughSurface.from_input(value),
+    ),
+]
+
+
+def _check_phase_function(key: str, value: Any) -> Any:
+    return value if isinstance(value, Mapping) else check_choice(key, value, PHASE_FUNCTIONS)
+
+
 PHASE_FUNCTIONS = ("henyey_greenstein", "rayleigh")
+PhaseFunctionInput = Annotated[Any, Quantity("phase function", check=_check_phase_function)]
+ScatteringMatrixInput = Annotated[
+    Any,
+    Quantity(
+        "scattering matrix",
+        check=lambda _, value: None if value is None else ScatteringMatrix.from_input(value),
+    ),
+]
+Depolarization = Annotated[
+    float,
+    Quantity("depolarization factor of Rayleigh scattering", low=0.0, high=MAX_DEPOLARIZATION),
+]
+Polarized = Annotated[bool, Quantity("whether the Stokes vector is traced")]
+Opaque = Annotated[bool, Quantity("whether all light transmitted by the surface is absorbed")]
+LayerThickness = Annotated[float, Quantity("thickness of the sample", "m", low=1e-9, high=1e6)]
 
 
-@reject_unknown_keywords
-@dataclass(frozen=True, eq=False, repr=False)
+@declare_class
 class ParticleLayer(ContentEquality, ParticleMedium):
     """Homogeneous layer of small particles in a transparent matrix.
 
@@ -444,42 +484,21 @@ class ParticleLayer(ContentEquality, ParticleMedium):
     wet_fraction = 1.0
     largest_grain_m = 0.0
 
-    optical_thickness: float = 10.0
-    single_scattering_albedo: float = 0.99
-    asymmetry: float = 0.75
-    refractive_index: float = 1.5
-    bottom_albedo: float | None = 0.5
-    surface: Any = None
-    phase_function: Any = "henyey_greenstein"
-    scattering_matrix: Any = None
-    depolarization: float = 0.0
-    polarized: bool = False
-    opaque: bool = False
-    depth_m: float = 1.0
+    optical_thickness: OpticalThickness = 10.0
+    single_scattering_albedo: SingleScatteringAlbedo = 0.99
+    asymmetry: Asymmetry = 0.75
+    refractive_index: MatrixIndex = 1.5
+    bottom_albedo: BottomAlbedo = 0.5
+    surface: Surface = None
+    phase_function: PhaseFunctionInput = "henyey_greenstein"
+    scattering_matrix: ScatteringMatrixInput = None
+    depolarization: Depolarization = 0.0
+    polarized: Polarized = False
+    opaque: Opaque = False
+    depth_m: LayerThickness = 1.0
 
     def __post_init__(self) -> None:
-        put = partial(object.__setattr__, self)
-        thickness = as_scalar(self.optical_thickness)
-        hint = "or infinite: .inf in YAML, math.inf in Python"
-        if isinstance(thickness, str):
-            raise invalid("optical_thickness", thickness, "a number from 0 to 1e+06", hint)
-        if not (isinstance(thickness, float) and thickness == math.inf):
-            thickness = check_range("optical_thickness", thickness, 0.0, 1e6, hint=hint)
-        put("optical_thickness", thickness)
-        for name, low, high in (
-            ("single_scattering_albedo", 0.0, 1.0),
-            ("asymmetry", -0.999, 0.999),
-            ("refractive_index", 1.0, 10.0),
-            ("depolarization", 0.0, MAX_DEPOLARIZATION),
-        ):
-            put(name, check_range(name, getattr(self, name), low, high))
-        put("depth_m", check_range("depth_m", self.depth_m, 1e-9, 1e6, "m"))
-        if self.bottom_albedo is not None:
-            put("bottom_albedo", check_range("bottom_albedo", self.bottom_albedo, 0.0, 1.0))
-        for name in ("polarized", "opaque"):
-            put(name, check_flag(name, getattr(self, name)))
         if self.scattering_matrix is not None:
-            put("scattering_matrix", ScatteringMatrix.from_input(self.scattering_matrix))
             phase = self.scattering_matrix.make_phase_function()
         elif isinstance(self.phase_function, Mapping):
             if self.polarized:
@@ -494,13 +513,12 @@ class ParticleLayer(ContentEquality, ParticleMedium):
             check_increasing(f"{key}.cosine", cosine)
             density = snap_to_limits(density, 0.0, MAX_DENSITY)
             phase = make_tabulated(cosine, check_density(f"{key}.density", density))
-        elif check_choice("phase_function", self.phase_function, PHASE_FUNCTIONS) == "rayleigh":
+        elif self.phase_function == "rayleigh":
             phase = make_rayleigh(self.depolarization)
         else:
             phase = make_henyey_greenstein(self.asymmetry)
-        put("_phase", phase)
+        object.__setattr__(self, "_phase", phase)
         if self.surface is not None:
-            put("surface", RoughSurface.from_input(self.surface))
             min_depth_m = CLEARANCE_SIGMA * self.surface.rms_height_m
             has_bottom = not (self.is_semi_infinite or self.opaque)
             if self.depth_m < min_depth_m and has_bottom:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
-from functools import cached_property, partial
-from typing import Any, NamedTuple
+from dataclasses import fields
+from functools import cached_property
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
 from splits.core.arrays import ContentEquality, as_float_array, check_increasing
-from splits.core.keywords import reject_unknown_keywords
+from splits.core.declarations import Quantity, declare_class
 from splits.core.validation import (
-    check_choice,
     check_integer,
     check_range,
     invalid,
@@ -152,8 +151,22 @@ def integrate_bessel_j0(
 # Random height field: a correlated Gaussian surface by its height spectrum.
 
 
-@reject_unknown_keywords
-@dataclass(frozen=True, eq=False, repr=False)
+HeightDeviation = Annotated[
+    float, Quantity("standard deviation of heights", "m", low=0.0, high=1e6)
+]
+WaveNumber = Annotated[
+    float | None, Quantity("wave number k0 of the correlation", "m-1", low=1e-9, high=1e9)
+]
+Correlation = Annotated[
+    Literal["exponential", "exponential_printed", "gaussian", "spectrum"],
+    Quantity("correlation of heights"),
+]
+WaveCount = Annotated[int, Quantity("number of waves", low=1, high=MAX_WAVES)]
+BandLimit = Annotated[float | None, Quantity("largest wave number", "m-1", low=0.0, infinite=True)]
+HeightSpectrumTable = Annotated[Any, Quantity("spectral density of heights")]
+
+
+@declare_class
 class RandomHeightField(ContentEquality):
     """Random height field, Budak & Grimailo 2020, Eq 3.
 
@@ -185,18 +198,14 @@ class RandomHeightField(ContentEquality):
         For a value outside its range; the message names key, value and range.
     """
 
-    rms_height_m: float
-    wave_number_per_m: float | None = None
-    correlation: str = "exponential"
-    waves: int = 64
-    band_limit_per_m: float | None = None
-    spectrum: Mapping[str, Any] | None = None
+    rms_height_m: HeightDeviation
+    wave_number_per_m: WaveNumber = None
+    correlation: Correlation = "exponential"
+    waves: WaveCount = 64
+    band_limit_per_m: BandLimit = None
+    spectrum: HeightSpectrumTable = None
 
     def __post_init__(self) -> None:
-        put = partial(object.__setattr__, self)
-        put("rms_height_m", check_range("rms_height_m", self.rms_height_m, 0.0, 1e6, "m"))
-        check_choice("correlation", self.correlation, CORRELATIONS)
-        put("waves", check_integer("waves", self.waves, 1, MAX_WAVES))
         if self.correlation == "spectrum":
             for key in ("wave_number_per_m", "band_limit_per_m"):
                 if getattr(self, key) is not None:
@@ -213,7 +222,8 @@ class RandomHeightField(ContentEquality):
                 allowed = "0 or more, and positive somewhere"
                 raise invalid("spectrum.density", density.tolist(), allowed)
             columns = (tuple(k.tolist()), tuple(density.tolist()))
-            put("spectrum", dict(zip(SPECTRUM_COLUMNS, columns, strict=True)))
+            table = dict(zip(SPECTRUM_COLUMNS, columns, strict=True))
+            object.__setattr__(self, "spectrum", table)
             return
         if self.spectrum is not None:
             raise invalid("spectrum", self.spectrum, 'left out unless correlation is "spectrum"')
@@ -221,8 +231,6 @@ class RandomHeightField(ContentEquality):
         if k0 is None:
             hint = "the inverse of the correlation length"
             raise invalid("wave_number_per_m", None, "given (1/m)", hint)
-        k0 = check_range("wave_number_per_m", k0, 1e-9, 1e9, "1/m")
-        put("wave_number_per_m", k0)
         if limit is None and self.correlation == "exponential":
             raise invalid(
                 "band_limit_per_m", None, "given (1/m)",
@@ -232,7 +240,7 @@ class RandomHeightField(ContentEquality):
             )  # fmt: skip
         if limit not in (None, math.inf):
             limit = check_range("band_limit_per_m", limit, 1e-3 * k0, math.inf, "1/m")
-        put("band_limit_per_m", math.inf if limit is None else limit)
+        object.__setattr__(self, "band_limit_per_m", math.inf if limit is None else limit)
 
     def as_input(self) -> dict[str, Any]:
         """Return the keywords that differ from their defaults."""
@@ -317,9 +325,36 @@ class RandomHeightField(ContentEquality):
 # Randomly rough surfaces: heights, correlation and number of waves.
 
 
-@reject_unknown_keywords
-@dataclass(frozen=True, repr=False)
-class RoughSurface:
+def _check_fields(_: str, given: Any) -> tuple[RandomHeightField, ...]:
+    """Return the height fields of a surface, after checking each."""
+    if isinstance(given, (RandomHeightField, Mapping)):
+        given = [given]
+    if isinstance(given, (str, bytes)) or not isinstance(given, Sequence) or not given:
+        raise invalid("surface", given, "one field, or a list of fields, of keys and values")
+    names = [f.name for f in fields(RandomHeightField)]
+    allowed = "one of " + ", ".join(names)
+    height_fields = []
+    for number, value in enumerate(given):
+        key = f"surface[{number}]" if len(given) > 1 else "surface"
+        if not isinstance(value, RandomHeightField):
+            if not isinstance(value, Mapping):
+                raise invalid(key, value, "a mapping of keys, each " + allowed)
+            for name in value:
+                if name not in names:
+                    raise invalid(key, name, allowed, suggest_name(name, names))
+            if "rms_height_m" not in value:
+                raise invalid(f"{key}.rms_height_m", None, "given (m)")
+            with key_prefix(key):
+                value = RandomHeightField(**value)
+        height_fields.append(value)
+    return tuple(height_fields)
+
+
+Fields = Annotated[Any, Quantity("random height fields", check=_check_fields)]
+
+
+@declare_class
+class RoughSurface(ContentEquality):
     """Rough surface: a superposition of random height fields above a plane.
 
     Parameters
@@ -335,31 +370,7 @@ class RoughSurface:
     0.4
     """
 
-    fields: Any
-
-    def __post_init__(self) -> None:
-        given = self.fields
-        if isinstance(given, (RandomHeightField, Mapping)):
-            given = [given]
-        if isinstance(given, (str, bytes)) or not isinstance(given, Sequence) or not given:
-            raise invalid("surface", given, "one field, or a list of fields, of keys and values")
-        names = [f.name for f in fields(RandomHeightField)]
-        allowed = "one of " + ", ".join(names)
-        height_fields = []
-        for number, value in enumerate(given):
-            key = f"surface[{number}]" if len(given) > 1 else "surface"
-            if not isinstance(value, RandomHeightField):
-                if not isinstance(value, Mapping):
-                    raise invalid(key, value, "a mapping of keys, each " + allowed)
-                for name in value:
-                    if name not in names:
-                        raise invalid(key, name, allowed, suggest_name(name, names))
-                if "rms_height_m" not in value:
-                    raise invalid(f"{key}.rms_height_m", None, "given (m)")
-                with key_prefix(key):
-                    value = RandomHeightField(**value)
-            height_fields.append(value)
-        object.__setattr__(self, "fields", tuple(height_fields))
+    fields: Fields
 
     @classmethod
     def from_input(cls, value: Any) -> RoughSurface:

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import cache, cached_property, partial
+from dataclasses import field
+from functools import cache, cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from splits.core.arrays import ContentEquality, check_named_numbers
-from splits.core.keywords import reject_unknown_keywords
+from splits.core.declarations import Quantity, declare_class
+from splits.core.inputs import (
+    Depth,
+    Pores,
+    RefractiveIndices,
+    Saturation,
+    Sphericity,
+    describe_numbers,
+)
 from splits.core.validation import check_range, invalid
 from splits.kernels.scene import WET_PORE, GrainPopulation, GrainTypes
 from splits.materials import MINERAL_DENSITY_KG_M3, MIXING_RULES
 from splits.media import grain_statistics as statistics
 from splits.media.formatting import find_differences, format_call
-from splits.media.interpretations import SandInterpretation
+from splits.media.ground import GroundInput
+from splits.media.interpretations import SandInterpretation, SandInterpretationInput
 from splits.media.medium import WATER, GranularMedium, Interface
 from splits.media.sand_composition import (
     SOIL_SEPARATES,
@@ -34,8 +42,60 @@ WATER_FILM = "water film"
 """Name of the water film on grains in the list of materials."""
 
 
-@reject_unknown_keywords
-@dataclass(frozen=True, eq=False, repr=False)
+def _check_roundness(key: str, value: Any) -> tuple[float, float]:
+    mean, sd = check_named_numbers(key, value, ("mean", "sd"))
+    mean = check_range(f"{key} (mean)", mean, 0.0, 1.0)
+    return mean, check_range(f"{key} (sd)", sd, 0.0, 1.0)
+
+
+def _declare_fractions(long_name: str, parts: tuple[str, ...]) -> Quantity:
+    """Return the quantity of fractions that add up to 1."""
+    return Quantity(
+        long_name, parts=parts, schema=describe_numbers(len(parts)),
+        check=lambda key, value: check_named_numbers(key, value, parts, (0.0, 1.0)),
+    )  # fmt: skip
+
+
+IronOxide = Annotated[
+    float, Quantity("mass of hematite and goethite per mass of sand", low=0.0, high=1.0)
+]
+HematiteRatio = Annotated[
+    float,
+    Quantity("mass of hematite per mass of iron oxide", low=0.0, high=1.0, first_step=0.04),
+]
+Magnetite = Annotated[float, Quantity("mass of magnetite per mass of sand", low=0.0, high=1.0)]
+Partition = Annotated[
+    tuple[float, float, float],
+    _declare_fractions(
+        "mass fractions of pure, mixed and coated particles", ("pure", "mixed", "coated")
+    ),
+]
+Texture = Annotated[
+    tuple[float, float, float],
+    _declare_fractions("mass fractions of clay, silt and sand", SOIL_SEPARATES),
+]
+Porosity = Annotated[
+    float,
+    Quantity("volume of pores per volume", low=0.0, high=1.0, open_low=True, open_high=True),
+]
+Roundness = Annotated[
+    tuple[float, float],
+    Quantity(
+        "roundness of the particles, mean and standard deviation", mean=0, first_step=0.04,
+        check=_check_roundness, schema=describe_numbers(2),
+    ),
+]  # fmt: skip
+CoatingThickness = Annotated[
+    float,
+    Quantity(
+        "thickness of coatings per major axis of the particle", low=0.0, high=0.05, open_low=True,
+        hint="coatings are treated as flat slabs, so they must be thin",
+    ),
+]  # fmt: skip
+SizeTail = Annotated[float, Quantity("mass fraction outside the outermost size limits")]
+
+
+@declare_class
 class Sand(ContentEquality, GranularMedium):
     """Homogeneous sand layer, after SPLITS.
 
@@ -105,50 +165,26 @@ class Sand(ContentEquality, GranularMedium):
 
     kind = "sand"
 
-    iron_oxide: float = 0.01
-    hematite_ratio: float = 0.0
-    magnetite: float = 0.0
-    partition: tuple[float, float, float] = (1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0)
-    texture: tuple[float, float, float] = (0.0, 0.15, 0.85)
-    saturation: float = 0.0
-    porosity: float = 0.425
-    roundness: tuple[float, float] = (0.482, 0.072)
-    sphericity: tuple[float, float, float, float] = (0.6, 0.95, 0.798, 0.064)
-    relative_coating_thickness: float = 5.0 / 1200.0
-    depth_m: float = 1.0
-    size_tail: float = 1e-4
-    refractive_index: Mapping[str, Any] = field(default_factory=dict)
-    interpretation: SandInterpretation = field(default_factory=SandInterpretation)
-    ground: Any = None
-    pores: Mapping[str, float] = field(default_factory=dict)
+    iron_oxide: IronOxide = 0.01
+    hematite_ratio: HematiteRatio = 0.0
+    magnetite: Magnetite = 0.0
+    partition: Partition = (1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0)
+    texture: Texture = (0.0, 0.15, 0.85)
+    saturation: Saturation = 0.0
+    porosity: Porosity = 0.425
+    roundness: Roundness = (0.482, 0.072)
+    sphericity: Sphericity = (0.6, 0.95, 0.798, 0.064)
+    relative_coating_thickness: CoatingThickness = 5.0 / 1200.0
+    depth_m: Depth = 1.0
+    size_tail: SizeTail = 1e-4
+    refractive_index: RefractiveIndices = field(default_factory=dict)
+    interpretation: SandInterpretationInput = field(default_factory=SandInterpretation)
+    ground: GroundInput = None
+    pores: Pores = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        put = partial(object.__setattr__, self)
-        put("interpretation", SandInterpretation.from_input(self.interpretation))
-        porosity = check_range("porosity", self.porosity, 0.0, 1.0, open_low=True, open_high=True)
-        put("porosity", porosity)
-        mean, sd = check_named_numbers("roundness", self.roundness, ("mean", "sd"))
-        mean = check_range("roundness (mean)", mean, 0.0, 1.0)
-        put("roundness", (mean, check_range("roundness (sd)", sd, 0.0, 1.0)))
-        thickness = check_range(
-            "relative_coating_thickness",
-            self.relative_coating_thickness,
-            0.0,
-            0.05,
-            open_low=True,
-            hint="coatings are treated as flat slabs, so they must be thin",
-        )
-        put("relative_coating_thickness", thickness)
-        for name, parts in (
-            ("partition", ("pure", "mixed", "coated")),
-            ("texture", SOIL_SEPARATES),
-        ):
-            put(name, check_named_numbers(name, getattr(self, name), parts, (0.0, 1.0)))
-        for name in ("iron_oxide", "hematite_ratio"):
-            put(name, check_range(name, getattr(self, name), 0.0, 1.0))
         hint = "the sum of all mass fractions is 1"
-        magnetite = check_range("magnetite", self.magnetite, 0.0, 1.0 - self.iron_oxide, hint=hint)
-        put("magnetite", magnetite)
+        check_range("magnetite", self.magnetite, 0.0, 1.0 - self.iron_oxide, hint=hint)
         self._check_inputs(MINERAL_DENSITY_KG_M3)
         if self.pores and self.interpretation.water != "whole_pores":
             hint = "which pores these fluids fill is not known: leave interpretation.water out"

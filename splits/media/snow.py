@@ -41,7 +41,7 @@ from splits.materials.impurities import (
 from splits.media import grain_statistics as statistics
 from splits.media.formatting import count_digits, find_differences, format_call
 from splits.media.ground import GroundInput
-from splits.media.interpretations import Interpretation, SnowInterpretation, merge_interpretations
+from splits.media.interpretations import Interpretation, InterpretationInput, merge_interpretations
 from splits.media.medium import GranularMedium, Interface
 
 # --------------------------------------------------------------------------------------------------
@@ -251,7 +251,7 @@ class Snow(ContentEquality, GranularMedium):
     temperature_c: SnowTemperature = -1.0
     depth_m: Depth = 0.12
     refractive_index: RefractiveIndices = field(default_factory=dict)
-    interpretation: SnowInterpretation = field(default_factory=Interpretation)
+    interpretation: InterpretationInput = field(default_factory=Interpretation)
     ground: GroundInput = None
     pores: Pores = field(default_factory=dict)
     impurities_ng_g: Impurities = field(default_factory=dict, compare=False)

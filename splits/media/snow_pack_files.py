@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.keywords import declare_function
 from splits.core.optional import import_optional
 from splits.core.validation import check_range, expand_path, invalid, suggest_name
 from splits.io.crocus import THICKNESS, WATER_DENSITY_KG_M3, read_crocus_output
@@ -41,7 +41,7 @@ from splits.media.snow_packs import SnowPacks
 # Readers of snowpacks: snow pits in CAAML files, and output of the model Crocus.
 
 
-@reject_unknown_arguments
+@declare_function
 def read_caaml(
     path: str | Path | Sequence[str | Path], *, extend: bool = True, label: str = DEFAULT_LABEL
 ) -> SnowPacks:
@@ -123,7 +123,7 @@ def _assign_to_layers(pit: SnowPit, extend: bool) -> dict[str, np.ndarray]:
     return values
 
 
-@reject_unknown_arguments
+@declare_function
 def read_crocus(
     source: str | Path | xr.Dataset,
     *,
@@ -184,7 +184,7 @@ PACK_SUFFIXES = (".csv", *NETCDF_SUFFIXES, *CAAML_SUFFIXES)
 """Suffixes of files of snowpacks."""
 
 
-@reject_unknown_arguments
+@declare_function
 def read_snow_packs(
     file: str | Path | Sequence[str | Path],
     ground: Any = None,

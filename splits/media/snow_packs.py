@@ -11,7 +11,7 @@ import pandas as pd
 import xarray as xr
 
 from splits.core.arrays import align_to_labels
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.keywords import declare_function
 from splits.core.labels import convert_times
 from splits.core.validation import (
     ROUNDING_TOLERANCE,
@@ -321,7 +321,7 @@ class SnowPacks:
 
     kind = "snow_packs"
 
-    @reject_unknown_arguments
+    @declare_function
     def __init__(
         self, data: xr.Dataset | pd.DataFrame, label: str | None = None, *, ground: Any = None
     ) -> None:
@@ -368,7 +368,7 @@ class SnowPacks:
         flags = self.dataset[FLAG_NAME].values
         return {name: int((flags == value).sum()) for name, value in FLAGS.items()}
 
-    @reject_unknown_arguments
+    @declare_function
     def with_sun_zenith(self, sun_zenith_deg: Any) -> SnowPacks:
         """Return the snowpacks with other zenith angles of the sun, and with new flags.
 
@@ -388,7 +388,7 @@ class SnowPacks:
         zenith = (self.label, np.broadcast_to(values, (len(self),)))
         return SnowPacks(self.dataset.assign({ZENITH_KEY: zenith}))
 
-    @reject_unknown_arguments
+    @declare_function
     def with_ground(self, ground: Any) -> SnowPacks:
         """Return the snowpacks over another ground, and with new flags.
 
@@ -399,7 +399,7 @@ class SnowPacks:
         """
         return SnowPacks(self.dataset, self.label, ground=ground)
 
-    @reject_unknown_arguments
+    @declare_function
     def compute_ground_albedo(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return the albedo below the good snowpacks at wavelengths (nm), 0 for open ones.
 
@@ -417,7 +417,7 @@ class SnowPacks:
             "ground": self._ground.describe(),
         }  # fmt: skip
 
-    @reject_unknown_arguments
+    @declare_function
     def to_arrays(self) -> SnowPackArrays:
         """Return the good snowpacks as arrays for solvers of many snowpacks at once."""
         positions = np.flatnonzero(self.is_good)
@@ -443,7 +443,7 @@ class SnowPacks:
             rows[ZENITH_KEY].values if ZENITH_KEY in rows else None,
         )
 
-    @reject_unknown_arguments
+    @declare_function
     def make_stack(self, label: Hashable, ground: Any = None) -> Stack:
         """Return one good snowpack as a stack of layers of `splits.Snow.natural`.
 
@@ -477,7 +477,7 @@ class SnowPacks:
             raise invalid(self.label, str(label), "a good snowpack", hint)
         return self._make_stack(position, ground)
 
-    @reject_unknown_arguments
+    @declare_function
     def iterate_stacks(self, ground: Any = None) -> Iterator[tuple[Any, Stack]]:
         """Iterate over the good snowpacks, as pairs of label and stack; see `make_stack`.
 

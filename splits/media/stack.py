@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from splits.core.keywords import reject_unknown_keywords
-from splits.core.validation import check_choice, invalid
+from splits.core.arrays import ContentEquality
+from splits.core.declarations import Quantity, declare_class
+from splits.core.validation import invalid
 from splits.kernels.scene import MATRIX, WET_PORE
 from splits.media.formatting import format_input, suggest_medium
-from splits.media.ground import Ground, check_ground_reached, describe_ground
+from splits.media.ground import Ground, GroundInput, check_ground_reached, describe_ground
 from splits.media.interpretations import INTERPRETATION_SETS, TransportInterpretation
 from splits.media.medium import GranularMedium, Interface, Layer, Medium
 from splits.media.particle_layer import ParticleLayer
@@ -31,9 +32,47 @@ MIN_DEPTH_RATIO = 1e-10
 """Smallest thickness of a layer relative to those above, which rounding changes by up to 1e-6."""
 
 
-@reject_unknown_keywords
-@dataclass(frozen=True, repr=False)
-class Stack(Medium):
+def _check_layers(key: str, layers: Any) -> tuple[Any, ...]:
+    """Return the layers of a stack, after checking each."""
+    is_one = isinstance(layers, str | GranularMedium | ParticleLayer)
+    if is_one or not isinstance(layers, Iterable):
+        raise invalid(key, layers, "a list of media, top first")
+    layers = tuple(layers)
+    last = len(layers) - 1
+    if not 1 <= len(layers) <= MAX_LAYERS:
+        raise invalid(key, f"{len(layers)} layers", f"1 to {MAX_LAYERS}")
+    for number, layer in enumerate(layers):
+        own_key = f"{key}[{number}]"
+        if isinstance(layer, ParticleLayer):
+            for name, (required, reason) in UNSUPPORTED_IN_STACK.items():
+                value = getattr(layer, name)
+                if value != required and not (name == "surface" and number == 0):
+                    allowed = "left out" if required is None else "false"
+                    raise invalid(f"{own_key}.{name}", value, allowed, reason)
+        elif not isinstance(layer, GranularMedium):
+            kind = layer if callable(layer) else getattr(layer, "kind", layer)
+            hint = suggest_medium(layer, ["Snow", "Sand", "ParticleLayer"])
+            allowed = "splits.Snow(...), splits.Sand(...) or splits.ParticleLayer(...)"
+            raise invalid(own_key, kind, allowed, hint)
+        if layer.is_semi_infinite and number < last:
+            name = "depth_m" if layer.has_grains else "optical_thickness"
+            hint = "only the lowest layer may be infinite"
+            raise invalid(f"{own_key}.{name}", math.inf, "finite", hint)
+        if layer.has_grains and layer.ground is not None:
+            hint = "give it to the stack"
+            raise invalid(f"{own_key}.ground", layer.ground.name, "left out", hint)
+    return layers
+
+
+Layers = Annotated[Any, Quantity("layers", check=_check_layers, schema={"type": "array"})]
+StackInterpretation = Annotated[
+    Literal["splits_2007", "splitsnow_2021", "geometric", "radiative_transfer"] | None,
+    Quantity("interpretation of the papers"),
+]
+
+
+@declare_class
+class Stack(ContentEquality, Medium):
     """Layered medium, top layer first.
 
     The pore material of a path segment is sampled once.  It changes at a boundary between two
@@ -73,39 +112,12 @@ class Stack(Medium):
 
     kind = "stack"
 
-    layers: tuple[Any, ...]
-    ground: Any = None
-    interpretation: str | None = None
+    layers: Layers
+    ground: GroundInput = None
+    interpretation: StackInterpretation = None
 
     def __post_init__(self) -> None:
-        if isinstance(self.layers, str | GranularMedium | ParticleLayer) or not isinstance(
-            self.layers, Iterable
-        ):
-            raise invalid("layers", self.layers, "a list of media, top first")
-        layers = tuple(self.layers)
-        last = len(layers) - 1
-        if not 1 <= len(layers) <= MAX_LAYERS:
-            raise invalid("layers", f"{len(layers)} layers", f"1 to {MAX_LAYERS}")
-        for number, layer in enumerate(layers):
-            key = f"layers[{number}]"
-            if isinstance(layer, ParticleLayer):
-                for name, (required, reason) in UNSUPPORTED_IN_STACK.items():
-                    value = getattr(layer, name)
-                    if value != required and not (name == "surface" and number == 0):
-                        allowed = "left out" if required is None else "false"
-                        raise invalid(f"{key}.{name}", value, allowed, reason)
-            elif not isinstance(layer, GranularMedium):
-                kind = layer if callable(layer) else getattr(layer, "kind", layer)
-                hint = suggest_medium(layer, ["Snow", "Sand", "ParticleLayer"])
-                allowed = "splits.Snow(...), splits.Sand(...) or splits.ParticleLayer(...)"
-                raise invalid(key, kind, allowed, hint)
-            if layer.is_semi_infinite and number < last:
-                name = "depth_m" if layer.has_grains else "optical_thickness"
-                hint = "only the lowest layer may be infinite"
-                raise invalid(f"{key}.{name}", math.inf, "finite", hint)
-            if layer.has_grains and layer.ground is not None:
-                hint = "give it to the stack"
-                raise invalid(f"{key}.ground", layer.ground.name, "left out", hint)
+        layers, last = self.layers, len(self.layers) - 1
         # Rounding of the boundaries must change the thickness of no layer.
         total_m = 0.0
         for number, layer in enumerate(layers):
@@ -115,9 +127,7 @@ class Stack(Medium):
             total_m += layer.depth_m
         granular = {number: layer for number, layer in enumerate(layers) if layer.has_grains}
         if self.interpretation is not None:
-            choices = INTERPRETATION_SETS[
-                check_choice("interpretation", self.interpretation, INTERPRETATION_SETS)
-            ]
+            choices = INTERPRETATION_SETS[self.interpretation]
             for number, layer in granular.items():
                 merged = type(layer.interpretation)(**{**layer.interpretation.as_dict(), **choices})
                 granular[number] = replace(layer, interpretation=merged)
@@ -136,7 +146,6 @@ class Stack(Medium):
                     "one set applies to all: Stack(..., interpretation='radiative_transfer')",
                 )  # fmt: skip
         object.__setattr__(self, "layers", layers)
-        object.__setattr__(self, "ground", Ground.from_input(self.ground))
         check_ground_reached(self.ground, self.is_semi_infinite, f"the infinite layers[{last}]")
 
     def __repr__(self) -> str:
@@ -233,7 +242,10 @@ class Stack(Medium):
 # Media whose particles are conservative, in a matrix that absorbs instead.
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+AbsorptionCoefficient = Annotated[float, Quantity("absorption coefficient of the matrix", "m-1")]
+
+
+@declare_class
 class AbsorbingMatrixLayer(ParticleLayer):
     """Layer of conservative particles in an absorbing matrix.
 
@@ -246,7 +258,7 @@ class AbsorbingMatrixLayer(ParticleLayer):
         Absorption coefficient of the matrix (1/m).
     """
 
-    absorption_per_m: float = 0.0
+    absorption_per_m: AbsorptionCoefficient = 0.0
 
     @property
     def ground(self) -> Ground | None:

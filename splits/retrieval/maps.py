@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import as_float_array, find_labels, match_labels
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.keywords import declare_function
 from splits.core.labels import check_nanometres, convert_units
 from splits.core.parameter_names import describe_parameter
 from splits.core.uncertainty import make_variable
@@ -26,7 +26,6 @@ from splits.kernels.interpolation import interpolate
 from splits.retrieval.forward_model import TableForwardModel, choose_quantity, get_table_ranges
 from splits.retrieval.measurement import MAX_REFLECTANCE, Measurement, check_conditions
 from splits.retrieval.state_vector import SCALE, StateVector
-from splits.simulation.run_options import check_threads
 from splits.tables.table import Table
 
 MAX_ITERATIONS = 60
@@ -332,7 +331,7 @@ def _reduce_table(model: TableForwardModel, covariance: np.ndarray) -> tuple[np.
     return projection, mean_spectrum, node_components, whitening
 
 
-@reject_unknown_arguments
+@declare_function
 def retrieve_map(
     image: xr.DataArray,
     table: Table,
@@ -419,7 +418,7 @@ def retrieve_map(
     ]
     covariance = measurement.covariance + np.mean(model_covariances, axis=0)
     retrieval = _MapRetrieval(
-        state_vector, model, _reduce_table(model, covariance), covariance, check_threads(threads),
+        state_vector, model, _reduce_table(model, covariance), covariance, threads,
         image.chunks is not None,
     )  # fmt: skip
     dims = [dim for dim in image.dims if dim != spectral_dim]

@@ -10,10 +10,10 @@ import pandas as pd
 import xarray as xr
 
 from splits.core.arrays import align_to_labels, as_float_array, check_increasing, find_labels
+from splits.core.inputs import check_wavelengths
 from splits.core.labels import check_nanometres, convert_units
 from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid, short_repr
 from splits.illumination.bands import SpectralBand, as_bands
-from splits.simulation.run_options import check_wavelengths
 from splits.tables.axes import AZIMUTH, fold_azimuths
 
 MAX_REFLECTANCE = 2.0
@@ -171,7 +171,7 @@ def _read_spectrum(measured: Any) -> tuple[np.ndarray, np.ndarray]:
     else:
         raise invalid("measured", type(measured).__name__, allowed)
     has_labels = isinstance(measured, xr.DataArray | pd.Series)
-    wavelength = check_wavelengths(pair[0], "measured (wavelengths)", is_sorted=not has_labels)
+    wavelength = check_wavelengths("measured (wavelengths)", pair[0], is_sorted=not has_labels)
     values = align_to_labels("measured", pair[1], wavelength, find_labels(pair[0]), allow_gaps=True)
     if values.shape != wavelength.shape:
         sizes = f"{wavelength.size} wavelengths, {values.size} values"

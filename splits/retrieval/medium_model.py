@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.core.arrays import check_named_numbers
+from splits.core.inputs import check_incidence
 from splits.core.progress import Progress, ProgressCallback
 from splits.core.validation import (
     InvalidValue,
@@ -62,7 +63,6 @@ from splits.retrieval.linearization import (
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.optimal_estimation import ALTERNATIVE_CHI2, MIN_SEPARATION
 from splits.retrieval.state_vector import SCALE, ParameterRange, StateVector
-from splits.simulation.run_options import check_incidence
 from splits.simulation.threads import limit_blas_threads
 from splits.tables.axes import check_axis_values
 from splits.tables.interpolation import transform_axis
@@ -557,7 +557,7 @@ def make_medium_state_vector(
                 hint = error.hint if is_own else str(error)
                 raise invalid(f"free.{name}", float(value), allowed, hint) from None
         for value in limits if name == INCIDENCE_KEY else ():
-            check_incidence(float(value))
+            check_incidence("incidence_deg", float(value))
         middle = np.array([limits[0], 0.5 * limits.sum(), limits[1]])
         allowed_ranges[name] = ParameterRange(
             float(limits[0]), float(limits[1]), transform_axis(name, middle)[0]
@@ -569,7 +569,8 @@ def check_measurement_incidence(fixed: Mapping[str, Any] | None, ranges: Any) ->
     """Return the incidence of a measurement of a medium; reject an invalid one."""
     free = ranges if isinstance(ranges, Mapping) else ()
     return check_incidence(
-        check_axis_values(fixed, [INCIDENCE_KEY], "fixed.", free_axes=free).get(INCIDENCE_KEY, 0.0)
+        "incidence_deg",
+        check_axis_values(fixed, [INCIDENCE_KEY], "fixed.", free_axes=free).get(INCIDENCE_KEY, 0.0),
     )
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.keywords import declare_function
 from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, check_integer, invalid
 from splits.instruments.solver import AUTO
@@ -58,7 +58,7 @@ from splits.retrieval.state_vector import StateVector
 from splits.tables.table import Table
 
 
-@reject_unknown_arguments
+@declare_function
 def retrieve(
     measured: Any,
     model: Any,

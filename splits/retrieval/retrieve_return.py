@@ -20,7 +20,7 @@ from splits.core.arrays import (
     find_labels,
     match_labels,
 )
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.keywords import declare_function
 from splits.core.validation import (
     ROUNDING_TOLERANCE,
     as_scalar,
@@ -347,7 +347,7 @@ NODE_ERRORS = 3.0
 NO_PULSE = "no pulse is given, so that an instantaneous one is assumed"
 
 
-@reject_unknown_arguments
+@declare_function
 def retrieve_return(
     measured: Any,
     table: xr.Dataset,

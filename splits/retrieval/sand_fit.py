@@ -20,6 +20,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import align_to_labels, check_array_range, check_named_numbers, find_labels
+from splits.core.inputs import check_incidence, check_wavelengths
 from splits.core.validation import check_integer, check_range, invalid, suggest_name
 from splits.instruments import spectrophotometer
 from splits.media import Sand
@@ -27,7 +28,6 @@ from splits.retrieval.gauss_newton import DescentStage, Objective, search_minima
 from splits.retrieval.least_squares import MIN_RESIDUAL_DOF, apply_priors, estimate_fit_covariance
 from splits.retrieval.optimal_estimation import find_active_bounds
 from splits.retrieval.state_vector import ParameterRange, StateVector
-from splits.simulation.run_options import check_incidence, check_wavelengths
 from splits.simulation.spectral_tally import choose_node_rows, estimate_fixed_budget
 
 DEFAULT_RANGES: dict[str, tuple[float, float]] = {
@@ -446,14 +446,15 @@ def fit(
 
     start_time = time.perf_counter()
     effort = effort or Effort()
-    wavelengths = check_wavelengths(wavelength_nm)
+    wavelengths = check_wavelengths("wavelength_nm", wavelength_nm)
     target = check_measured_reflectance(measured, wavelengths, find_labels(wavelength_nm))
     cube = UnitCube(base_settings, ranges)
     min_wavelengths = len(cube.names) + MIN_RESIDUAL_DOF
     if len(wavelengths) < min_wavelengths:
         allowed = f"{min_wavelengths} wavelengths at least"
         raise invalid("wavelength_nm", wavelengths.tolist(), allowed)
-    incidence, seed = check_incidence(incidence_deg), check_integer("seed", seed, 0)
+    incidence = check_incidence("incidence_deg", incidence_deg)
+    seed = check_integer("seed", seed, 0)
     model = SandForwardModel(cube, wavelengths, incidence, effort, seed, threads)
 
     def log_stage(_: int, cost: float) -> None:

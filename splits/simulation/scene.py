@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from splits.core.arrays import as_1d_array
+from splits.core.declarations import Quantity
+from splits.core.inputs import Numbers, describe_numbers
 from splits.core.parameter_names import INCIDENT_STOKES
 from splits.core.validation import as_scalar, invalid
 from splits.kernels.arithmetic import Vector
@@ -61,9 +63,32 @@ def describe_polarization(polarization: IncidentPolarization | None) -> dict[str
     return {} if polarization is None else {INCIDENT_STOKES: [1.0, *polarization]}
 
 
-def requests_polarization(stokes: Any) -> bool:
-    """Return whether a value of `stokes` is anything but false."""
-    return as_scalar(stokes) is not False
+def _normalize_stokes(key: str, stokes: Any) -> bool | tuple[float, ...]:
+    """Return whether polarization is traced, or the Stokes vector of light of intensity 1."""
+    stokes = as_scalar(stokes)
+    if isinstance(stokes, bool):
+        return stokes
+    values = as_1d_array(key, stokes, ALLOWED_STOKES)
+    if values.size != 4:
+        raise invalid(key, stokes, ALLOWED_STOKES)
+    intensity, *polarized = values.tolist()
+    total = math.hypot(*polarized)
+    # Values may have been rounded to single precision.
+    if not intensity > 0.0 or total > intensity * (1.0 + 1e-6):
+        raise invalid(key, stokes, "I > 0 and √(Q² + U² + V²) at most I")
+    intensity = max(intensity, total)
+    return (1.0, *(value / intensity for value in polarized))
+
+
+IncidentStokes = Annotated[
+    bool | Numbers,
+    Quantity(
+        "whether polarization is traced, or the Stokes vector (I, Q, U, V) of the incident light; "
+        "layers of particles need polarized: true",
+        check=_normalize_stokes,
+        schema={"anyOf": [{"type": "boolean"}, describe_numbers(4)]},
+    ),
+]
 
 
 def check_stokes(
@@ -73,8 +98,8 @@ def check_stokes(
 
     Parameters
     ----------
-    stokes : bool or array_like
-        Whether polarization is traced, or the Stokes vector (I, Q, U, V) of the incident light.
+    stokes : bool or tuple of float
+        An `IncidentStokes` in its final form.
     medium : Medium
         Polarized layers of particles require polarization, and other ones do not allow it.
     incidence_deg : float or "diffuse"
@@ -82,22 +107,11 @@ def check_stokes(
     Raises
     ------
     ValueError
-        For other values, polarized diffuse light, and layers that define no polarization.
+        For polarized diffuse light, and layers that define no polarization.
     """
-    if not requests_polarization(stokes):
+    if stokes is False:
         return IncidentPolarization() if medium.polarized else None
-    light = IncidentPolarization()
-    if as_scalar(stokes) is not True:
-        values = as_1d_array("stokes", stokes, ALLOWED_STOKES)
-        if values.size != 4:
-            raise invalid("stokes", stokes, ALLOWED_STOKES)
-        intensity, *polarized = values.tolist()
-        total = math.hypot(*polarized)
-        # Values may have been rounded to single precision.
-        if not intensity > 0.0 or total > intensity * (1.0 + 1e-6):
-            raise invalid("stokes", stokes, "I > 0 and √(Q² + U² + V²) at most I")
-        intensity = max(intensity, total)
-        light = IncidentPolarization(*(value / intensity for value in polarized))
+    light = IncidentPolarization() if stokes is True else IncidentPolarization(*stokes[1:])
     if isinstance(incidence_deg, str) and any(light):
         raise invalid("stokes", stokes, "true for diffuse light", "which is unpolarized")
     for number, layer in enumerate(medium.scene_layers):

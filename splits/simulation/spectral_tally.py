@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from splits.core.inputs import check_incidence, check_wavelengths
 from splits.core.validation import check_integer, invalid
 from splits.kernels.scene import Scene
 from splits.kernels.tallies.exits import (
@@ -26,7 +27,7 @@ from splits.kernels.tallies.exits import (
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.simulation.engine import simulate
-from splits.simulation.run_options import RunOptions, check_incidence, check_wavelengths
+from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import build_scene
 from splits.simulation.shared_paths import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_nodes import (
@@ -408,18 +409,18 @@ def estimate_fixed_budget(
         For a value outside its range.
     """
     check_medium(medium)
-    wavelengths = check_wavelengths(wavelength_nm)
+    wavelengths = check_wavelengths("wavelength_nm", wavelength_nm)
     node_list, last = [int(row) for row in node_rows], len(wavelengths) - 1
     is_distinct = node_list and len(set(node_list)) == len(node_list)
     if not is_distinct or min(node_list) < 0 or max(node_list) > last:
         allowed = f"different positions from 0 to {last}, at least one"
         raise invalid("node_rows", list(node_rows), allowed)
     check_integer("rays_per_node", rays_per_node, 1)
-    run = RunOptions.from_arguments(seed, threads)
+    run = RunOptions.start(seed, threads)
     rows = SpectralRows.from_media(PathSharingMedia.from_media([medium]), wavelengths)
     nodes = make_nodes(rows.index, rows.interfaces, node_list)
     nodes = replace(nodes, interpolation_bound=np.zeros(len(wavelengths)))
-    scene = build_scene(medium, check_incidence(incidence_deg), False)
+    scene = build_scene(medium, check_incidence("incidence_deg", incidence_deg), False)
     # A node keeps its streams if no wavelength uses its neighbour.
     tally = SpectralTally(rows, nodes, scene, SINGLE_STRATUM)
     stop = StoppingRule(0.0, rays_per_node * len(tally.strata), fixed=True)

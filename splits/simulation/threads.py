@@ -6,7 +6,6 @@ process from exiting until they return, which may take minutes.
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Executor, Future
@@ -20,15 +19,6 @@ from threadpoolctl import ThreadpoolController
 from splits.core.process import make_lock
 
 _thread_local, _blas_lock = threading.local(), make_lock()
-
-
-def count_cpus() -> int:
-    """Return the number of CPUs this process may use, at least 1."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    # macOS and Windows; Python 3.13 has a count that heeds PYTHON_CPU_COUNT.
-    count: Callable[[], int | None] = getattr(os, "process_cpu_count", os.cpu_count)
-    return count() or 1
 
 
 @contextmanager

@@ -12,10 +12,10 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import as_1d_array, check_increasing, check_no_gaps
+from splits.core.inputs import check_polar_angles
 from splits.core.parameter_names import describe_parameter
 from splits.core.validation import as_scalar, format_key, has_surrogates, invalid, unknown_key
 from splits.io.netcdf import NETCDF_LOCK
-from splits.simulation.run_options import check_direction_angles
 from splits.simulation.spectral_tally import SIDE_QUANTITIES
 
 INCIDENCE = "incidence_deg"
@@ -234,7 +234,7 @@ class ViewGrid(NamedTuple):
         for name in VIEW_AXES:
             if name not in given:
                 raise invalid(f"{prefix}{name}", None, "given", f"{given[0]} needs it")
-        polar = check_direction_angles(f"{prefix}{POLAR}", grid.get_values(POLAR, 0.0), 90.0)
+        polar = check_polar_angles(f"{prefix}{POLAR}", grid.get_values(POLAR, 0.0))
         azimuth = as_1d_array(f"{prefix}{AZIMUTH}", grid.get_values(AZIMUTH, 0.0), "numbers")
         check_increasing(f"{prefix}{AZIMUTH}", azimuth)
         if azimuth[0] < 0.0 or azimuth[-1] > 180.0:

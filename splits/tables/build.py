@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.atomic import check_writable
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.keywords import declare_function
 from splits.core.progress import ProgressCallback, report_whole_table
 from splits.core.provenance import hash_physics_sources
 from splits.core.validation import expand_path, invalid
@@ -49,7 +49,7 @@ BLOCK_PREFIX = "block"
 """Beginning of the names of files of blocks."""
 
 
-@reject_unknown_arguments
+@declare_function
 def build_table(
     make: Callable[..., Medium],
     grid: Mapping[str, Any],
@@ -139,11 +139,11 @@ def build_table(
     start_time = time.perf_counter()
     if not callable(make):
         raise invalid("make", make, "a function that returns a medium", "such as Snow.natural")
-    run = RunOptions.from_arguments(seed, threads, kernel)
+    run = RunOptions.start(seed, threads, kernel)
     named = {} if bands is None else check_bands(bands)
     if wavelength_nm is None and named:
         wavelength_nm = choose_band_wavelengths(named)
-    spectral_request = SpectralRequest.from_arguments(wavelength_nm, 0.0, max_stderr, max_rays, run)
+    spectral_request = SpectralRequest(wavelength_nm, 0.0, max_stderr, max_rays, run)
     matrix = SpectralOperator.from_bands(named, spectral_request.wavelengths) if named else None
     axes = ParameterGrid.from_mapping(grid)
     views = ViewGrid.from_grid(axes)

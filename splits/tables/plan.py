@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from splits.core.inputs import check_incidence
 from splits.core.validation import invalid, suggest_name
 from splits.discrete_ordinates.applicability import find_direction_obstacle
 from splits.instruments.solver import DISCRETE_ORDINATES, choose_solver
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
-from splits.simulation.run_options import check_incidence
 from splits.simulation.shared_paths import (
     MAX_SHARED_ROWS,
     MediaGroup,
@@ -102,7 +102,8 @@ class TablePlan(NamedTuple):
         grid.check_single_incidence(incidence_deg)
         media_axes = grid.drop(INCIDENCE)
         media = [make_point_medium(make_medium, point) for point in media_axes.iterate_points()]
-        beams = [check_incidence(angle) for angle in grid.get_values(INCIDENCE, incidence_deg)]
+        angles = grid.get_values(INCIDENCE, incidence_deg)
+        beams = [check_incidence(INCIDENCE, angle) for angle in angles]
         if with_diffuse and DIFFUSE in beams:
             raise invalid(INCIDENCE, DIFFUSE, "angles with quantities under isotropic light")
         max_rows = MAX_VIEW_ROWS if has_views else MAX_SHARED_ROWS

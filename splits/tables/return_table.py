@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.inputs import check_incidence, check_wavelengths
+from splits.core.keywords import declare_function
 from splits.core.progress import ProgressCallback, report_whole_table
 from splits.core.validation import check_integer
 from splits.instruments.delay_record import (
@@ -22,7 +23,7 @@ from splits.instruments.delay_record import (
 from splits.instruments.time_of_flight import FLAG_NAME, DelayRequest, simulate_delays
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.media.medium import Medium
-from splits.simulation.run_options import RunOptions, check_incidence, check_wavelengths
+from splits.simulation.run_options import RunOptions
 from splits.tables.axes import INCIDENCE, ParameterGrid
 from splits.tables.plan import make_point_medium
 
@@ -33,7 +34,7 @@ SEED_STEP = 2**32
 TITLE = "Table of returns"
 
 
-@reject_unknown_arguments
+@declare_function
 def build_return_table(
     make: Callable[..., Medium],
     grid: Mapping[str, Any],
@@ -99,15 +100,15 @@ def build_return_table(
     """
     start_time = time.perf_counter()
     axes = ParameterGrid.from_mapping(grid)
-    wavelengths = check_wavelengths(wavelength_nm)
+    wavelengths = check_wavelengths("wavelength_nm", wavelength_nm)
     rays = check_integer("rays", rays, 1)
-    run = RunOptions.from_arguments(seed, threads, kernel)
+    run = RunOptions.start(seed, threads, kernel)
     pulse = Pulse.from_argument(None)
     edges, end = check_record(delay_s, None, pulse)
     axes.check_single_incidence(incidence_deg)
     points = []
     for parameters in axes.iterate_points():
-        incidence = check_incidence(parameters.get(INCIDENCE, incidence_deg))
+        incidence = check_incidence("incidence_deg", parameters.get(INCIDENCE, incidence_deg))
         receiver = make_receiver(incidence, acceptance_deg, footprint_radius_m)
         request = DelayRequest(incidence, rays, receiver, edges, end, pulse)
         keywords = {name: value for name, value in parameters.items() if name != INCIDENCE}

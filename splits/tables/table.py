@@ -11,7 +11,7 @@ import xarray as xr
 
 from splits.core.atomic import atomic_write
 from splits.core.escaping import escape_cells
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.keywords import declare_function
 from splits.core.validation import expand_path, invalid, key_prefix
 from splits.io.netcdf import load, open_lazily
 from splits.tables.assembly import MAX_BYTES_IN_MEMORY
@@ -89,7 +89,7 @@ class Table:
         If the dataset is not a table, or values or coordinates are missing.
     """
 
-    @reject_unknown_arguments
+    @declare_function
     def __init__(self, dataset: xr.Dataset) -> None:
         self.dataset = sort_axes(dataset)
         if self.dataset.nbytes <= MAX_BYTES_IN_MEMORY:
@@ -120,7 +120,7 @@ class Table:
         """Whether the table holds distributions over directions, or their values in one."""
         return self.interpolation.has_direction
 
-    @reject_unknown_arguments
+    @declare_function
     def at_view(
         self,
         polar_deg: float,
@@ -197,7 +197,7 @@ class Table:
         with key_prefix(prefix.rstrip(".")):
             return self.at_view(*direction), others
 
-    @reject_unknown_arguments
+    @declare_function
     def interp(self, *, bands: Any = None, **at: Any) -> xr.Dataset:
         """Interpolate spectra between the nodes of the table.
 
@@ -231,7 +231,7 @@ class Table:
             found if bands is None else found.assign(average_bands(interpolation, complete, bands))
         )
 
-    @reject_unknown_arguments
+    @declare_function
     def interpolation_errors(self, quantity: str, **at: Any) -> np.ndarray:
         """Return the spectral shape of the interpolation error along each axis.
 
@@ -250,7 +250,7 @@ class Table:
         """
         return estimate_interpolation_errors(self.interpolation, quantity, self._complete_view(at))
 
-    @reject_unknown_arguments
+    @declare_function
     def deviations(self, quantity: str, **at: Any) -> np.ndarray:
         """Return the interpolated deviations by batch of rays of a table with covariance.
 
@@ -272,7 +272,7 @@ class Table:
         """
         return interpolate_deviations(self.interpolation, quantity, at)
 
-    @reject_unknown_arguments
+    @declare_function
     def derivatives(self, names: Sequence[str], **at: Any) -> xr.Dataset:
         """Return derivatives with respect to the parameters of axes.
 
@@ -298,17 +298,17 @@ class Table:
         """
         return differentiate_table(self.interpolation, names, self._complete_view(at))
 
-    @reject_unknown_arguments
+    @declare_function
     def to_csv(self, path: str | Path) -> None:
         """Write the table as CSV; see `splits.tables.table.write_csv`."""
         write_csv(self.dataset, path)
 
-    @reject_unknown_arguments
+    @declare_function
     def to_isofit(self, **at: Any) -> xr.Dataset:
         """Convert the table for isofit; see `splits.tables.conversions.convert_to_isofit`."""
         return convert_to_isofit(self.dataset, **at)
 
-    @reject_unknown_arguments
+    @declare_function
     def to_eradiate(
         self, wavelength: float | None = None, n_cosines: int = 51, n_azimuths: int = 72, **at: Any
     ) -> xr.Dataset:
@@ -316,7 +316,7 @@ class Table:
         return convert_to_eradiate(self.dataset, wavelength, n_cosines, n_azimuths, **at)
 
 
-@reject_unknown_arguments
+@declare_function
 def open_table(path: str | Path) -> Table:
     """Open a table from a netCDF file; values of a large table are read on access.
 

@@ -13,9 +13,9 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import align_to_labels, check_array_range
+from splits.core.inputs import check_azimuths
 from splits.core.uncertainty import make_variable
 from splits.core.validation import check_number, check_range, invalid, snap_to_limits
-from splits.simulation.run_options import FULL_TURN_DEG, check_direction_angles
 from splits.tables.axes import (
     AZIMUTH,
     DIFFUSE_PREFIX,
@@ -135,7 +135,7 @@ def _choose_azimuth(dataset: xr.Dataset, polar: float, azimuth_deg: Any) -> floa
     given = None
     if azimuth_deg is not None:
         azimuth = check_number("azimuth_deg", azimuth_deg)
-        given = check_direction_angles("azimuth_deg", azimuth, FULL_TURN_DEG).item()
+        given = check_azimuths("azimuth_deg", azimuth).item()
     incidence = np.ravel(dataset[INCIDENCE] if INCIDENCE in dataset else dataset.attrs[INCIDENCE])
     if polar == 0.0 or AZIMUTH not in dataset.dims or (incidence == 0.0).all():
         return float(nodes[0])

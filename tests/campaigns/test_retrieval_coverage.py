@@ -49,8 +49,8 @@ def sample_truths(random, number):
 
 def simulate(truths, incidence_deg, seed):
     """Return the spectra of snows and the deviations of their batches, from the same paths."""
-    request = SpectralRequest.from_arguments(
-        W, incidence_deg, TRUTH_STDERR, 20_000_000, RunOptions.from_arguments(seed)
+    request = SpectralRequest(
+        W, incidence_deg, TRUTH_STDERR, 20_000_000, RunOptions.start(seed)
     )
     spectra = [None] * len(truths)
     media = [make_snow(*map(float, truth)) for truth in truths]

@@ -84,7 +84,7 @@ def test_errors_of_transparent_layers_agree_with_the_scatter_between_tables(dept
     error = solution.optics_error[0] * np.sqrt(N_RAYS / rays)
     z = []
     for seed in range(12):
-        table = tabulate_grains(natural, axes, 17, rays, RunOptions.from_arguments(300 + seed))
+        table = tabulate_grains(natural, axes, 17, rays, RunOptions.start(300 + seed))
         other = snowpack._replace(layers=[layer._replace(grains=table)])
         z.append((other.solve(beam, 8).reflectance[0, 0] - expected) / error)
     # The error is that of the beam for which it is largest.
@@ -237,7 +237,7 @@ def test_wet_snow_between_the_saturations_of_the_table():
     water = kept.contrast.compute_weights(contrast) @ kept.water
     axes = TableAxes(Axis(contrast), Axis(saturations), Axis(q), water)
     natural = splits.Snow.natural(optical_radius_um=100.0)
-    traced = tabulate_grains(natural, axes, 17, rays, RunOptions.from_arguments(7))
+    traced = tabulate_grains(natural, axes, 17, rays, RunOptions.start(7))
     stack = make_granular_stack(make_snow(liquid_water_content=0.1), np.full(2, 1150.0))
     (layer,) = stack.layers
 

@@ -293,7 +293,7 @@ def test_errors_agree_with_the_scatter_between_tables():
         error = find_similarity_error(layer.contrast, False)[0] * np.sqrt(N_RAYS / rays)
         error *= OPTICS_SHARE * (1.0 + abs(expected))
         for seed in range(12):
-            run = RunOptions.from_arguments(100 * number + seed)
+            run = RunOptions.start(100 * number + seed)
             table = tabulate_grains(natural, axes, 17, rays, run)
             other = pack._replace(layers=[layer._replace(grains=table)])
             found = np.log(other.solve(BEAM, 8).transmittance[0, 0])

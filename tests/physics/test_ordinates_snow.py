@@ -110,7 +110,7 @@ def test_random_snowpacks_agree_with_paths():
 def test_tables_of_grains_agree_with_new_paths():
     """Moments between the nodes of the tables agree with other paths within their noise."""
     rays, orders = 20 * GRAIN_RAYS_PER_CHUNK, 17
-    snow, run = splits.Snow.natural(optical_radius_um=100.0), RunOptions.from_arguments(5)
+    snow, run = splits.Snow.natural(optical_radius_um=100.0), RunOptions.start(5)
     contrast, q = np.array([0.21, 0.3]), np.array([0.0, 1e-3, 0.3, 0.9])
     for is_wet in (False, True):
         kept = load_natural_grains(wet=is_wet)

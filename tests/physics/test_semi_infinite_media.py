@@ -26,7 +26,7 @@ from splits.simulation.scene import compute_material_constants
 from splits.simulation.shared_paths import PathSharingMedia
 
 CLEAR = {"ice": 1.31, "water": 1.33}
-RUN = RunOptions.from_arguments(1, 2)
+RUN = RunOptions.start(1, 2)
 WAVELENGTHS = np.array([450.0, 700.0, 850.0, 1000.0])
 FINE = {"grain_size_um": (50.0, 100.0), "density_kg_m3": 300.0}
 MEDIA = {

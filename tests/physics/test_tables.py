@@ -168,8 +168,8 @@ def test_paths_scale_with_grain_size(scale, max_rms, saturation):
 @NEEDS_JIT
 @pytest.mark.parametrize("water", [0.0, 0.04])
 def test_media_that_share_paths_agree_with_single_runs(water):
-    run = RunOptions.from_arguments(5)
-    shared_request = SpectralRequest.from_arguments(WAVELENGTHS, 30.0, 0.005, 20_000_000, run)
+    run = RunOptions.start(5)
+    shared_request = SpectralRequest(WAVELENGTHS, 30.0, 0.005, 20_000_000, run)
     radii = np.array([60.0, 130.0, 400.0])
     media = tuple(make_snow(radius, 20.0, water) for radius in radii)
 
@@ -279,8 +279,8 @@ def test_keys_of_blocks_depend_on_the_table(other):
         "optical_radius_um": [50.0, 100.0], "incidence_deg": [0.0, 60.0], "soot": [0.0, 50.0],
         "water": [0.0],
     }  # fmt: skip
-    run = RunOptions.from_arguments(1, 1)
-    spectral = SpectralRequest.from_arguments(WAVELENGTHS, 0.0, 0.01, 1000, run)
+    run = RunOptions.start(1, 1)
+    spectral = SpectralRequest(WAVELENGTHS, 0.0, 0.01, 1000, run)
     request = TableRequest(spectral, ("reflectance",), False)
     digests, other_digests = (
         [

@@ -67,7 +67,7 @@ def trace_spectrum(medium, incidence, wavelengths, kernel, seed, rays=RAYS):
     tally.shares_kernel = False
     stop = StoppingRule(0.0, rays * len(wavelengths), fixed=True)
     start = time.perf_counter()
-    simulate(scene, tally, stop, RunOptions.from_arguments(seed, 2, kernel))
+    simulate(scene, tally, stop, RunOptions.start(seed, 2, kernel))
     seconds = time.perf_counter() - start
     assert tally.kernel == kernel
     assert (tally.count_rays() == -(-rays // RAYS_PER_CHUNK) * RAYS_PER_CHUNK).all()
@@ -189,7 +189,7 @@ def test_results_are_independent_of_threads_and_jobs(medium, kernel):
         scene = build_scene(medium, 10.0, False)
         tally = make_tally(medium, wavelengths, scene)
         stop = StoppingRule(0.0, batches * RAYS_PER_CHUNK * len(wavelengths), fixed=True)
-        simulate(scene, tally, stop, RunOptions.from_arguments(4, threads, kernel))
+        simulate(scene, tally, stop, RunOptions.start(4, threads, kernel))
         assert tally.n_rays == stop.max_rays
         return get_sums(tally)
 

@@ -16,11 +16,11 @@ from array_inputs import FIXED, SIZE, SOOT, TABLE
 from formula_tables import W, evaluate_spectrum, make_table
 
 import splits
+from splits.core.inputs import check_beam_angle, check_incidence, check_wavelengths
 from splits.core.keywords import reject_unknown_keywords
 from splits.core.validation import InvalidValue, check_integer, check_number, short_repr
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.retrieval.medium_model import check_measurement_incidence, make_medium_state_vector
-from splits.simulation.run_options import check_beam_angle, check_incidence, check_wavelengths
 from splits.tables.conversions import convert_to_isofit
 
 ROOT = Path(__file__).parents[2]
@@ -141,7 +141,7 @@ def test_errors_are_raised_at_the_calling_line(name):
 
 @pytest.mark.parametrize("value", [30, 30.0, np.float32(30), np.array(30.0), xr.DataArray(30.0)])
 def test_all_scalar_types_are_accepted(value):
-    assert check_incidence(value) == check_beam_angle(value) == 30.0
+    assert check_incidence("incidence_deg", value) == check_beam_angle("incidence_deg", value) == 30.0
     assert check_wavelengths(500.0 + 0 * value).tolist() == [500.0]
     assert splits.Snow(density_kg_m3=value * 10).density_kg_m3 == 300.0
     if not isinstance(value, float | np.float32) and np.asarray(value).dtype.kind == "i":
@@ -174,14 +174,14 @@ def test_all_integer_types_are_accepted(value):
 )  # fmt: skip
 def test_invalid_wavelengths_are_explained(value, message):
     with pytest.raises(ValueError) as error:
-        check_wavelengths(value)
+        check_wavelengths("wavelength_nm", value)
     assert str(error.value).startswith(message) or str(error.value).endswith(message)
 
 
 def test_unsorted_wavelengths_are_reported_by_the_first_pair():
     values = [*range(400, 2500, 2), 2400]
     with pytest.raises(ValueError) as error:
-        check_wavelengths(values)
+        check_wavelengths("wavelength_nm", values)
     assert str(error.value) == (
         "wavelength_nm = [2498.0, 2400.0]: must be strictly increasing (numbers 1050 and 1051 of "
         "1051)"

@@ -36,7 +36,8 @@ from splits.core.arrays import (
     find_labels,
     match_labels,
 )
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.inputs import check_wavelengths
+from splits.core.keywords import declare_function
 from splits.core.optional import import_optional
 from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import InvalidValue, check_range, invalid
@@ -44,7 +45,7 @@ from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.materials import make_refractive_index, parse_refractive_index
 from splits.materials.library import MATERIALS
 from splits.media.particle_layer import ANGLE, ELEMENTS
-from splits.simulation.run_options import check_wavelengths, make_wavelength_coordinate
+from splits.simulation.run_options import make_wavelength_coordinate
 
 COMPILATION_SWITCH = "MIEPYTHON_USE_JIT"
 """Variable of the environment by which miepython compiles its functions."""
@@ -365,7 +366,7 @@ MEANS = {
 """Names of the variables over wavelength, and their labels."""
 
 
-@reject_unknown_arguments
+@declare_function
 def compute_mie_matrix(
     wavelength_nm: Any,
     index: Any,
@@ -446,7 +447,7 @@ def compute_mie_matrix(
     >>> droplets = splits.compute_mie_matrix([800], "water", 10.0, 0.1)
     >>> layer = splits.ParticleLayer(scattering_matrix=droplets.isel(wavelength=0))
     """
-    wavelengths = check_wavelengths(wavelength_nm)
+    wavelengths = check_wavelengths("wavelength_nm", wavelength_nm)
     indices = _read_index(index, wavelengths, find_labels(wavelength_nm))
     tolerance = check_range("tolerance", tolerance, 1e-6, 0.1)
     by_moments = (effective_radius_um, effective_variance) != (None, None)

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import as_1d_array, check_array_range, check_no_gaps
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.keywords import declare_function
 from splits.core.uncertainty import compute_jackknife_stderr, make_variable
 from splits.core.validation import check_range, invalid, join_names
 from splits.io.netcdf import to_netcdf_attributes
@@ -18,7 +18,7 @@ ALBEDO, ASYMMETRY, MOMENT = "single_scattering_albedo", "asymmetry_parameter", "
 DEFAULT_ANGLES_DEG = tuple(np.linspace(0.0, 180.0, 361).tolist())
 
 
-@reject_unknown_arguments
+@declare_function
 def with_diffraction(optics: xr.Dataset, radius_um: float | None = None) -> xr.Dataset:
     """Return single-scattering properties that include diffraction by the grains.
 
@@ -120,7 +120,7 @@ def compute_diffraction_moments(
     return moments
 
 
-@reject_unknown_arguments
+@declare_function
 def phase_function(optics: xr.Dataset, angle_deg: Any = DEFAULT_ANGLES_DEG) -> xr.Dataset:
     """Return the phase function by scattering angle.
 

@@ -20,6 +20,12 @@ from pydantic import (
     model_validator,
 )
 
+from splits.core.inputs import (
+    check_azimuths,
+    check_incidence,
+    check_polar_angles,
+    check_wavelengths,
+)
 from splits.core.validation import check_choice, invalid
 from splits.experiments.config.media import expand_spacing, make_even_spacing
 from splits.experiments.config.sections import (
@@ -42,12 +48,7 @@ from splits.instruments.snow_packs import SUN
 from splits.instruments.solver import choose_solver
 from splits.instruments.spectrophotometer import find_path_obstacle
 from splits.media.medium import Medium
-from splits.simulation.run_options import (
-    check_direction_angles,
-    check_incidence,
-    check_n_bins,
-    check_wavelengths,
-)
+from splits.simulation.run_options import check_n_bins
 from splits.simulation.scene import ALLOWED_STOKES
 from splits.tables.axes import VIEW_AXES, ParameterGrid, ViewGrid, check_quantities
 from splits.tables.plan import choose_table_solver
@@ -93,7 +94,7 @@ def dump_pulse(pulse: float | PulseSection | None) -> Any:
 def _check_incidence(value: Any) -> float | str:
     if isinstance(value, list | tuple):
         raise invalid("", value, "one angle or diffuse", USE_GRID_HINT)
-    return value if value == SUN else check_incidence(value)
+    return value if value == SUN else check_incidence("incidence_deg", value)
 
 
 def _check_stokes(value: Any) -> Any:
@@ -127,11 +128,11 @@ Seed = Annotated[
 ]
 PolarAngles = Annotated[
     tuple[Number, ...],
-    AfterValidator(lambda x: tuple(check_direction_angles("", x, 90.0).tolist())),
+    AfterValidator(lambda x: tuple(check_polar_angles("", x).tolist())),
 ]
 Azimuths = Annotated[
     tuple[Number, ...],
-    AfterValidator(lambda x: tuple(check_direction_angles("", x, 360.0).tolist())),
+    AfterValidator(lambda x: tuple(check_azimuths("", x).tolist())),
 ]
 Delays = Annotated[
     tuple[Number, ...],
@@ -239,7 +240,9 @@ class SpectralInstrument(Instrument):
     def get_wavelengths(self) -> np.ndarray:
         """Return the wavelengths (nm)."""
         grid = self.wavelength_nm
-        return check_wavelengths(grid.to_array() if isinstance(grid, WavelengthGrid) else grid)
+        return check_wavelengths(
+            "wavelength_nm", grid.to_array() if isinstance(grid, WavelengthGrid) else grid
+        )
 
 
 class OpticalInstrument(SpectralInstrument):

@@ -16,6 +16,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, WithJsonSchema, field_validator, model_validator
 
+from splits.core.inputs import check_incidence
 from splits.core.keywords import list_keywords
 from splits.core.parameter_names import parse_impurity_parameter
 from splits.core.validation import (
@@ -50,7 +51,6 @@ from splits.media.medium import Medium
 from splits.media.snow import override_keywords
 from splits.media.snow_packs import SnowPacks
 from splits.retrieval.sand_fit import resolve_ranges
-from splits.simulation.run_options import check_incidence
 from splits.tables.axes import INCIDENCE, ParameterGrid
 
 NAME_PATTERN = re.compile(r"(?!(con|prn|aux|nul|com\d|lpt\d)$)[a-z][a-z0-9_]{0,63}")
@@ -142,7 +142,7 @@ class SimulationConfig(ConfigSection):
             check_choice(f"{key}.kind", sample.get("kind", kind), [kind])
         for labels, _, incidence in self.iter_points(self._iter_axis_labels()):
             with self.locate_errors(labels):
-                check_incidence(incidence)
+                check_incidence("incidence_deg", incidence)
         return self
 
     def _check_fit(self, kind: str) -> None:

@@ -11,7 +11,7 @@ import pytest
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.core.keywords import reject_unknown_arguments
+from splits.core.keywords import declare_function
 from splits.core.progress import open_progress_log, write_line
 
 WITH_PROGRESS = (
@@ -21,7 +21,7 @@ WITH_PROGRESS = (
 HALF = splits.Progress(rays=1000, stderr=0.004, target=0.002, seconds=3.0, seconds_left=1.0)
 
 
-@reject_unknown_arguments
+@declare_function
 def report_once(*, progress=None):
     """Report progress once."""
     if progress:
@@ -85,7 +85,7 @@ figure: none
 FULL_DISK = pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
 
 
-@reject_unknown_arguments
+@declare_function
 def measure_once(*, progress=None):
     """Report progress once."""
     progress(HALF)

@@ -14,6 +14,7 @@ from formula_tables import W, evaluate_spectrum, make_table
 import splits
 from splits.analysis.colour import covers_visible
 from splits.core.arrays import check_named_numbers
+from splits.core.inputs import check_polar_angles, check_wavelengths
 from splits.core.labels import CONVERSIONS, convert_units, is_unit
 from splits.core.validation import (
     InvalidValue,
@@ -28,7 +29,6 @@ from splits.core.validation import (
 from splits.illumination.bands import SpectralBand
 from splits.materials import make_refractive_index
 from splits.media.ground import Ground
-from splits.simulation.run_options import check_direction_angles, check_wavelengths
 
 
 def test_errors_name_key_value_range_and_hint():
@@ -176,7 +176,7 @@ RANGE_ENDS = {
     "user index": (lambda x: user_index()[0][0] and make_refractive_index("ice", {
         "wavelength_nm": [400, 800], "n": [1.3, 1.4], "k": [0, 0]})(x), 800.0, 1),
     "wavelength_nm": (check_wavelengths, 200.0, -1),
-    "polar_deg": (lambda x: check_direction_angles("polar_deg", [x], 90.0), 0.0, -1),
+    "polar_deg": (lambda x: check_polar_angles("polar_deg", [x]), 0.0, -1),
     "sky": (lambda x: splits.sky(SKY, 50).compute_direct_fraction(np.array([x])), 800.0, 1),
     "zenith_deg": (lambda x: splits.sky(SKY, x).zenith_deg, 89.0, 1),
     "Table.interp": (lambda x: interp(NARROW_TABLE, incidence_deg=x, **{SIZE: 60}), 30.0, -1),

@@ -46,7 +46,7 @@ SCENE = build_scene(SNOW, 0.0, False)
 
 
 def run(tally, stop, scene=None, **settings):
-    options = RunOptions.from_arguments(**{"seed": 1, "threads": 2, **settings})
+    options = RunOptions.start(**{"seed": 1, "threads": 2, **settings})
     return simulate(scene, tally, stop, options)
 
 

@@ -16,6 +16,7 @@ from chi2 import NEEDS_JIT
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import splits
+from splits.core.process import count_cpus
 from splits.instruments.angular_tallies import ORDER_CLASSES, AngularBinTally, ExpansionTally
 from splits.instruments.beam_spread import BeamSpreadTally
 from splits.instruments.flux_tally import FluxTally
@@ -23,14 +24,14 @@ from splits.io.netcdf import NETCDF_LOCK
 from splits.kernels.tallies.distributions import make_basis
 from splits.simulation import engine
 from splits.simulation.grain_optics import SingleScatteringTally
-from splits.simulation.run_options import RunOptions, check_threads
+from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import OpticalConstants, build_scene
 from splits.simulation.shared_paths import SpectralRows
 from splits.simulation.spectral_nodes import MAX_SEPARATE_NODES, make_separate_nodes
 from splits.simulation.spectral_tally import ANALOG_STREAM, SpectralTally
 from splits.simulation.strata import STRATUM_BOUNDS
 from splits.simulation.tally import Tally
-from splits.simulation.threads import DaemonThreadPool, count_cpus, limit_blas_threads
+from splits.simulation.threads import DaemonThreadPool, limit_blas_threads
 
 SNOW = splits.Snow(depth_m=0.02)
 LONG_TIME_S = 20.0
@@ -41,7 +42,7 @@ def test_cpu_count_without_affinity(monkeypatch):
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
     monkeypatch.delattr(os, "process_cpu_count", raising=False)
     monkeypatch.setattr(os, "cpu_count", lambda: 6)
-    assert count_cpus() == check_threads(None) == RunOptions.from_arguments(1, None).threads == 6
+    assert count_cpus() == None == RunOptions.start(1, None).threads == 6
     monkeypatch.setattr(os, "process_cpu_count", lambda: 4, raising=False)
     assert count_cpus() == 4
     monkeypatch.setattr(os, "process_cpu_count", lambda: None)

@@ -11,7 +11,7 @@ import itertools
 import math
 from collections.abc import Hashable, Iterable, Mapping, Sequence, Set
 from dataclasses import fields
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -335,10 +335,14 @@ def check_named_numbers(
 class ContentEquality:
     """Base class of frozen dataclasses that compare and hash by the values of their fields.
 
-    Derived classes are declared with ``eq=False``: the generated equality of dataclasses fails for
-    arrays, and the generated hash fails for arrays and mappings.  Arrays, lists and tuples of equal
-    values are equal, and mappings are equal in any order.  Copies and unpickled objects are equal.
+    Derived classes are made by `splits.core.declarations.declare_class`, or with ``eq=False``: the
+    generated equality of dataclasses fails for arrays, and the generated hash fails for arrays and
+    mappings.  Arrays, lists and tuples of equal values are equal, and mappings are equal in any
+    order.  Copies and unpickled objects are equal.
     """
+
+    ALTERNATIVES: ClassVar[Mapping[str, str]] = {}
+    """Inputs that other ones replace, by name."""
 
     def __eq__(self, other: object) -> bool:
         """Return whether the other is of the same class with equal fields."""

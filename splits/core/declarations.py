@@ -215,7 +215,8 @@ def list_inputs(declared: Any) -> dict[str, Input]:
         hint = hint.type if isinstance(hint, InitVar) else hint
         quantity = find_quantity(hint)
         if quantity:
-            inputs[name] = Input(quantity, TypeAdapter(hint), parameter.default)
+            adapter: TypeAdapter[Any] = TypeAdapter(hint)  # type: ignore[arg-type]
+            inputs[name] = Input(quantity, adapter, parameter.default)
     return inputs
 
 
@@ -369,7 +370,7 @@ class Alternative:
     compute: str
 
 
-def alternative(*, replaces: str, compute: str) -> Any:
+def alternative(*, replaces: str, compute: str, default: None) -> Any:
     """Return the default of an input that replaces another one, see `Alternative`."""
     return Alternative(replaces, compute)
 
@@ -388,7 +389,7 @@ def declare_class(declared: Class) -> Class:
     hints = get_type_hints(cls, include_extras=True)
     texts = dict(cls.__annotations__)
     for name in alternatives:
-        cls.__annotations__[name] = InitVar[hints[name] | None]
+        cls.__annotations__[name] = InitVar[hints[name] | None]  # type: ignore[valid-type]
         setattr(cls, name, dataclasses.field(default=None, kw_only=True))
     make = pydantic.dataclasses.dataclass(
         frozen=True, eq=False, repr=False, config=ConfigDict(arbitrary_types_allowed=True)
@@ -460,7 +461,7 @@ class other_constructor:
         @functools.wraps(self.complete)
         def construct(*values: Given.args, **keywords: Given.kwargs) -> Result:
             given: Any = {**dict(zip(signature.parameters, values, strict=False)), **keywords}
-            return owner(**self.complete(owner, given))
+            return owner(**self.complete(owner, given))  # type: ignore[call-arg]
 
         shown = [
             one.replace(kind=one.KEYWORD_ONLY, default=self.defaults.get(name, one.default))

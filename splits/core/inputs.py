@@ -169,7 +169,7 @@ BeamAngle = Annotated[
     float, Quantity("angle of incidence", "degree", check=check_beam_angle, schema=ANGLE_SCHEMA)
 ]
 Incidence = Annotated[
-    float | Literal["diffuse"],
+    float | str,
     Quantity(
         "angle of incidence", "degree", first_step=4.0, check=check_incidence,
         schema={"anyOf": [ANGLE_SCHEMA, {"const": DIFFUSE}]},

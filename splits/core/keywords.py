@@ -106,7 +106,7 @@ def declare_function(function: Callable[Given, Result]) -> Callable[Given, Resul
                         name: one.check(name, given.get(name, one.default))
                         for name, one in inputs.items() if name in given or one.has_default
                     }  # fmt: skip
-                    result = function(**given)  # type: ignore[call-arg]
+                    result = function(**given)  # type: ignore[arg-type,call-arg]
                 else:
                     # Python tells what is given twice.
                     result = function(*values, **keywords)

@@ -87,7 +87,7 @@ def _check_pack_incidence(key: str, value: Any) -> Any:
 
 
 PackIncidence = Annotated[
-    Numbers | Literal["diffuse", "sun"],
+    Numbers | str,
     Quantity(
         "angle of incidence", "degree", first_step=4.0, check=_check_pack_incidence,
         schema={"anyOf": [ANGLE_SCHEMA, {"enum": [DIFFUSE, SUN]}]},

@@ -255,8 +255,8 @@ def _compute_late_light(
     recorded, stderr = reflected.fraction.values, reflected.fraction_stderr.values
     error = float(np.clip(stderr.max(), *LATE_LIGHT_ERRORS))
     total = spectrophotometer(
-        medium, dataset.wavelength.values, incidence, error, run.seed, threads=run.threads,
-        kernel=run.kernel, progress=run.progress,
+        medium, dataset.wavelength.values, incidence, max_stderr=error, seed=run.seed,
+        threads=run.threads, kernel=run.kernel, progress=run.progress,
     )  # fmt: skip
     return make_variable(
         "late_fraction", "wavelength", total.reflectance.values - recorded,

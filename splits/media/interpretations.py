@@ -172,7 +172,7 @@ class TransportInterpretation(ContentEquality):
     def as_input(self) -> str | dict[str, str]:
         """Return the name of the matching set, or the choices that differ from the defaults."""
         for name, choices in INTERPRETATION_SETS.items():
-            if self == type(self)(**choices):
+            if self == type(self)(**dict[str, Any](choices)):
                 return name
         return find_differences(self, type(self)())
 

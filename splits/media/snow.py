@@ -258,13 +258,13 @@ class Snow(ContentEquality, GranularMedium):
     algae_cells_ml: AlgaeCells = field(default_factory=dict, compare=False)
     impurities_in: ImpurityLocation = "ice"
     specific_surface_area_m2_kg: SurfaceArea = alternative(
-        replaces="grain_size_um", compute="_compute_surface_area"
+        replaces="grain_size_um", compute="_compute_surface_area", default=None
     )
     optical_radius_um: OpticalRadius = alternative(
-        replaces="grain_size_um", compute="_compute_optical_radius"
+        replaces="grain_size_um", compute="_compute_optical_radius", default=None
     )
     liquid_water_content: LiquidWater = alternative(
-        replaces="saturation", compute="_compute_liquid_water"
+        replaces="saturation", compute="_compute_liquid_water", default=None
     )
 
     @other_constructor(NATURAL_DEFAULTS)
@@ -332,7 +332,7 @@ class Snow(ContentEquality, GranularMedium):
             return format_call("Snow.natural", to_shortest_keywords(self, inputs))
         return format_call("Snow", to_shortest_keywords(self, find_differences(self, type(self)())))
 
-    def __post_init__(
+    def __post_init__(  # type: ignore[override]
         self, area: float | None, radius: float | None, liquid_water: float | None
     ) -> None:
         _check_density(self.density_kg_m3, MIN_DENSITY_KG_M3, self.temperature_c)

@@ -32,7 +32,7 @@ class RunOptions(NamedTuple):
 
     seed: int
     threads: int
-    kernel: str
+    kernel: Kernel
     progress: ProgressCallback
     start_time: float
 

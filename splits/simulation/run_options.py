@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from splits.core.inputs import Kernel
 from splits.core.process import count_cpus
 from splits.core.progress import ProgressCallback
 from splits.core.provenance import hash_physics_sources
@@ -41,7 +42,7 @@ class RunOptions(NamedTuple):
         cls,
         seed: int,
         threads: int | None = None,
-        kernel: str = "auto",
+        kernel: Kernel = "auto",
         progress: ProgressCallback = None,
     ) -> RunOptions:
         """Return the options of a run that starts now."""

@@ -141,7 +141,7 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
     seed = 1 if arguments.seed is None else check_integer("--seed", arguments.seed, 0)
     threads = arguments.threads
     experiment = load_experiment(arguments.file, arguments.media)
-    file_seed = getattr(experiment.instrument, "seed", None)
+    file_seed = experiment.instrument.settings.get("seed")
     if arguments.seed is not None and file_seed is not None:
         raise invalid(
             "--seed", arguments.seed, "left out", f"the file has instrument.seed = {file_seed}"

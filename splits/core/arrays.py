@@ -18,6 +18,7 @@ import pandas as pd
 import xarray as xr
 
 from splits.core.labels import convert_times
+from splits.core.spacing import MAX_NUMBERS
 from splits.core.validation import (
     ROUNDING_TOLERANCE,
     TEXT_HINT,
@@ -30,8 +31,6 @@ from splits.core.validation import (
     suggest_number,
 )
 
-MAX_NUMBERS = 20_000
-"""Largest length of a sequence of numbers, such as wavelengths."""
 UNLABELLED_HINT = "values are matched by their labels; .to_numpy() has none"
 
 

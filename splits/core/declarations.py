@@ -61,7 +61,7 @@ UNIT_SYMBOLS = {
 # Meaning of an input.
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Quantity:
     """Meaning of an input, beside the type that it annotates.
 
@@ -155,8 +155,7 @@ class Quantity:
             lambda value, info: check(info.field_name or info.context or "", value),
             json_schema_input_schema=described,
         )
-        is_optional = len(kinds) < len(members) and self.check is None
-        return core_schema.nullable_schema(plain) if is_optional else plain
+        return core_schema.nullable_schema(plain) if len(kinds) < len(members) else plain
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
         """Return the JSON schema of the annotated type, with its meaning."""

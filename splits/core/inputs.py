@@ -7,8 +7,15 @@ from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 
-from splits.core.arrays import as_1d_array, check_array_range, check_axis, check_named_numbers
+from splits.core.arrays import (
+    as_1d_array,
+    as_float_array,
+    check_array_range,
+    check_axis,
+    check_named_numbers,
+)
 from splits.core.declarations import Quantity
+from splits.core.spacing import SPACING_SCHEMA, expand_spacing
 from splits.core.validation import (
     check_range,
     invalid,
@@ -111,8 +118,13 @@ times their memory."""
 def check_wavelengths(key: str, wavelength_nm: Any, *, is_sorted: bool = True) -> np.ndarray:
     """Return wavelengths (nm) as an array, after checking their range.
 
-    They must be strictly increasing unless `is_sorted` is false.
+    They must be strictly increasing unless `is_sorted` is false.  A mapping has a start, a stop and
+    a step, both ends included, and `also` for additional ones.
     """
+    if isinstance(wavelength_nm, Mapping):
+        also = as_float_array(f"{key}.also", wavelength_nm.get("also", ()))
+        spaced = expand_spacing(key, wavelength_nm, others=("also",))
+        wavelength_nm = np.unique(np.concatenate([spaced, also]))
     values = as_1d_array(key, wavelength_nm, "numbers in nanometres")
     check = check_axis if is_sorted else check_array_range
     return check(key, values, *WAVELENGTH_RANGE_NM, "nm")
@@ -156,15 +168,26 @@ class Array(Protocol):
     def __array__(self) -> np.ndarray: ...
 
 
-Numbers = float | Sequence[float] | Array
+Numbers = float | Sequence[float] | Array | Mapping[str, float]
 """Numbers as users give them."""
 NUMBERS_SCHEMA = {"type": "array", "items": {"type": "number"}, "minItems": 1}
 ANGLE_SCHEMA = {"type": "number", "minimum": 0.0, "maximum": 89.9999}
 
 Wavelengths = Annotated[
     Numbers,
-    Quantity("wavelength in vacuum", "nm", check=check_wavelengths, schema=NUMBERS_SCHEMA),
-]
+    Quantity(
+        "wavelengths in vacuum, increasing",
+        "nm",
+        check=check_wavelengths,
+        schema={
+            "anyOf": [
+                NUMBERS_SCHEMA,
+                SPACING_SCHEMA
+                | {"properties": {**SPACING_SCHEMA["properties"], "also": NUMBERS_SCHEMA}},
+            ]
+        },
+    ),
+]  # fmt: skip
 BeamAngle = Annotated[
     float, Quantity("angle of incidence", "degree", check=check_beam_angle, schema=ANGLE_SCHEMA)
 ]
@@ -186,6 +209,11 @@ Azimuths = Annotated[
         schema=NUMBERS_SCHEMA,
     ),
 ]  # fmt: skip
+
+
+def check_depths(key: str, values: Any) -> np.ndarray:
+    """Return depths (m) as an array; the medium limits them."""
+    return as_1d_array(key, values, "numbers in metres")
 
 
 def declare_numbers(

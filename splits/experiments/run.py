@@ -19,7 +19,12 @@ from splits.core.keywords import REACHED_ATTRIBUTES, log_missed_error, nest_runs
 from splits.core.progress import LogCallback, Progress
 from splits.core.provenance import hash_physics_sources
 from splits.core.validation import invalid
-from splits.experiments.config.instruments import Instrument, Spectrophotometer
+from splits.experiments.config.instruments import (
+    FUNCTIONS,
+    Instrument,
+    list_section_inputs,
+    refractive_index,
+)
 from splits.experiments.config.media import (
     identify_by_content,
     make_grid_coordinates,
@@ -28,58 +33,22 @@ from splits.experiments.config.media import (
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import Point, SimulationConfig
 from splits.experiments.run_table import MAX_RAYS, run_table, write_table
-from splits.instruments import (
-    beam_spread,
-    goniophotometer,
-    lens,
-    spectrophotometer,
-    surface_map,
-    time_of_flight,
-)
 from splits.instruments.solver import DISCRETE_ORDINATES
 from splits.instruments.spectrophotometer import SpectralRequest, simulate_spectra
 from splits.io.cache import NO_CACHE, Cache
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
-from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
+from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import check_stokes
 from splits.simulation.shared_paths import MediaGroup, group_by_shared_paths
 from splits.simulation.strata import STOP_REASONS
-from splits.tables.return_table import TITLE, build_return_table
+from splits.tables.return_table import TITLE
 
 N_BEAM_RAYS = 200_000
 """Number of rays of a beam at a relative standard error of 0.02."""
 
 
-def _simulate_return(
-    medium: Medium,
-    wavelength_nm: Any,
-    incidence_deg: Any,
-    rays: int,
-    seed: int,
-    threads: int | None = None,
-    progress: Any = None,
-    **receiver: Any,
-) -> xr.Dataset:
-    """Return the table of returns of one medium."""
-    table = build_return_table(
-        lambda point: medium, {"point": [0.0]}, wavelength_nm, incidence_deg, rays, seed,
-        threads=threads, progress=progress, **receiver,
-    )  # fmt: skip
-    return table.isel(point=0, drop=True)
-
-
-MEASURE: dict[str, Callable[..., xr.Dataset]] = {
-    "spectrophotometer": spectrophotometer,
-    "goniophotometer": goniophotometer,
-    "beam_spread": beam_spread,
-    "time_of_flight": time_of_flight,
-    "return_table": _simulate_return,
-    "surface_map": surface_map,
-    "lens": lens,
-}
-"""Functions of the instruments that measure the points of a grid."""
 POINT_VARIABLES = {
     "rays": ("rays", "number of rays traced", "1"),
     "max_stderr_reached": ("max_stderr_reached", "largest standard error reached", "1"),
@@ -219,27 +188,15 @@ def _stack_points(
 def compute_refractive_indices(experiment: SimulationConfig) -> xr.Dataset:
     """Return the complex refractive indices of an experiment's medium over wavelength."""
     _, medium, _ = next(experiment.iter_points())
-    wavelength = experiment.instrument.get_wavelengths()
-    index = medium.compute_refractive_indices(wavelength)
-    variables = {
-        "n": (("wavelength", "material"), index.real, {"long_name": "refractive index"}),
-        "k": (("wavelength", "material"), index.imag, {"long_name": "extinction coefficient"}),
-    }
-    for _, _, variable_attributes in variables.values():
-        variable_attributes["units"] = "1"
-    coordinates = {
-        "wavelength": make_wavelength_coordinate(wavelength),
-        "material": ("material", list(medium.list_materials()), {"long_name": "material"}),
-    }
     attributes = {
         "title": f"Experiment {experiment.name}",
         "experiment": experiment.name,
         "configuration": experiment.dump_configuration(),
-        **{f"{medium.kind}_{key}": value for key, value in medium.describe().items()},
         "physics_sources_sha256": hash_physics_sources(),
         **make_provenance(f"experiment {experiment.name}"),
     }
-    return xr.Dataset(variables, coordinates, to_netcdf_attributes(attributes))
+    dataset = refractive_index(medium, experiment.instrument.get_wavelengths())
+    return dataset.assign_attrs(to_netcdf_attributes({**attributes, **dataset.attrs}))
 
 
 def simulate_points(
@@ -271,7 +228,7 @@ def simulate_points(
         run = RunOptions.start(seed, threads, progress=progress)
         members = [points[index] for index in indices]
         with nest_runs(), experiment.locate_errors(members[0][0]):
-            if group is None or not isinstance(instrument, Spectrophotometer):
+            if group is None or instrument.kind != "spectrophotometer":
                 one = instrument.select_point(indices[0])
                 return [simulate_point(one, members[0], accuracy, run)]
             instruments = [instrument.select_point(index) for index in indices]
@@ -306,7 +263,7 @@ def list_point_keys(
     experiment: SimulationConfig, accuracy: Accuracy, seed: int
 ) -> tuple[list[Any], list[Any]]:
     """Return all that determines the results of all points, and that of each point."""
-    instrument = experiment.instrument.model_dump(mode="json")
+    instrument = experiment.instrument.to_content()
     kind = experiment.medium.get("kind", "snow")
     common = [hash_physics_sources(), instrument, accuracy.model_dump(), seed, kind]
     return common, [
@@ -320,7 +277,7 @@ def _group_by_shared_paths(
 ) -> list[tuple[list[int], MediaGroup | None]]:
     """Return the indices of points that share paths, with their group (None for single points)."""
     instrument = experiment.instrument
-    if not isinstance(instrument, Spectrophotometer) or instrument.estimator == "analog":
+    if instrument.kind != "spectrophotometer" or instrument.get("estimator") == "analog":
         return [([index], None) for index in range(len(points))]
     wavelengths = np.asarray(instrument.get_wavelengths(), dtype=float)
     solved = []
@@ -328,7 +285,7 @@ def _group_by_shared_paths(
         max_stderr = instrument.select_point(index).scale_stderr(accuracy.max_stderr)
         with experiment.locate_errors(labels):
             check_medium(medium, allow_semi_infinite=True)
-            if instrument.choose_solver(medium, max_stderr) == DISCRETE_ORDINATES:
+            if instrument.choose_solver([medium], max_stderr) == DISCRETE_ORDINATES:
                 solved.append(index)
     groups: list[tuple[list[int], MediaGroup | None]] = [([index], None) for index in solved]
     traced = [index for index in range(len(points)) if index not in set(solved)]
@@ -344,7 +301,7 @@ def _group_by_shared_paths(
 
 
 def _simulate_group(
-    instrument: Spectrophotometer,
+    instrument: Instrument,
     points: Sequence[Point],
     group: MediaGroup,
     error: float,
@@ -358,7 +315,9 @@ def _simulate_group(
     rays = accuracy.max_rays or MAX_RAYS
     wavelengths, (_, medium, beam) = instrument.get_wavelengths(), points[0]
     request = SpectralRequest(wavelengths, beam, error, rays, run)
-    request = request._replace(polarization=check_stokes(instrument.stokes, medium, beam))
+    inputs = list_section_inputs(instrument.kind)
+    stokes = inputs["stokes"].check("stokes", instrument.get("stokes"))
+    request = request._replace(polarization=check_stokes(stokes, medium, beam))
     spectra = simulate_spectra(group.path_sharing, request)
     pairs = zip(group.media_indices, points, strict=True)
     return [_relabel_spectrum(spectra[index], medium) for index, (_, medium, _) in pairs]
@@ -416,9 +375,8 @@ def simulate_point(
 ) -> xr.Dataset:
     """Simulate one point of a grid, see `run`."""
     _, medium, incidence = point
-    measure = MEASURE[instrument.kind]
-    settings: dict[str, Any] = {
-        "wavelength_nm": instrument.get_wavelengths(),
+    measure = FUNCTIONS[instrument.kind]
+    settings: dict[str, Any] = instrument.list_arguments() | {
         "incidence_deg": incidence,
         "max_stderr": instrument.scale_stderr(accuracy.max_stderr),
         "relative_stderr": instrument.scale_stderr(accuracy.relative_stderr),
@@ -427,10 +385,11 @@ def simulate_point(
         "threads": run.threads,
         "progress": run.progress,
     }
-    takes = signature(measure).parameters
-    if "relative_stderr" not in takes:
+    takes = list(signature(measure).parameters)
+    scale = instrument.get("stderr_scale")
+    if scale is not None and {"max_stderr", "relative_stderr"}.isdisjoint(takes):
         # The error of a beam follows from the number of its rays.
-        effort = (0.02 / (getattr(instrument, "stderr_scale", 1.0) * accuracy.relative_stderr)) ** 2
-        settings["rays"] = int(np.ceil(N_BEAM_RAYS * effort))
-    settings = {key: value for key, value in settings.items() if key in takes and value is not None}
-    return measure(medium, **settings | instrument.list_arguments())
+        effort = (0.02 / (scale * accuracy.relative_stderr)) ** 2
+        settings.setdefault("rays", int(np.ceil(N_BEAM_RAYS * effort)))
+    given = {key: value for key, value in settings.items() if key in takes and value is not None}
+    return measure(medium, **given)

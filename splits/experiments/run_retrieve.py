@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from inspect import signature
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +15,6 @@ import xarray as xr
 
 from splits.analysis.measured import WAVELENGTH_COLUMN, read_spectra
 from splits.core.escaping import write_data_frame
-from splits.core.keywords import list_keywords
 from splits.core.parameter_names import describe_parameter
 from splits.core.progress import LogCallback
 from splits.core.validation import (
@@ -26,7 +26,6 @@ from splits.core.validation import (
     snap_to_limits,
     unknown_key,
 )
-from splits.experiments.config.instruments import ReturnTable, dump_pulse
 from splits.experiments.config.retrieval import (
     RetrieveReturnSection,
     RetrieveSection,
@@ -421,7 +420,7 @@ def make_true_medium(
     assert section.synthetic is not None
     truth, key = dict(section.synthetic.truth[sample]), f"retrieve_return.synthetic.truth.{sample}"
     rows = dict(zip(*experiment.make_axes(), strict=True))
-    keywords = list_keywords(MEDIUM_CLASSES[get_kind(experiment.medium)])
+    keywords = list(signature(MEDIUM_CLASSES[get_kind(experiment.medium)]).parameters)
     for name in section.free:
         if name != SCALE and name not in truth:
             raise invalid(f"{key}.{name}", None, "given", "it is free")
@@ -459,7 +458,7 @@ def simulate_returns(
         Receives lines of progress.
     """
     synthetic, instrument, photons = section.synthetic, experiment.instrument, section.photons
-    assert synthetic is not None and photons is not None and isinstance(instrument, ReturnTable)
+    assert synthetic is not None and photons is not None
     seed = instrument.get_seed(seed) + synthetic.seed_offset
     edges = np.array(synthetic.delay_s)
     returns = {}
@@ -467,9 +466,9 @@ def simulate_returns(
         log(f"{sample}: simulating a return")
         medium, incidence = make_true_medium(experiment, section, sample)
         light = time_of_flight(
-            medium, instrument.get_wavelengths(), incidence, synthetic.rays, seed, delay_s=edges,
-            pulse=dump_pulse(section.pulse), acceptance_deg=instrument.acceptance_deg,
-            footprint_radius_m=instrument.footprint_radius_m, threads=threads,
+            medium, instrument.get_wavelengths(), incidence, rays=synthetic.rays, seed=seed,
+            delay_s=edges, pulse=section.pulse, acceptance_deg=instrument.get("acceptance_deg"),
+            footprint_radius_m=instrument.get("footprint_radius_m"), threads=threads,
         )  # fmt: skip
         one_photon = scale_counts(np.ones(edges.size - 1), edges, photons).rates
         rates = light.return_rate.sel(side="reflected").transpose("wavelength", "delay").values
@@ -491,7 +490,7 @@ def retrieve_samples(
     for sample, (edges, rates, noise) in returns.items():
         with key_prefix(f"retrieve_return ({sample})"):
             result = retrieve_return(
-                (edges, rates), table, section.free, noise, pulse=dump_pulse(section.pulse),
+                (edges, rates), table, section.free, noise, pulse=section.pulse,
                 fixed=section.fixed or None, prior=section.prior or None, seed=seed,
             )  # fmt: skip
         retrievals.append(SampleRetrieval(SINGLE_MODEL, sample, result, np.nan, False))

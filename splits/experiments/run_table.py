@@ -16,11 +16,10 @@ from splits.core.atomic import atomic_write
 from splits.core.keywords import log_missed_error, nest_runs
 from splits.core.progress import LogCallback, Progress
 from splits.core.provenance import hash_physics_sources
-from splits.experiments.config.instruments import Albedo, TableInstrument
+from splits.experiments.config.instruments import FUNCTIONS
 from splits.experiments.config.media import PACKS_PER_BLOCK, count_pack_parts
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
-from splits.instruments import albedo, spectrophotometer
 from splits.instruments.spectrophotometer import SpectralRequest
 from splits.io.cache import Cache, compute_digest
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
@@ -54,9 +53,8 @@ def count_parts(experiment: SimulationConfig) -> int:
     """Return the number of parts of a table, or of the snowpacks of a file."""
     if experiment.has_packs:
         return count_pack_parts(experiment.load_packs())
-    instrument = experiment.instrument
-    assert isinstance(instrument, TableInstrument)
-    return instrument.parts
+    parts: int = experiment.instrument.get("parts")
+    return parts
 
 
 def prepare_table(
@@ -70,11 +68,10 @@ def prepare_table(
         For points that cannot be simulated, or to which a required solver does not apply.
     """
     instrument, axes = experiment.instrument, experiment.make_axes()
-    assert isinstance(instrument, TableInstrument)
     wavelengths, incidence = instrument.get_wavelengths(), instrument.get_incidence()
-    has_covariance = instrument.covariance == "keep"
+    has_covariance = instrument.get("covariance") == "keep"
     views = ViewGrid.from_grid(axes)
-    quantities = check_quantities(instrument.quantities, views, has_covariance)
+    quantities = check_quantities(instrument.get("quantities"), views, has_covariance)
     with experiment.locate_errors({}):
         plan = TablePlan.from_grid(
             experiment.make_medium, drop_view_axes(axes), wavelengths, incidence,
@@ -297,15 +294,10 @@ def _measure(
 ) -> xr.Dataset:
     """Return the spectra or albedos of snowpacks."""
     instrument = experiment.instrument
-    error, wavelengths = instrument.scale_stderr(accuracy.max_stderr), instrument.get_wavelengths()
+    error = instrument.scale_stderr(accuracy.max_stderr)
     with nest_runs(), experiment.locate_errors({}):
-        if isinstance(instrument, Albedo):
-            return albedo(
-                packs, instrument.sky, wavelengths, error, bands=instrument.bands, threads=threads
-            )
-        settings = {key: getattr(instrument, key) for key in ("solver", "estimator", "stokes")}
-        return spectrophotometer(
-            packs, wavelengths, instrument.get_incidence(), error, threads=threads, **settings
+        return FUNCTIONS[instrument.kind](
+            packs, **instrument.list_arguments(), max_stderr=error, threads=threads
         )
 
 
@@ -314,4 +306,4 @@ def _list_inputs(experiment: SimulationConfig, accuracy: Accuracy, packs: SnowPa
     instrument = experiment.instrument
     error = instrument.scale_stderr(accuracy.max_stderr)
     table = packs.dataset.to_dict(data="array")
-    return [hash_physics_sources(), instrument.model_dump(mode="json"), error, table]
+    return [hash_physics_sources(), instrument.to_content(), error, table]

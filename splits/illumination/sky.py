@@ -317,10 +317,7 @@ def sky(
             raise invalid("zenith_deg", None, ZENITH_REQUIREMENT, hint)
         content = np.stack([user_sky.wavelength_nm, user_sky.direct, user_sky.diffuse])
         return replace(user_sky, sha256=digest or hashlib.sha256(content.tobytes()).hexdigest())
-    if name not in list_sky_names():
-        known = [*list_sky_names(), CLEAR_SKY, ASTM_G173]
-        allowed = "one of " + ", ".join(known) + ", a mapping or a .csv file"
-        raise invalid("sky", spectrum, allowed, suggest_name(spectrum, known))
+    _check_sky("sky", spectrum)
     table = _load_snicar_skies()
     irradiance = table[name].to_numpy()
     light = (irradiance, np.zeros_like(irradiance))
@@ -334,10 +331,19 @@ def sky(
     )
 
 
+def _check_sky(key: str, value: Any) -> Any:
+    """Return a sky of a user after checking its name, if it is one."""
+    known = [*list_sky_names(), CLEAR_SKY, ASTM_G173]
+    if isinstance(value, str) and value not in known and not is_csv_path(value):
+        allowed = "one of " + ", ".join(known) + ", a mapping or a .csv file"
+        raise invalid(key, value, allowed, suggest_name(value, known))
+    return value
+
+
 SkyInput = Annotated[
     Sky | str | Mapping[str, Any] | Callable[[float], Sky],
     Quantity(
         "sky: clear, or one of the skies of SNICAR, see `splits.sky`",
-        check=lambda _, value: value, schema={"type": ["string", "object"]},
+        check=_check_sky, schema={"type": ["string", "object"]},
     ),
 ]  # fmt: skip

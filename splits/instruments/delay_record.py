@@ -16,7 +16,8 @@ from splits.core.arrays import (
     read_columns,
 )
 from splits.core.declarations import Quantity
-from splits.core.inputs import NUMBERS_SCHEMA, Numbers
+from splits.core.inputs import NUMBERS_SCHEMA, Numbers, check_depths
+from splits.core.spacing import SPACING_SCHEMA, expand_spacing
 from splits.core.validation import as_scalar, check_range, invalid
 from splits.kernels.scene import NO_MAX_ORDER, WET_PORE, Layers
 from splits.kernels.tallies.distributions import Receiver
@@ -149,7 +150,8 @@ def _check_seconds(key: str, delays: np.ndarray) -> None:
 
 
 def check_delay_edges(key: str, delay_s: Any) -> np.ndarray:
-    """Return the delays between bins (s), after checking them."""
+    """Return the delays between bins (s), perhaps evenly spaced, after checking them."""
+    delay_s = expand_spacing(key, delay_s) if isinstance(delay_s, Mapping) else delay_s
     edges = as_1d_array(key, delay_s, "numbers in seconds")
     _check_seconds(key, edges)
     if edges.size < 2:
@@ -167,7 +169,12 @@ def _check_pulse(_: str, pulse: Any) -> Any:
 
 DelayEdges = Annotated[
     Numbers,
-    Quantity("edges of the bins of delay", "s", check=check_delay_edges, schema=NUMBERS_SCHEMA),
+    Quantity(
+        "edges of the bins of delay",
+        "s",
+        check=check_delay_edges,
+        schema={"anyOf": [NUMBERS_SCHEMA, SPACING_SCHEMA]},
+    ),
 ]
 RecordEnd = Annotated[
     float | None,
@@ -198,7 +205,10 @@ FootprintRadius = Annotated[
 RecordDepths = Annotated[
     Numbers | None,
     Quantity(
-        "depths that divide the light by the largest depth reached", "m", schema=NUMBERS_SCHEMA
+        "depths that divide the light by the largest depth reached",
+        "m",
+        check=check_depths,
+        schema=NUMBERS_SCHEMA,
     ),
 ]
 
@@ -236,11 +246,11 @@ def check_granular_layers(medium: Medium) -> None:
             raise invalid(f"layers[{number}]", layer.kind, "a layer of grains", hint)
 
 
-def check_depths(depth_m: Any, medium: Medium) -> np.ndarray:
+def limit_depths(depth_m: Any, medium: Medium) -> np.ndarray:
     """Return depths that divide light by the largest depth reached (m), after checking them."""
     if depth_m is None:
         return np.zeros(0)
-    depths = as_1d_array("depth_m", depth_m, "numbers in metres")
+    depths = np.asarray(depth_m)
     limits = 0.0, float(medium.depth_m)
     return check_axis("depth_m", depths, *limits, "m", open_low=True, open_high=True)
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.core.arrays import as_1d_array, check_axis
+from splits.core.arrays import check_axis
 from splits.core.declarations import Quantity
 from splits.core.inputs import (
     NUMBERS_SCHEMA,
@@ -20,6 +20,7 @@ from splits.core.inputs import (
     StandardError,
     Threads,
     Wavelengths,
+    check_depths,
 )
 from splits.core.keywords import instrument
 from splits.core.progress import ProgressCallback
@@ -68,7 +69,9 @@ BAND_INTERPOLATION_FRACTION = 0.04
 """The same for errors of bands, for which more index nodes need hardly any more rays."""
 ProfileDepths = Annotated[
     Numbers,
-    Quantity("depths, besides those of top and bottom", "m", schema=NUMBERS_SCHEMA),
+    Quantity(
+        "depths, besides those of top and bottom", "m", check=check_depths, schema=NUMBERS_SCHEMA
+    ),
 ]
 ProfileTarget = Annotated[
     Literal["irradiance", "absorptance"],
@@ -242,7 +245,7 @@ def _choose_nodes(traced_medium: TracedMedium, max_stderr: float, has_bands: boo
 def _check_depths(depth_m: Any, medium: Medium) -> np.ndarray:
     """Return depths inside a medium (m), after checking them."""
     thickness = np.inf if medium.is_semi_infinite else medium.depth_m
-    depths = as_1d_array("depth_m", depth_m, "numbers in metres")
+    depths = np.asarray(depth_m)
     if depths.size > MAX_DEPTHS:
         raise invalid("depth_m", f"{depths.size} depths", f"at most {MAX_DEPTHS}")
     hint = "top and bottom are always included"

@@ -32,12 +32,12 @@ from splits.instruments.delay_record import (
     RecordDepths,
     RecordEnd,
     Slowness,
-    check_depths,
     check_granular_layers,
     check_record,
     compute_max_order,
     compute_slowness,
     describe_record,
+    limit_depths,
     make_receiver,
 )
 from splits.instruments.spectrophotometer import spectrophotometer
@@ -198,7 +198,7 @@ def time_of_flight(
     edges, end = check_record(np.asarray(delay_s), end_s, record_pulse)
     receiver = make_receiver(incidence, acceptance_deg, footprint_radius_m)
     request = DelayRequest(incidence, rays, receiver, edges, end, record_pulse)
-    depths = check_depths(depth_m, medium)
+    depths = limit_depths(depth_m, medium)
     dataset = simulate_delays(medium, wavelengths, request, run, depths)
     dataset.attrs |= describe_record(pulse, acceptance_deg, footprint_radius_m)
     if acceptance_deg is None and footprint_radius_m is None and math.isfinite(end):

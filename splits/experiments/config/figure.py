@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from splits.core.validation import check_choice, invalid, key_prefix
-from splits.experiments.config.instruments import TableQuantity
 from splits.experiments.config.media import find_label, to_coordinate_values
 from splits.experiments.config.sections import (
     FiniteSection,
@@ -20,6 +19,7 @@ from splits.experiments.config.sections import (
     check_different,
 )
 from splits.plotting.panels import check_settings
+from splits.tables.axes import ALL_QUANTITIES
 
 if TYPE_CHECKING:
     from splits.experiments.config.simulation import SimulationConfig
@@ -49,7 +49,7 @@ INSTRUMENT_FIGURES: dict[str, tuple[str, ...]] = {
 INSTRUMENT_QUANTITIES: dict[str, tuple[str, ...]] = {
     "spectrophotometer": ("reflectance", "transmittance", "absorptance", "mean_grain_distance"),
     "goniophotometer": ("brdf", "btdf", "reflectance_factor", "anisotropy_factor", "brdf_dolp"),
-    "table": get_args(TableQuantity),
+    "table": ALL_QUANTITIES,
 }
 """Quantities that the figures of an instrument may show."""
 
@@ -119,7 +119,11 @@ def resolve_figure(simulation: SimulationConfig, figure: FigureSection) -> dict[
     Kinds, quantities and values that the experiment does not have are rejected.
     """
     instrument, grid = simulation.instrument, simulation.grid
-    kinds = [kind for kind in INSTRUMENT_FIGURES[instrument.kind] if kind not in ("fit", "season")]
+    kinds = [
+        kind
+        for kind in INSTRUMENT_FIGURES.get(instrument.kind, ())
+        if kind not in ("fit", "season")
+    ] or ["none"]
     if simulation.has_packs or simulation.fit:
         kinds = ["season" if simulation.has_packs else "fit"]
     is_single = kinds[0] == "spectra" and grid and instrument.get_wavelengths().size == 1
@@ -129,8 +133,7 @@ def resolve_figure(simulation: SimulationConfig, figure: FigureSection) -> dict[
         raise invalid("figure.kind", kind, allowed)
     given = figure.model_dump(mode="json", exclude_unset=True, exclude_none=True)
     check_settings(kind, given)
-    chosen = getattr(instrument, "quantities", None)
-    quantities = chosen or INSTRUMENT_QUANTITIES.get(instrument.kind, ())
+    quantities = instrument.get("quantities") or INSTRUMENT_QUANTITIES.get(instrument.kind, ())
     for quantity in given.get("quantity", ()):
         check_choice("figure.quantity", quantity, quantities)
     fixed = {}

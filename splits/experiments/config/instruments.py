@@ -1,508 +1,353 @@
-"""Section `instrument` of an experiment file: models of all kinds of instruments.
+"""Section `instrument` of an experiment file: the keywords of a function, as it declares them.
 
-The functions of the instruments check their arguments and the medium.
+The kind of the section is the name of an instrument of the package, or of a function of this
+module.  Functions check the medium, and what several inputs have to do with each other, when they
+are called.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, Literal, Self, get_args
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from inspect import Parameter
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    AllowInfNan,
-    BeforeValidator,
-    Discriminator,
-    Field,
-    Tag,
-    model_validator,
-)
+import xarray as xr
+from pydantic import TypeAdapter
 
+import splits.instruments  # noqa: F401  registers the instruments
+from splits.core.declarations import Input, Quantity, find_quantity, list_inputs
 from splits.core.inputs import (
-    check_azimuths,
-    check_incidence,
-    check_polar_angles,
+    Azimuths,
+    Incidence,
+    PolarAngles,
+    RayCount,
+    Seed,
+    Solver,
+    Threads,
+    Wavelengths,
     check_wavelengths,
 )
-from splits.core.validation import check_choice, invalid
-from splits.experiments.config.media import expand_spacing, make_even_spacing
-from splits.experiments.config.sections import (
-    NO_SWITCH,
-    FiniteSection,
-    Number,
-    Whole,
-    check_different,
-)
-from splits.illumination.bands import as_bands
-from splits.illumination.sky import CLEAR_SKY, list_sky_names, sky
-from splits.instruments.rough_surfaces import (
-    DEFAULT_RAYS,
-    MAX_REALIZATIONS,
-    check_ring_radius,
-    check_screen_depths,
-)
+from splits.core.keywords import INSTRUMENTS, declare_function
+from splits.core.progress import ProgressCallback
+from splits.core.validation import check_choice, invalid, key_prefix, unknown_key
+from splits.illumination.sky import CLEAR_SKY, sky
+from splits.instruments.delay_record import AcceptanceAngle, DelayEdges, FootprintRadius
 from splits.instruments.sky_mixing import choose_wavelengths
-from splits.instruments.snow_packs import SUN
 from splits.instruments.solver import choose_solver
 from splits.instruments.spectrophotometer import find_path_obstacle
 from splits.media.medium import Medium
-from splits.simulation.run_options import check_n_bins
-from splits.simulation.scene import ALLOWED_STOKES
+from splits.simulation.run_options import make_wavelength_coordinate
 from splits.tables.axes import VIEW_AXES, ParameterGrid, ViewGrid, check_quantities
 from splits.tables.plan import choose_table_solver
+from splits.tables.return_table import build_return_table
 
 USE_GRID_HINT = "several values belong under grid"
 MAX_STDERR = 0.5
 """Largest target error of a simulation."""
-SKIES = (CLEAR_SKY, *list_sky_names())
+DEFAULT_KIND = "spectrophotometer"
+DEFAULTS: dict[str, Any] = {
+    "wavelength_nm": {"start": 400, "stop": 2500, "step": 10}, "sky": CLEAR_SKY,
+}  # fmt: skip
+"""Settings of instruments that have none by default."""
+RUN_INPUTS = (
+    "max_stderr", "relative_stderr", "max_rays", "threads", "kernel", "progress", "jacobian",
+)  # fmt: skip
+"""Inputs of instruments that the accuracy and the workflow give."""
 
 
-class WavelengthGrid(FiniteSection):
-    """Equidistant wavelengths in nm, both ends included, and additional single ones."""
-
-    start: Number
-    """first wavelength (nm)"""
-    stop: Number
-    """last wavelength (nm)"""
-    step: Number = Field(gt=0)
-    """distance between wavelengths (nm)"""
-    also: tuple[Number, ...] = ()
-    """additional wavelengths (nm)"""
-
-    def to_array(self) -> np.ndarray:
-        """Return the wavelengths (nm), increasing."""
-        steps = make_even_spacing("wavelength_nm", self.start, self.stop, self.step)
-        return np.unique(np.concatenate([steps, self.also]))
+# --------------------------------------------------------------------------------------------------
+# Instruments of experiment files only.
 
 
-class PulseSection(FiniteSection):
-    """Power of a pulse over time."""
-
-    delay_s: tuple[Number, ...]
-    """delays (s), increasing"""
-    power: tuple[Number, ...]
-    """power at each delay, in any unit"""
-
-
-def dump_pulse(pulse: float | PulseSection | None) -> Any:
-    """Return the argument `pulse` of `splits.time_of_flight`."""
-    return pulse.model_dump() if isinstance(pulse, PulseSection) else pulse
-
-
-def _check_incidence(value: Any) -> float | str:
-    if isinstance(value, list | tuple):
-        raise invalid("", value, "one angle or diffuse", USE_GRID_HINT)
-    return value if value == SUN else check_incidence("incidence_deg", value)
-
-
-def _check_stokes(value: Any) -> Any:
-    """Return a setting of `stokes` if it has the type of one."""
-    is_number = isinstance(value, list | tuple) and all(
-        isinstance(one, int | float) and not isinstance(one, bool) for one in value
+@declare_function
+def refractive_index(medium: Medium, wavelength_nm: Wavelengths) -> xr.Dataset:
+    """Return the complex refractive indices of the materials of a medium."""
+    wavelengths = np.asarray(wavelength_nm)
+    index = medium.compute_refractive_indices(wavelengths)
+    dims, units = ("wavelength", "material"), {"units": "1"}
+    return xr.Dataset(
+        {
+            "n": (dims, index.real, {"long_name": "refractive index", **units}),
+            "k": (dims, index.imag, {"long_name": "extinction coefficient", **units}),
+        },
+        {
+            "wavelength": make_wavelength_coordinate(wavelengths),
+            "material": ("material", list(medium.list_materials()), {"long_name": "material"}),
+        },
+        {f"{medium.kind}_{key}": value for key, value in medium.describe().items()},
     )
-    if not isinstance(value, bool) and not (is_number and len(value) == 4):
-        raise invalid("", value, ALLOWED_STOKES)
-    return value
 
 
-def _check_bands(bands: Any) -> Any:
-    as_bands(bands)
-    return bands
+@declare_function
+def return_table(
+    medium: Medium,
+    wavelength_nm: Wavelengths,
+    incidence_deg: Incidence = 0.0,
+    *,
+    rays: RayCount = 100_000,
+    delay_s: DelayEdges | None = None,
+    acceptance_deg: AcceptanceAngle = None,
+    footprint_radius_m: FootprintRadius = None,
+    seed: Seed = 1,
+    threads: Threads = None,
+    progress: ProgressCallback = None,
+) -> xr.Dataset:
+    """Return the table of returns of an instantaneous pulse from one medium, for retrieval."""
+    table = build_return_table(
+        lambda point: medium, {"point": [0.0]}, wavelength_nm, incidence_deg, rays=rays, seed=seed,
+        delay_s=delay_s, acceptance_deg=acceptance_deg, footprint_radius_m=footprint_radius_m,
+        threads=threads, progress=progress,
+    )  # fmt: skip
+    return table.isel(point=0, drop=True)
 
 
-def _expand_delays(value: Any) -> Any:
-    return expand_spacing("delay_s", value) if isinstance(value, Mapping) else value
-
-
-BeamAngle = Annotated[Number, Field(ge=0.0, le=89.9999)]
-ErrorScale = Annotated[Number, Field(ge=0.01, le=100.0)]
-Rays = Annotated[
-    Annotated[int, Field(ge=1, lt=2**63), NO_SWITCH] | None,
-    Field(description="number of rays, instead of a target error"),
+TABLE = "table"
+"""Kind of a table over the grid (`splits.build_table`), with these inputs."""
+ErrorScale = Annotated[
+    float, Quantity("factor of the target error of the accuracy", low=0.01, high=100.0)
 ]
-Seed = Annotated[
-    Annotated[int, Field(ge=0, lt=2**63), NO_SWITCH] | None,
-    Field(description="seed of this experiment; by default that of the main file"),
-]
-PolarAngles = Annotated[
-    tuple[Number, ...],
-    AfterValidator(lambda x: tuple(check_polar_angles("", x).tolist())),
-]
-Azimuths = Annotated[
-    tuple[Number, ...],
-    AfterValidator(lambda x: tuple(check_azimuths("", x).tolist())),
-]
-Delays = Annotated[
-    tuple[Number, ...],
-    BeforeValidator(_expand_delays, json_schema_input_type=tuple[float, ...] | dict[str, Any]),
-]
-"""Delays (s) as a list, or as `{start, stop, step}`."""
-TableQuantity = Literal[
-    "reflectance", "transmittance", "reflectance_factor", "anisotropy_factor",
-    "diffuse_reflectance", "diffuse_reflectance_factor", "diffuse_anisotropy_factor",
+
+
+def _check_point_scales(key: str, value: Any) -> tuple[float, ...] | None:
+    if value is None:
+        return None
+    if not isinstance(value, list | tuple):
+        raise invalid(key, value, "a list of numbers")
+    scale = find_quantity(ErrorScale)
+    assert scale is not None
+    return tuple(scale.check_number(f"{key}[{i}]", one) for i, one in enumerate(value))
+
+
+PointErrorScales = Annotated[
+    tuple[float, ...] | None,
+    Quantity(
+        "further factors of the target error, one for each point of the grid, of which the last "
+        "parameter varies fastest",
+        check=_check_point_scales, schema={"type": "array", "items": {"type": "number"}},
+    ),
 ]  # fmt: skip
-Solver = Annotated[
-    Literal["monte_carlo", "discrete_ordinates", "auto"],
-    Field(
-        description="paths, or the equation of radiative transfer in plane layers of grains; "
-        "`auto` solves it for natural snow where it is accurate enough, and traces paths otherwise"
+TableQuantities = Annotated[
+    tuple[str, ...] | None,
+    Quantity(
+        "quantities in the table, by default reflectance, with directions also reflectance_factor "
+        "and anisotropy_factor",
+        check=lambda _, value: value,
+        schema={"type": "array", "items": {"type": "string"}},
     ),
 ]
-IncidentStokes = Annotated[
-    bool | tuple[Number, Number, Number, Number],
-    BeforeValidator(_check_stokes),
-    Field(
-        description="whether polarization is traced (directions: with `bins` or `next_event`), or "
-        "the Stokes vector (I, Q, U, V) of the incident light; layers of particles need "
-        "`polarized: true`"
-    ),
+Covariance = Annotated[
+    Literal["keep", "leave_out"],
+    Quantity("whether the table contains the contributions of batches of rays to the errors"),
 ]
+Parts = Annotated[
+    int, Quantity("number of parts of the table, each simulated by one job", low=1, high=10_000)
+]
+TABLE_TYPES: dict[str, tuple[Any, Any]] = {
+    "wavelength_nm": (Wavelengths, Parameter.empty),
+    "incidence_deg": (Incidence, 0.0),
+    "polar_deg": (PolarAngles | None, None),
+    "azimuth_deg": (Azimuths | None, None),
+    "quantities": (TableQuantities, None),
+    "covariance": (Covariance, "leave_out"),
+    "solver": (Solver, "auto"),
+    "seed": (Seed, 1),
+    "parts": (Parts, 8),
+}
+"""Types and defaults of the inputs of a table."""
+ERROR_TYPES = {"stderr_scale": (ErrorScale, 1.0), "point_stderr_scale": (PointErrorScales, None)}
+"""Types and defaults of the inputs of instruments with a target error."""
+
+FUNCTIONS: dict[str, Callable[..., xr.Dataset]] = {
+    **INSTRUMENTS, "return_table": return_table, "refractive_index": refractive_index,
+}  # fmt: skip
+"""Functions of the kinds that measure one medium after the other."""
+KINDS = (*FUNCTIONS, TABLE)
 
 
-class Instrument(FiniteSection):
-    """A virtual instrument."""
+@cache
+def list_section_inputs(kind: str) -> dict[str, Input]:
+    """Return the inputs of a section of a kind by key, apart from `kind`."""
+    more = {**TABLE_TYPES, **ERROR_TYPES} if kind == TABLE else {}
+    inputs = {} if kind == TABLE else dict(list_inputs(FUNCTIONS[kind]))
+    if {"max_stderr", "relative_stderr", "rays"} & inputs.keys() and "incidence_deg" in inputs:
+        more = ERROR_TYPES
+    for name, (hint, default) in more.items():
+        quantity = find_quantity(hint)
+        assert quantity is not None
+        inputs[name] = Input(quantity, TypeAdapter(hint), default)
+    for name, default in DEFAULTS.items():
+        if name in inputs and inputs[name].default is Parameter.empty:
+            inputs[name] = inputs[name]._replace(default=default)
+    return {name: one for name, one in inputs.items() if name not in RUN_INPUTS}
 
-    kind: str
+
+@dataclass(frozen=True)
+class Instrument:
+    """Section `instrument`: the kind, and the settings of the file.
+
+    Attributes
+    ----------
+    kind : str
+        One of `KINDS`.
+    settings : dict
+        Settings as in the file, which are valid.
+    """
+
+    kind: str = DEFAULT_KIND
+    settings: Mapping[str, Any] = None  # type: ignore[assignment]
+
+    @classmethod
+    def from_content(cls, content: Any) -> Instrument:
+        """Return the section for its content, after checking each setting by its declaration."""
+        if isinstance(content, cls):
+            return content
+        if not isinstance(content, Mapping):
+            hint = f"write instrument: {{kind: {content}, …}}" if content in KINDS else ""
+            raise invalid("instrument", content, "a mapping of keys to values", hint)
+        kind = check_choice("instrument.kind", content.get("kind", DEFAULT_KIND), KINDS)
+        settings = {str(key): value for key, value in content.items() if key != "kind"}
+        inputs = list_section_inputs(kind)
+        for key, value in settings.items():
+            if key not in inputs:
+                owners = [one for one in KINDS if key in list_section_inputs(one)]
+                if not owners:
+                    raise unknown_key(f"instrument.{key}", ["kind", *inputs])
+                hint = f"it belongs to {', '.join(owners)}"
+                raise invalid(f"instrument.{key}", value, f"left out for {kind}", hint)
+            if key == "incidence_deg" and isinstance(value, list | tuple):
+                raise invalid(f"instrument.{key}", value, "one angle or diffuse", USE_GRID_HINT)
+            if value is not None:
+                inputs[key].check(f"instrument.{key}", value)
+        for key, one in inputs.items():
+            if one.default is Parameter.empty and settings.get(key) is None:
+                raise invalid(f"instrument.{key}", None, "given", str(one.quantity))
+        instrument = cls(kind, {key: one for key, one in settings.items() if one is not None})
+        instrument._check_errors()
+        return instrument
+
+    def _check_errors(self) -> None:
+        """Reject factors of an error where the number of rays is fixed."""
+        has_rays, is_binned = "rays" in self.settings, self.get("estimator") == "bins"
+        for key in ERROR_TYPES:
+            if key in self.settings and (has_rays or is_binned) and self.get(key) != 1.0:
+                allowed = f"left out with {'rays' if has_rays else 'bins'}"
+                hint = "the number of rays is fixed there, not the error"
+                raise invalid(f"instrument.{key}", self.get(key), allowed, hint)
+        if self.kind == TABLE:
+            with key_prefix("instrument"):
+                self.list_quantities()
+
+    def list_quantities(self) -> tuple[str, ...]:
+        """Return the quantities of a table."""
+        axes = self.get_views()
+        views = ViewGrid.from_grid(ParameterGrid(tuple(axes), tuple(axes.values())), "")
+        return check_quantities(self.get("quantities"), views, self.get("covariance") == "keep")
+
+    def to_content(self) -> dict[str, Any]:
+        """Return the content of the section, for `from_content`."""
+        return {"kind": self.kind, **self.settings}
+
+    def get(self, name: str) -> Any:
+        """Return a setting, by default that of its function, None if there is neither."""
+        inputs = list_section_inputs(self.kind)
+        default = inputs[name].default if name in inputs and inputs[name].has_default else None
+        return self.settings.get(name, default)
+
+    @property
+    def has_wavelengths(self) -> bool:
+        """Whether the instrument has wavelengths."""
+        return "wavelength_nm" in list_section_inputs(self.kind)
 
     def get_wavelengths(self) -> np.ndarray:
         """Return the wavelengths (nm); an arbitrary one if they have no effect."""
-        return np.array([550.0])
+        if not self.has_wavelengths:
+            return np.array([550.0])
+        given = self.get("wavelength_nm")
+        if given is None:
+            return choose_wavelengths(None, sky(self.get("sky")), 2)
+        return check_wavelengths("instrument.wavelength_nm", given)
 
     def get_incidence(self) -> float | str:
         """Return the incidence angle (°) or "diffuse"."""
-        incidence: float | str = getattr(self, "incidence_deg", 0.0)
+        incidence: float | str = self.get("incidence_deg") or 0.0
         return incidence
 
     def get_seed(self, default: int) -> int:
         """Return the seed of the experiment, by default that of the main file."""
-        seed: int | None = getattr(self, "seed", None)
-        return default if seed is None else seed
+        seed: int = self.settings.get("seed", default)
+        return seed
 
     def get_views(self) -> dict[str, tuple[float, ...]]:
         """Return the axes of directions that a table has besides those of the grid."""
-        return {}
+        axes = {name: self.settings.get(name) for name in VIEW_AXES if self.kind == TABLE}
+        return {name: tuple(angles) for name, angles in axes.items() if angles is not None}
 
-    def select_point(self, position: int) -> Self:
+    def select_point(self, position: int) -> Instrument:
         """Return the instrument at a point of a grid, with the target error of this point."""
-        scales = getattr(self, "point_stderr_scale", None)
+        scales = self.get("point_stderr_scale")
         if scales is None:
             return self
-        scale = scales[position] * getattr(self, "stderr_scale", 1.0)
-        return self.model_copy(update={"stderr_scale": scale, "point_stderr_scale": None})
+        others = {k: v for k, v in self.settings.items() if k != "point_stderr_scale"}
+        scale = scales[position] * self.get("stderr_scale")
+        return replace(self, settings={**others, "stderr_scale": scale})
 
     def scale_stderr(self, stderr: float) -> float:
         """Return the target error of the experiment for that of the accuracy."""
-        return min(getattr(self, "stderr_scale", 1.0) * stderr, MAX_STDERR)
+        return min((self.get("stderr_scale") or 1.0) * stderr, MAX_STDERR)
 
     def list_arguments(self) -> dict[str, Any]:
-        """Return the keyword arguments of the instrument's function that no other one has."""
-        shared = {"kind", "wavelength_nm", "incidence_deg", "seed"}
-        errors = {"stderr_scale", "point_stderr_scale"}
-        return self.model_dump(exclude=shared | errors, exclude_none=True)
+        """Return the keyword arguments of the instrument's function."""
+        wavelengths = {}
+        if self.get("wavelength_nm") is not None:
+            wavelengths["wavelength_nm"] = self.get_wavelengths()
+        own = {k: v for k, v in self.settings.items() if k not in ("seed", *ERROR_TYPES)}
+        return {**own, **wavelengths}
+
+    def choose_solver(self, media: Iterable[Medium], max_stderr: float = math.inf) -> str:
+        """Return the solver for all media of a spectrophotometer or of a table."""
+        wavelengths, solver = self.get_wavelengths(), self.get("solver")
+        if self.kind == TABLE:
+            return choose_table_solver(
+                solver, media, wavelengths, self.get("covariance") == "keep", max_stderr,
+                has_views="polar_deg" in self.settings,
+            )  # fmt: skip
+        obstacle = find_path_obstacle(self.get("estimator"), self.get("stokes"))
+        return choose_solver(solver, media, wavelengths, obstacle, max_stderr=max_stderr)
 
     def check_grid(self, grid: Mapping[str, Mapping[str, Any]], *, is_single: bool) -> None:
         """Reject a grid that the instrument does not allow.
 
         `is_single` is whether each point is simulated alone.
         """
-        if "incidence_deg" in grid and "incidence_deg" not in type(self).model_fields:
+        inputs = list_section_inputs(self.kind)
+        if "incidence_deg" in grid and "incidence_deg" not in inputs:
             given, allowed = [*grid["incidence_deg"].values()], f"left out for {self.kind}"
             raise invalid("grid.incidence_deg", given, allowed)
-        beam = self.get_incidence()
-        if "incidence_deg" in grid and beam != 0.0:
-            allowed = "left out, because grid.incidence_deg sets it"
-            raise invalid("instrument.incidence_deg", beam, allowed)
-        scales, n_points = (
-            getattr(self, "point_stderr_scale", None),
-            math.prod(map(len, grid.values())),
-        )
+        scales, n_points = self.get("point_stderr_scale"), math.prod(map(len, grid.values()))
         if scales is not None and (len(scales) != n_points or not is_single):
             allowed = f"{n_points} numbers, one for each point of the grid"
             allowed = allowed if is_single else "left out for tables, fits and snowpacks"
             raise invalid("instrument.point_stderr_scale", list(scales), allowed)
-
-
-class SpectralInstrument(Instrument):
-    """An instrument with wavelengths."""
-
-    wavelength_nm: WavelengthGrid | tuple[Number, ...] = WavelengthGrid(
-        start=400, stop=2500, step=10
-    )
-    """vacuum wavelengths (nm), increasing, by default 400 to 2500 in steps of 10"""
-
-    @model_validator(mode="after")
-    def _check_wavelengths(self) -> SpectralInstrument:
-        self.get_wavelengths()
-        return self
-
-    def get_wavelengths(self) -> np.ndarray:
-        """Return the wavelengths (nm)."""
-        grid = self.wavelength_nm
-        return check_wavelengths(
-            "wavelength_nm", grid.to_array() if isinstance(grid, WavelengthGrid) else grid
-        )
-
-
-class OpticalInstrument(SpectralInstrument):
-    """An instrument that traces light to a target error."""
-
-    incidence_deg: Annotated[
-        Number | str,
-        BeforeValidator(
-            _check_incidence, json_schema_input_type=BeamAngle | Literal["diffuse", "sun"]
-        ),
-    ] = 0.0
-    """incidence angle of the beam (°), from 0 to 89.9999, or `diffuse`; for snowpacks of a file
-    also `sun`, the zenith angle of each"""
-    stderr_scale: ErrorScale = 1.0
-    """factor of the target error of the accuracy; not with `rays` or bins"""
-    point_stderr_scale: tuple[ErrorScale, ...] | None = None
-    """further factors of the target error, one for each point of the grid, of which the last
-    parameter varies fastest; not for tables"""
-    seed: Seed = None
-
-    @model_validator(mode="after")
-    def _check_stderr_scale(self) -> OpticalInstrument:
-        has_rays = getattr(self, "rays", None) is not None
-        for key, default in (("stderr_scale", 1.0), ("point_stderr_scale", None)):
-            fixed = has_rays or getattr(self, "estimator", None) == "bins"
-            if fixed and getattr(self, key) != default:
-                allowed = f"left out with {'rays' if has_rays else 'bins'}"
-                hint = "the number of rays is fixed there, not the error"
-                raise invalid(key, getattr(self, key), allowed, hint)
-        return self
-
-
-class Refractometer(SpectralInstrument):
-    """Refractive indices of the materials of a medium."""
-
-    kind: Literal["refractive_index"]
-
-    def check_grid(self, grid: Mapping[str, Mapping[str, Any]], *, is_single: bool) -> None:
-        """Reject a grid of several points."""
-        if varied := {key: list(given) for key, given in grid.items() if len(given) > 1}:
-            raise invalid("grid", varied, "of one value for refractive_index")
-
-
-class Spectrophotometer(OpticalInstrument):
-    """Hemispherical reflectance and transmittance."""
-
-    kind: Literal["spectrophotometer"] = "spectrophotometer"
-    solver: Solver = "auto"
-    estimator: Literal["spectral", "analog"] = "spectral"
-    """how exiting rays become results"""
-    stokes: IncidentStokes = False
-
-    def choose_solver(self, medium: Medium, max_stderr: float = math.inf) -> str:
-        """Return the solver for a medium, see `splits.instruments.solver.choose_solver`."""
-        obstacle = find_path_obstacle(self.estimator, self.stokes)
-        wavelengths = self.get_wavelengths()
-        return choose_solver(self.solver, [medium], wavelengths, obstacle, max_stderr=max_stderr)
-
-
-class Albedo(SpectralInstrument):
-    """Albedo of the snowpacks of a file under skies, for their zenith angles of the sun."""
-
-    kind: Literal["albedo"]
-    wavelength_nm: WavelengthGrid | tuple[Number, ...] = WavelengthGrid(
-        start=300, stop=2490, step=10
-    )
-    """vacuum wavelengths (nm), increasing, by default those of `splits.albedo`: from the first of
-    the sky, 300 or 305, in steps of 10 to at most 2495"""
-    sky: Annotated[str, AfterValidator(lambda x: check_choice("", x, SKIES))] = CLEAR_SKY
-    """sky, see `splits.sky`: `clear`, or one of the skies of SNICAR"""
-    bands: Annotated[
-        dict[str, tuple[Number, Number]] | str | None, AfterValidator(_check_bands)
-    ] = None
-    """limits of bands (nm) by name, or the name of a sensor; the broadband albedo is always
-    computed"""
-
-    @model_validator(mode="after")
-    def _choose_wavelengths(self) -> Albedo:
-        if "wavelength_nm" not in self.model_fields_set and self.sky != CLEAR_SKY:
-            wavelengths = choose_wavelengths(None, sky(self.sky), 2)
-            self.__dict__["wavelength_nm"] = tuple(wavelengths.tolist())
-        return self
-
-
-class Goniophotometer(OpticalInstrument):
-    """BRDF and BTDF by direction."""
-
-    kind: Literal["goniophotometer"]
-    solver: Solver = "auto"
-    estimator: Literal["expansion", "bins", "next_event"] = "expansion"
-    """how exiting rays become results"""
-    stokes: IncidentStokes = False
-    rays: Rays = None
-    target: Literal["brdf", "btdf"] = "brdf"
-    """quantity to which the target error applies"""
-    polar_deg: PolarAngles | None = None
-    """polar angles from the normal (°); by default 0 to 87.5 in steps of 2.5"""
-    azimuth_deg: Azimuths | None = None
-    """azimuths from the direction in which the beam travels (°), 0 is forward; by default 0 to 355
-    in steps of 5"""
-    n_bins: Annotated[tuple[Whole, Whole], AfterValidator(check_n_bins)] | None = None
-    """numbers of angular bins from the horizon to the zenith, and in azimuth; by default `[18, 72]`
-    """
-
-    @model_validator(mode="after")
-    def _check_estimator(self) -> Goniophotometer:
-        uses_bins = self.estimator == "bins"
-        for key in ("polar_deg", "azimuth_deg") if uses_bins else ():
-            if getattr(self, key) is not None:
-                raise invalid(key, getattr(self, key), "left out with bins")
-        if self.n_bins is not None and not uses_bins:
-            raise invalid("n_bins", self.n_bins, "left out without estimator = bins")
-        return self
-
-
-class BeamSpread(OpticalInstrument):
-    """Map of the light around a narrow beam."""
-
-    kind: Literal["beam_spread"]
-    rays: Rays = None
-    half_width_m: Number | None = None
-    """half the side length of the map (m), by default from the spread; required with a grid"""
-
-    def check_grid(self, grid: Mapping[str, Mapping[str, Any]], *, is_single: bool) -> None:
-        """Reject a grid of maps whose axes would differ."""
-        super().check_grid(grid, is_single=is_single)
-        if grid and self.half_width_m is None:
+        if self.kind == "beam_spread" and grid and "half_width_m" not in self.settings:
             allowed, hint = "given where there is a grid", "all maps have the same axes"
             raise invalid("instrument.half_width_m", None, allowed, hint)
+        varied = {key: list(given) for key, given in grid.items() if len(given) > 1}
+        if self.kind == "refractive_index" and varied:
+            raise invalid("grid", varied, f"of one value for {self.kind}")
 
 
-class DelayInstrument(OpticalInstrument):
-    """An instrument that records delays of light."""
-
-    rays: Rays = None
-    delay_s: Delays | None = None
-    """edges of the bins of delay (s), increasing, also as `{start, stop, step}`; by default 0 and
-    ten per decade from 1e-12 to 1e-7"""
-    acceptance_deg: Number | None = None
-    """largest angle between received light and the direction to the source (°), by default all
-    light is received at the surface"""
-    footprint_radius_m: Number | None = None
-    """radius of the field of view on the surface (m)"""
-
-
-class TimeOfFlight(DelayInstrument):
-    """Return of a pulse over time."""
-
-    kind: Literal["time_of_flight"]
-    end_s: Annotated[Number, AllowInfNan(True)] | None = None
-    """delay until which light counts in moments (s), by default the last of `delay_s`"""
-    pulse: Number | PulseSection | None = None
-    """full width at half maximum of a Gaussian pulse (s), or its power over time; by default, the
-    pulse is instantaneous"""
-    depths_m: tuple[Number, ...] | None = None
-    """depths that divide the light by the largest depth reached (m), increasing"""
-
-
-class ReturnTable(DelayInstrument):
-    """Table of returns of an instantaneous pulse over a grid, for retrieval."""
-
-    kind: Literal["return_table"]
-
-
-class SurfaceMap(Instrument):
-    """Heights of a rough surface."""
-
-    kind: Literal["surface_map"]
-    seed: Seed = None
-    half_width_m: Number
-    """half the side length of the map (m)"""
-    realizations: Whole = Field(100, ge=2, le=MAX_REALIZATIONS)
-    """number of realizations of the surface"""
-
-
-class Lens(Instrument):
-    """Images of a ring of rays through a rough surface."""
-
-    kind: Literal["lens"]
-    seed: Seed = None
-    radius_m: Annotated[Number, AfterValidator(check_ring_radius)]
-    """radius of the ring of rays (m)"""
-    screen_depth_m: Annotated[
-        tuple[Number, ...], AfterValidator(lambda x: tuple(check_screen_depths("", x).tolist()))
-    ]
-    """depths of the screens (m), increasing"""
-    centre_on: Literal["crest", "trough", "origin"] = "crest"
-    """point of the surface above which the ring is centred"""
-    half_width_m: Number | None = None
-    """half the side length of the square in which the crest is searched (m); required, except over
-    the origin"""
-    rays: Whole = Field(DEFAULT_RAYS, ge=1)
-    """number of rays in the ring"""
-    realizations: Whole = Field(1, ge=1)
-    """number of realizations of the surface"""
-
-
-class TableInstrument(OpticalInstrument):
-    """Table of spectra over a grid, for interpolation and retrieval."""
-
-    kind: Literal["table"]
-    polar_deg: PolarAngles | None = None
-    """directions of observation: polar angles from the normal (°)"""
-    azimuth_deg: Azimuths | None = None
-    """directions of observation: azimuths from the direction in which the beam travels (°), 0 to
-    180"""
-    quantities: Annotated[tuple[TableQuantity, ...], AfterValidator(check_different)] | None = None
-    """quantities in the table: by default `reflectance`, with directions also `reflectance_factor`
-    and `anisotropy_factor`"""
-    covariance: Literal["keep", "leave_out"] = "leave_out"
-    """whether the table contains the contributions of batches of rays to the errors"""
-    solver: Solver = "auto"
-    parts: Whole = Field(8, ge=1, le=10_000)
-    """number of parts of the table, each simulated by one job"""
-
-    @model_validator(mode="after")
-    def _check_views(self) -> TableInstrument:
-        axes = self.get_views()
-        views = ViewGrid.from_grid(ParameterGrid(tuple(axes), tuple(axes.values())), "")
-        quantities = check_quantities(self.quantities, views, self.covariance == "keep")
-        self.__dict__["quantities"] = quantities
-        return self
-
-    def get_views(self) -> dict[str, tuple[float, ...]]:
-        """Return the axes of the directions of observation, empty without them."""
-        axes = {name: getattr(self, name) for name in VIEW_AXES}
-        return {name: angles for name, angles in axes.items() if angles is not None}
-
-    def choose_solver(self, media: Iterable[Medium], max_stderr: float = math.inf) -> str:
-        """Return the solver for all media, see `splits.tables.plan.choose_table_solver`."""
-        has_covariance = self.covariance == "keep"
-        return choose_table_solver(
-            self.solver, media, self.get_wavelengths(), has_covariance, max_stderr,
-            has_views=self.polar_deg is not None,
-        )  # fmt: skip
-
-
-def _get_kind(content: Any) -> Any:
-    """Return the kind of an instrument, by default a spectrophotometer."""
-    if isinstance(content, dict):
-        return content.get("kind", "spectrophotometer")
-    # A kind in place of the section is reported as such.
-    return content if isinstance(content, str) else getattr(content, "kind", None)
-
-
-AnyInstrument = Annotated[
-    Annotated[Spectrophotometer, Tag("spectrophotometer")]
-    | Annotated[Albedo, Tag("albedo")]
-    | Annotated[Goniophotometer, Tag("goniophotometer")]
-    | Annotated[BeamSpread, Tag("beam_spread")]
-    | Annotated[TimeOfFlight, Tag("time_of_flight")]
-    | Annotated[Refractometer, Tag("refractive_index")]
-    | Annotated[SurfaceMap, Tag("surface_map")]
-    | Annotated[Lens, Tag("lens")]
-    | Annotated[TableInstrument, Tag("table")]
-    | Annotated[ReturnTable, Tag("return_table")],
-    Discriminator(_get_kind),
-]
-"""An instrument of any kind, which the key `kind` determines."""
-INSTRUMENT_KINDS: dict[str, type[Instrument]] = {
-    get_args(part)[1].tag: get_args(part)[0] for part in get_args(get_args(AnyInstrument)[0])
-}
-"""Model of each kind of instrument."""
+def make_instrument_schemas() -> dict[str, dict[str, Any]]:
+    """Return the JSON schemas of the sections by kind."""
+    schemas = {}
+    for kind in KINDS:
+        properties: dict[str, Any] = {"kind": {"const": kind}}
+        for name, one in list_section_inputs(kind).items():
+            properties[name] = one.adapter.json_schema()
+        schemas[kind] = {
+            "type": "object", "properties": properties, "additionalProperties": False,
+        }  # fmt: skip
+    return schemas

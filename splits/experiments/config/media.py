@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import PurePath
@@ -12,19 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from splits.core.arrays import MAX_NUMBERS
 from splits.core.parameter_names import (
     describe_parameter,
     parse_impurity_parameter,
     parse_layer_parameter,
 )
+from splits.core.spacing import GEOMSPACE_KEY, STEP_KEYS, expand_spacing
 from splits.core.validation import (
     check_number,
     expand_path,
     format_key,
     invalid,
     key_prefix,
-    suggest_name,
     unknown_key,
 )
 from splits.experiments.config.sections import MAX_LABEL_CHARS, check_text
@@ -210,29 +208,10 @@ def to_coordinate_values(choices: Mapping[str, Any]) -> np.ndarray:
 
 MAX_GRID_POINTS = 10_000
 """Largest number of points of a grid."""
-STEP_KEYS = ("start", "stop", "step")
-GEOMSPACE_KEY = "geomspace"
 SPACING_KEYS = {
     *STEP_KEYS, GEOMSPACE_KEY, "end", "also", "num", "number", "linspace", "logspace",
 }  # fmt: skip
 """Keys of which two, or `start` or `geomspace` alone, are no labels."""
-
-
-def make_even_spacing(key: str, start: float, stop: float, step: float) -> np.ndarray:
-    """Return start, start + step, … up to and including stop."""
-    if not step > 0.0:
-        raise invalid(f"{key}.step", step, "above 0")
-    if stop < start:
-        raise invalid(f"{key}.stop", stop, f"at least start = {start:g}")
-    # A step may be so small that the quotient is infinite.
-    if (stop - start) / MAX_NUMBERS >= step:
-        raise invalid(f"{key}.step", step, f"large enough for at most {MAX_NUMBERS} values")
-    values = start + step * np.arange(round((stop - start) / step) + 1)
-    if not np.isclose(values[-1], stop, rtol=0.0, atol=1e-6 * step):
-        last = start + step * math.floor((stop - start) / step)
-        allowed = f"a whole number of steps from start, such as {last:g} or {last + step:g}"
-        raise invalid(f"{key}.stop", stop, allowed)
-    return values
 
 
 def label_grid(grid: Any) -> dict[str, dict[str, Any]]:
@@ -260,7 +239,7 @@ def _label_values(parameter: str, values: Any) -> dict[str, Any]:
     if not isinstance(values, (list, tuple, Mapping)) or not values:
         raise invalid(key, values, "a list of at least one value")
     if isinstance(values, Mapping) and _is_spacing(values):
-        values = expand_spacing(key, values)
+        values = expand_spacing(key, values).tolist()
     if not isinstance(values, Mapping):
         # Files are labelled by their name, without the folder.
         keyword = get_keyword(parameter)
@@ -285,40 +264,6 @@ def _is_spacing(values: Mapping[Any, Any]) -> bool:
     if all(isinstance(value, (str, Mapping)) for value in values.values()):
         return False
     return bool({"start", GEOMSPACE_KEY} & set(values)) or len(SPACING_KEYS & set(values)) > 1
-
-
-def expand_spacing(key: str, values: Mapping[str, Any]) -> list[float]:
-    """Return the evenly or geometrically spaced values of a parameter."""
-    if set(values) == {GEOMSPACE_KEY}:
-        return _expand_geomspace(f"{key}.{GEOMSPACE_KEY}", values[GEOMSPACE_KEY])
-    if GEOMSPACE_KEY in values:
-        raise invalid(key, dict(values), f"{GEOMSPACE_KEY} without other keys")
-    hint = "start, stop and step give evenly spaced values; label others otherwise"
-    for name in values:
-        if name not in (*STEP_KEYS, "also"):
-            nearest = suggest_name(name, STEP_KEYS) or hint
-            raise invalid(f"{key}.{format_key(name)}", values[name], "left out", nearest)
-    for name in STEP_KEYS:
-        if name not in values:
-            raise invalid(f"{key}.{name}", None, "given", hint)
-    if "also" in values:
-        raise invalid(f"{key}.also", values["also"], "left out", "list the values instead")
-    start, stop, step = (check_number(f"{key}.{name}", values[name]) for name in STEP_KEYS)
-    # Rounding removes digits such as those of 0.30000000000000004.
-    return [float(f"{x:.12g}") for x in make_even_spacing(key, start, stop, step)]
-
-
-def _expand_geomspace(key: str, given: Any) -> list[float]:
-    """Return the geometrically spaced values of a parameter."""
-    allowed = "[first, last, number of values]: 0 < first < last, at least two"
-    are_numbers = isinstance(given, (list, tuple)) and all(map(_is_number, given))
-    if not are_numbers or len(given) != 3:
-        raise invalid(key, given, allowed)
-    first, last, count = given
-    if not 0.0 < first < last or count != int(count) or not 2 <= count <= MAX_NUMBERS:
-        raise invalid(key, given, allowed)
-    # Four digits keep the labels of figures short.
-    return [float(f"{x:.4g}") for x in np.geomspace(first, last, int(count))]
 
 
 def _is_number(value: Any) -> bool:

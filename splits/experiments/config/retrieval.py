@@ -9,10 +9,9 @@ import math
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from splits.core.validation import check_choice, invalid, snap_to_limits
-from splits.experiments.config.instruments import Delays, PulseSection, dump_pulse
 from splits.experiments.config.sections import (
     FiniteSection,
     Interval,
@@ -22,7 +21,7 @@ from splits.experiments.config.sections import (
     Whole,
     accept_single,
 )
-from splits.instruments.delay_record import Pulse
+from splits.instruments.delay_record import DelayEdges, PulseInput
 from splits.retrieval.state_vector import SCALE
 
 if TYPE_CHECKING:
@@ -123,18 +122,13 @@ class RetrieveSection(FiniteSection):
     """independent values by parameter and sample, shown in the figure for comparison"""
 
 
-def _check_pulse(pulse: float | PulseSection | None) -> float | PulseSection | None:
-    Pulse.from_argument(dump_pulse(pulse))
-    return pulse
-
-
 class SyntheticReturn(FiniteSection):
     """Known media, whose returns are simulated and counted as photons."""
 
     truth: dict[Label, dict[str, Number]]
     """values of the free parameters by sample, and of other keywords of the medium that differ from
     those of the table; `scale` is by default 1"""
-    delay_s: Delays
+    delay_s: DelayEdges
     """edges of the bins in which photons are counted (s), also as `{start, stop, step}`"""
     rays: Whole = Field(200_000, ge=1, lt=2**63)
     """number of rays of a return, which limits its accuracy besides the photons"""
@@ -158,7 +152,7 @@ class RetrieveReturnSection(FiniteSection):
     photons: Number | None = Field(None, gt=0.0, le=MAX_PHOTONS)
     """number of photons of the pulse, by which counted photons are divided and from which their
     noise follows; if it is unknown, an estimate with a free `scale`"""
-    pulse: Annotated[Number | PulseSection | None, AfterValidator(_check_pulse)] = None
+    pulse: PulseInput = None
     """full width at half maximum of a Gaussian pulse (s), or its power over time; by default, the
     pulse is instantaneous"""
     samples: tuple[str, ...] = ()
@@ -214,7 +208,7 @@ def check_retrieval(
             check_choice(f"{name}.{key}", one, names)
     if not isinstance(section, RetrieveSection):
         return
-    quantities = getattr(instrument, "quantities", ())
+    quantities = instrument.list_quantities()
     if section.quantity not in quantities:
         raise invalid("instrument.quantities", quantities, f"with {section.quantity}")
     if instrument.get_views() and "quantity" not in section.model_fields_set:

@@ -11,22 +11,18 @@ from typing import Any
 from pydantic import BaseModel
 
 from splits.core.atomic import atomic_write
-from splits.core.parameter_names import IMPURITY_KEYWORDS, describe_parameter
+from splits.core.declarations import list_inputs
+from splits.core.parameter_names import IMPURITY_KEYWORDS
+from splits.core.spacing import GEOMSPACE_KEY, STEP_KEYS
 from splits.experiments.config.experiment import RESERVED_NAMES, ExperimentConfig
-from splits.experiments.config.media import GEOMSPACE_KEY, PACKS_KIND, SAMPLE_KEY, STEP_KEYS
+from splits.experiments.config.instruments import DEFAULT_KIND, make_instrument_schemas
+from splits.experiments.config.media import PACKS_KIND, SAMPLE_KEY
 from splits.experiments.config.settings import OUTPUT_FOLDERS, Settings
 from splits.experiments.config.simulation import NAME_PATTERN
-from splits.media import Stack
+from splits.media import Snow, Stack
 from splits.media.kinds import LAYERS_KEY, MEDIUM_FACTORIES
 from splits.media.snow_pack_files import read_snow_packs
 from splits.tables.axes import INCIDENCE
-
-JSON_TYPES: dict[str, dict[str, Any]] = {
-    "float": {"type": "number"}, "bool": {"type": "boolean"}, "None": {"type": "null"},
-    "Mapping[str, Any]": {"type": "object"},
-    "Mapping[str, float]": {"type": "object", "additionalProperties": {"type": "number"}},
-}  # fmt: skip
-"""Schemas of the annotations of a medium's keywords, besides tuples of numbers."""
 
 
 def write_schemas(folder: Path) -> list[Path]:
@@ -77,6 +73,10 @@ def _add_media(properties: dict[str, Any], definitions: dict[str, Any]) -> None:
     definitions |= media
     references = {kind: {"$ref": f"#/$defs/{kind}"} for kind in media}
     definitions["medium"] = _make_choice(references, choice)
+    description = properties["instrument"]["description"]
+    instruments = make_instrument_schemas()
+    choice = _make_choice(instruments, instruments[DEFAULT_KIND])
+    properties["instrument"] = {**choice, "description": description}
     description = properties["medium"]["description"]
     properties["medium"] = {"$ref": "#/$defs/medium", "description": description}
     names = [*(key for key in keywords if key not in ("kind", "base")), INCIDENCE, SAMPLE_KEY]
@@ -101,30 +101,17 @@ def _add_media(properties: dict[str, Any], definitions: dict[str, Any]) -> None:
 
 
 def _make_medium(kind: str, factory: Callable[..., Any]) -> dict[str, Any]:
-    """Return the schema of a kind of medium, from the signature of its function."""
+    """Return the schema of a kind of medium, from the declared inputs of its class."""
     meaning = "name of a named medium, or of a file of config/media without its ending"
     base = {"type": "string", "description": f"{meaning}, with the other keywords"}
     properties: dict[str, Any] = {"kind": {"const": kind}, "base": base}
-    for name, parameter in signature(factory).parameters.items():
-        long_name, units = describe_parameter(name)
-        options = [_describe_annotation(one) for one in str(parameter.annotation).split(" | ")]
-        types = {"anyOf": options} if all(options) else {}
-        description = long_name if units == "1" else f"{long_name} ({units})"
-        schema = options[0] if len(options) == 1 else types
-        properties[name] = {**schema, "description": description}
+    declared = list_inputs(Snow if kind == "natural_snow" else factory)
+    for name in signature(factory).parameters:
+        properties[name] = declared[name].adapter.json_schema() if name in declared else {}
     if LAYERS_KEY in properties:
         layers = {"type": "array", "items": {"$ref": "#/$defs/medium"}, "minItems": 1}
         properties[LAYERS_KEY] |= layers
     return {"type": "object", "properties": properties, "additionalProperties": False}
-
-
-def _describe_annotation(annotation: str) -> dict[str, Any]:
-    """Return the schema of an annotation; an empty one allows all values."""
-    if not annotation.startswith("tuple[float"):
-        return JSON_TYPES.get(annotation, {})
-    count = annotation.count("float")
-    numbers = {"type": "array", "items": {"type": "number"}}
-    return {**numbers, "minItems": count, "maxItems": count}
 
 
 def _make_choice(by_kind: Mapping[str, Any], default: Mapping[str, Any]) -> dict[str, Any]:

@@ -469,9 +469,9 @@ class Settings(ConfigSection):
             key, kind = f"explorer.{label} = {name!r}", available[name].instrument.kind
             if kind != "table":
                 raise ConfigError(f"{key}: must be a table (it is a {kind})")
-            if "reflectance" not in getattr(available[name].instrument, "quantities", ()):
+            if "reflectance" not in available[name].instrument.list_quantities():
                 raise ConfigError(f"{key}: must be a table of reflectance")
-            if getattr(available[name].instrument, "polar_deg", None) is not None:
+            if available[name].instrument.get_views():
                 raise ConfigError(f"{key}: must be a table without directions")
             for axis, row in zip(*available[name].make_axes(), strict=True):
                 if len(row) < 2 or isinstance(row[0], str):

@@ -12,12 +12,20 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from inspect import signature
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field, WithJsonSchema, field_validator, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    WithJsonSchema,
+    field_validator,
+    model_validator,
+)
 
 from splits.core.inputs import check_incidence
-from splits.core.keywords import list_keywords
 from splits.core.parameter_names import parse_impurity_parameter
 from splits.core.validation import (
     InvalidValue,
@@ -28,9 +36,10 @@ from splits.core.validation import (
     unknown_key,
 )
 from splits.experiments.config.instruments import (
+    TABLE,
     USE_GRID_HINT,
-    AnyInstrument,
-    Spectrophotometer,
+    Instrument,
+    list_section_inputs,
 )
 from splits.experiments.config.media import (
     MAX_GRID_POINTS,
@@ -58,6 +67,8 @@ NAME_RULE = (
     "lower-case letters, digits and underscores, a letter first, no device such as con or nul"
 )
 """Rule for names of experiments, studies and their products: valid file names on all systems."""
+PACK_INSTRUMENTS = ("spectrophotometer", "albedo")
+"""Instruments that measure the snowpacks of a file."""
 Name = Annotated[
     str,
     match_pattern(NAME_PATTERN, NAME_RULE),
@@ -100,7 +111,12 @@ class SimulationConfig(ConfigSection):
     the name of a rule, of a study or of a product of a study, nor of a device such as `con`"""
     medium: dict[str, Any] = Field(default_factory=lambda: {"kind": "snow"})
     """the sample, by default snow of SPLITSnow Table 1"""
-    instrument: AnyInstrument = Spectrophotometer()
+    instrument: Annotated[
+        Instrument,
+        PlainValidator(Instrument.from_content),
+        PlainSerializer(Instrument.to_content),
+        WithJsonSchema({"type": "object"}),
+    ] = Instrument()
     """the virtual instrument"""
     grid: Annotated[dict[str, dict[str, Any]], BeforeValidator(label_grid)] = Field(
         default_factory=dict
@@ -119,18 +135,14 @@ class SimulationConfig(ConfigSection):
             for key in ("grid", "fit"):
                 if getattr(self, key):
                     raise invalid(key, "given", f"left out for medium.kind = {kind!r}")
-            if instrument.kind not in ("spectrophotometer", "albedo"):
-                allowed = f"spectrophotometer or albedo for medium.kind = {kind!r}"
+            if instrument.kind not in PACK_INSTRUMENTS:
+                allowed = f"{' or '.join(PACK_INSTRUMENTS)} for medium.kind = {kind!r}"
                 raise invalid("instrument.kind", instrument.kind, allowed)
             self.load_packs()
             return self
-        if instrument.kind == "albedo":
-            allowed = f"{PACKS_KIND} for instrument.kind = 'albedo'"
-            hint = "splits.albedo accepts other media in Python"
-            raise invalid("medium.kind", kind, allowed, hint)
         if self.fit:
             self._check_fit(kind)
-        if instrument.kind in ("table", "return_table"):
+        if instrument.kind in (TABLE, "return_table"):
             self.make_axes()
         elif self.count_points() > MAX_GRID_POINTS:
             given, allowed = f"{self.count_points()} points", f"at most {MAX_GRID_POINTS} points"
@@ -148,14 +160,14 @@ class SimulationConfig(ConfigSection):
     def _check_fit(self, kind: str) -> None:
         """Reject settings that a fit does not allow."""
         key, instrument = "instrument", self.instrument
-        if not isinstance(instrument, Spectrophotometer):
+        if instrument.kind != "spectrophotometer":
             raise invalid(f"{key}.kind", instrument.kind, "spectrophotometer with a section fit")
         if kind != "sand":
             raise invalid("medium.kind", kind, "sand in an experiment with a section fit")
-        if "wavelength_nm" in instrument.model_fields_set:
+        if "wavelength_nm" in instrument.settings:
             allowed = "left out: a fit uses the measured wavelengths"
             raise invalid(f"{key}.wavelength_nm", "given", allowed)
-        if instrument.estimator == "analog":
+        if instrument.get("estimator") == "analog":
             raise invalid(f"{key}.estimator", "analog", "left out: fits reuse paths")
 
     @property
@@ -166,7 +178,7 @@ class SimulationConfig(ConfigSection):
     @property
     def is_in_parts(self) -> bool:
         """Whether the experiment is simulated in parts, by several jobs."""
-        return self.has_packs or self.instrument.kind == "table"
+        return self.has_packs or self.instrument.kind == TABLE
 
     def count_points(self) -> int:
         """Return the number of points of the grid."""
@@ -206,7 +218,7 @@ class SimulationConfig(ConfigSection):
             allowed = "a mapping of interpretation keywords, or the name of a set"
             raise invalid("medium.interpretation", interpretation, allowed)
         if rows is None:
-            is_table = self.instrument.kind == "table"
+            is_table = self.instrument.kind == TABLE
             rows = self._iter_axis_labels() if is_table else itertools.product(*self.grid.values())
         for row in rows:
             labels = dict(zip(self.grid, row, strict=True))
@@ -239,13 +251,13 @@ class SimulationConfig(ConfigSection):
                     prefix = f"grid.{LAYERS_KEY}.{labels[LAYERS_KEY]}"
             elif key in sample:
                 prefix = f"grid.{SAMPLE_KEY}.{labels[SAMPLE_KEY]}"
-            elif key in type(self.instrument).model_fields:
+            elif key in list_section_inputs(self.instrument.kind):
                 prefix = "instrument"
             else:
                 prefix = "fit" if key in FitSection.model_fields else "medium"
             error.key = error.key.removeprefix("medium.")
             if prefix == "grid" and isinstance(error, UnknownKey) and key in self.grid:
-                keywords = list_keywords(MEDIUM_CLASSES[get_kind(self.medium)])
+                keywords = list(signature(MEDIUM_CLASSES[get_kind(self.medium)]).parameters)
                 raise unknown_key(f"grid.{key}", [*keywords, INCIDENCE, SAMPLE_KEY]) from None
             if error.key == SAMPLE_KEY:
                 raise
@@ -288,11 +300,6 @@ class SimulationConfig(ConfigSection):
     def dump_simulation(self) -> dict[str, Any]:
         """Return all settings that affect the results, for `SimulationConfig.model_validate`."""
         content = self.model_dump(mode="json", include=set(SimulationConfig.model_fields))
-        if self.fit:
-            del content["instrument"]["wavelength_nm"]
-        if self.has_packs:
-            # Snowpacks of a file have one solver only.
-            content["instrument"].pop("solver", None)
         return content
 
     def dump_configuration(self) -> str:

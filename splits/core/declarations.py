@@ -275,12 +275,6 @@ def describe_error(error: ValidationError, key: str = "", content: Any = None) -
         return invalid(section, value, f"a list of {len(errors) + len(value)} values")
     if kind == "missing":
         return invalid(full_key, None, "given")
-    if kind == "union_tag_not_found" and isinstance(value, Mapping):
-        return invalid(f"{full_key}.kind", None, "given")
-    if kind == "union_tag_invalid" and isinstance(value, Mapping):
-        tags = re.findall("'(.*?)'", first["ctx"]["expected_tags"])
-        hint = suggest_name(value["kind"], tags)
-        return invalid(f"{full_key}.kind", value["kind"], f"one of {', '.join(tags)}", hint)
     allowed = " or ".join(dict.fromkeys(map(_describe_allowed, branches)))
     return invalid(full_key, value, allowed, _suggest_value(value, branches))
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from pathlib import PurePath
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any
 
 from pydantic import (
     AfterValidator,
@@ -111,20 +110,6 @@ MeasuredFile = Annotated[str, AfterValidator(check_measured_file)]
 Interval = Annotated[tuple[Number, Number], AfterValidator(check_interval)]
 
 
-def _list_kinds_with(section: type[ConfigSection], key: str) -> list[str]:
-    """Return the other kinds of a section, such as an instrument, that have a key."""
-
-    def iter_kinds(one: type[ConfigSection]) -> Iterator[type[ConfigSection]]:
-        yield one
-        for other in one.__subclasses__():
-            yield from iter_kinds(other)
-
-    bases = (ConfigSection, FiniteSection)
-    *_, root = (one for one in section.__mro__ if issubclass(one, bases) and one not in bases)
-    owners = [one.model_fields for one in iter_kinds(root) if key in one.model_fields]
-    return [kind for one in owners if "kind" in one for kind in get_args(one["kind"].annotation)]
-
-
 class ConfigSection(BaseModel):
     """A configuration section: immutable, and unknown keys are rejected."""
 
@@ -135,15 +120,10 @@ class ConfigSection(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _reject_unknown_keys(cls, content: Any) -> Any:
-        """Reject an unknown key, with the kinds of the section that have it."""
+        """Reject an unknown key."""
         for key in content if isinstance(content, dict) else ():
-            if key in cls.model_fields:
-                continue
-            if owners := _list_kinds_with(cls, key):
-                kind, hint = content.get("kind"), f"it belongs to {', '.join(owners)}"
-                kind = kind or cls.model_fields["kind"].default
-                raise invalid(key, content[key], f"left out for {kind}", hint)
-            raise unknown_key(str(key), cls.model_fields)
+            if key not in cls.model_fields:
+                raise unknown_key(str(key), cls.model_fields)
         return content
 
 

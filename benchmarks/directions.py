@@ -114,10 +114,11 @@ def measure_layer(
         "estimator": "next_event",
         "threads": 1,
     }
-    splits.goniophotometer(layer, [700.0], 0.0, 10, **settings)
+    splits.goniophotometer(layer, [700.0], 0.0, rays=10, **settings)
     start = time.process_time()
     runs = [
-        splits.goniophotometer(layer, [700.0], 0.0, rays, seed, **settings) for seed in range(seeds)
+        splits.goniophotometer(layer, [700.0], 0.0, rays=rays, seed=seed, **settings)
+        for seed in range(seeds)
     ]
     time_per_ray_s = (time.process_time() - start) / (rays * seeds)
     value, stderr = (
@@ -166,11 +167,11 @@ def bins(rays: int = 1_000_000, error: float = 0.02, repeats: int = 8) -> Iterat
     for name, scene in SCENES.items():
         scene = (scene[0], [scene[1]], scene[2])
         # The first calls compile.
-        splits.goniophotometer(*scene, 1, **grid)
-        splits.goniophotometer(*scene, 1, estimator="bins", **grid)
+        splits.goniophotometer(*scene, rays=1, **grid)
+        splits.goniophotometer(*scene, rays=1, estimator="bins", **grid)
         binned, bins_s = time_call(
             lambda scene=scene: splits.goniophotometer(
-                *scene, rays, estimator="bins", n_bins=DEFAULT_N_BINS, threads=1
+                *scene, rays=rays, estimator="bins", n_bins=DEFAULT_N_BINS, threads=1
             )
         )
         runs, run_s = time_call(
@@ -481,10 +482,11 @@ def facetness(
         row: dict[str, Any] = {"grains": name}
         for label, stokes in (("scalar", False), ("polarized", True)):
             grains = splits.single_scattering(
-                snow, WAVELENGTH_NM, 2, rays, threads=threads, stokes=stokes
+                snow, WAVELENGTH_NM, moments=2, rays=rays, threads=threads, stokes=stokes
             )
             spectrum = splits.spectrophotometer(
-                snow, [WAVELENGTH_NM], "diffuse", max_stderr, stokes=stokes, threads=threads,
+                snow, [WAVELENGTH_NM], "diffuse", max_stderr=max_stderr, stokes=stokes,
+                threads=threads,
                 solver="monte_carlo",
             )  # fmt: skip
             row |= {

@@ -90,7 +90,7 @@ def test_directions_agree_with_paths(name, incidence, error):
 def test_directions_agree_with_bins(name):
     """Bins have no error of polynomials, also in the forward peak of wet pores."""
     bins = {"estimator": "bins", "n_bins": (30, 72)}
-    paths = splits.goniophotometer(MEDIA[name], [600.0], 53.0, 2_000_000, seed=3, **bins)
+    paths = splits.goniophotometer(MEDIA[name], [600.0], 53.0, rays=2_000_000, seed=3, **bins)
     paths = paths.sortby("polar")
     directions = {"polar_deg": paths.polar.values, "azimuth_deg": paths.azimuth.values}
     solved = splits.goniophotometer(MEDIA[name], [600.0], 53.0, **directions, **SOLVED)

@@ -147,7 +147,7 @@ def test_depolarization_by_single_grains_exceeds_that_of_hexagons():
     """Liou & Lahore (1974): 0.29 computed and 0.35 measured for random hexagonal crystals."""
     for facetness in (SMOOTH, ROUGH):
         ds = splits.single_scattering(
-            make_snow(facetness=facetness), [633.0], 2, rays=scale_sample_size(1_000_000),
+            make_snow(facetness=facetness), [633.0], moments=2, rays=scale_sample_size(1_000_000),
             stokes=True,
         ).squeeze("wavelength")  # fmt: skip
         # The mean of directions within 10 degrees of the backward one.

@@ -61,7 +61,7 @@ UNIT_SYMBOLS = {
 # Meaning of an input.
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Quantity:
     """Meaning of an input, beside the type that it annotates.
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Protocol
 import numpy as np
 
 from splits.core.arrays import as_1d_array, check_array_range, check_axis, check_named_numbers
-from splits.core.declarations import Quantity
+from splits.core.declarations import UNIT_SYMBOLS, Quantity
 from splits.core.validation import (
     check_range,
     invalid,
@@ -188,14 +188,26 @@ Azimuths = Annotated[
 ]  # fmt: skip
 
 
+ScatteringAngles = Annotated[
+    Numbers,
+    Quantity(
+        "scattering angle", "degree", schema=NUMBERS_SCHEMA,
+        check=lambda key, angles: check_array_range(
+            key, as_1d_array(key, angles, "numbers in degrees"), 0.0, 180.0, "degrees"
+        ),
+    ),
+]  # fmt: skip
+
+
 def declare_numbers(
     long_name: str, unit: str, plural: str, low: float, high: float, *, open_low: bool = False
 ) -> Quantity:
     """Return the quantity of increasing numbers in a range, in a unit with a name in the plural."""
+    symbol = UNIT_SYMBOLS.get(unit, unit)
 
     def check(key: str, values: Any) -> np.ndarray:
         numbers = as_1d_array(key, values, f"numbers in {plural}")
-        return check_axis(key, numbers, low, high, unit, open_low=open_low)
+        return check_axis(key, numbers, low, high, symbol, open_low=open_low)
 
     return Quantity(long_name, unit, check=check, schema=NUMBERS_SCHEMA)
 

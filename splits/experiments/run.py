@@ -64,7 +64,7 @@ def _simulate_return(
 ) -> xr.Dataset:
     """Return the table of returns of one medium."""
     table = build_return_table(
-        lambda point: medium, {"point": [0.0]}, wavelength_nm, incidence_deg, rays=rays, seed=seed,
+        lambda point: medium, {"point": [0.0]}, wavelength_nm, incidence_deg, rays, seed,
         threads=threads, progress=progress, **receiver,
     )  # fmt: skip
     return table.isel(point=0, drop=True)

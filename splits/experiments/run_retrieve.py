@@ -467,8 +467,7 @@ def simulate_returns(
         log(f"{sample}: simulating a return")
         medium, incidence = make_true_medium(experiment, section, sample)
         light = time_of_flight(
-            medium, instrument.get_wavelengths(), incidence, rays=synthetic.rays, seed=seed,
-            delay_s=edges,
+            medium, instrument.get_wavelengths(), incidence, synthetic.rays, seed, delay_s=edges,
             pulse=dump_pulse(section.pulse), acceptance_deg=instrument.acceptance_deg,
             footprint_radius_m=instrument.footprint_radius_m, threads=threads,
         )  # fmt: skip

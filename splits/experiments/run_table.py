@@ -301,21 +301,11 @@ def _measure(
     with nest_runs(), experiment.locate_errors({}):
         if isinstance(instrument, Albedo):
             return albedo(
-                packs,
-                instrument.sky,
-                wavelengths,
-                max_stderr=error,
-                bands=instrument.bands,
-                threads=threads,
+                packs, instrument.sky, wavelengths, error, bands=instrument.bands, threads=threads
             )
         settings = {key: getattr(instrument, key) for key in ("solver", "estimator", "stokes")}
         return spectrophotometer(
-            packs,
-            wavelengths,
-            instrument.get_incidence(),
-            max_stderr=error,
-            threads=threads,
-            **settings,
+            packs, wavelengths, instrument.get_incidence(), error, threads=threads, **settings
         )
 
 

@@ -17,12 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.core.arrays import check_named_numbers
+from splits.core.declarations import check_alternatives
 from splits.core.inputs import check_incidence
 from splits.core.progress import Progress, ProgressCallback
 from splits.core.validation import (
     InvalidValue,
-    check_choice,
-    check_range,
     invalid,
     key_prefix,
     unknown_key,
@@ -37,7 +36,7 @@ from splits.discrete_ordinates.granular_stack import (
     compute_optics_error,
     solve_spectrum,
 )
-from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO, SOLVERS, choose_solver
+from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO, choose_solver
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
@@ -47,7 +46,7 @@ from splits.media.parameters import (
     replace_parameter,
     replace_parameters,
 )
-from splits.media.snow import check_no_equivalents
+from splits.media.snow import Snow
 from splits.retrieval.forward_model import (
     ERROR_CORRELATION_NM,
     SCALE_RANGE,
@@ -537,7 +536,7 @@ def make_medium_state_vector(
         hint = 'such as {"optical_radius_um": (50, 1500)}; only a table has default ranges'
         raise invalid("free", ranges, "a mapping of names to (low, high)", hint)
     with key_prefix("free"):
-        check_no_equivalents({str(name): pair for name, pair in ranges.items()})
+        check_alternatives(Snow.ALTERNATIVES, {str(name): pair for name, pair in ranges.items()})
     allowed_ranges: dict[str, ParameterRange] = {SCALE: ParameterRange(*SCALE_RANGE, "identity")}
     for name, pair in ranges.items():
         if name == SCALE:
@@ -581,10 +580,8 @@ def make_medium_model(
     progress: ProgressCallback,
 ) -> MediumForwardModel:  # fmt: skip
     """Return the forward model by discrete ordinates or by simulation; see `choose_solver`."""
-    if max_stderr is not None:
-        max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
     arguments = medium, measurement, state_vector, incidence, seed
-    if check_choice("solver", solver, SOLVERS) != MONTE_CARLO:
+    if solver != MONTE_CARLO:
         model = OrdinatesForwardModel(*arguments)
         media, obstacle = model.list_extreme_media(), None
         if find_obstacle(medium, model.wavelengths) is None:

@@ -20,17 +20,17 @@ from splits.core.arrays import (
     find_labels,
     match_labels,
 )
+from splits.core.inputs import Seed
 from splits.core.keywords import declare_function
 from splits.core.validation import (
     ROUNDING_TOLERANCE,
     as_scalar,
-    check_integer,
     check_range,
     invalid,
     short_repr,
 )
 from splits.illumination.bands import SpectralOperator
-from splits.instruments.delay_record import Pulse, describe_record
+from splits.instruments.delay_record import Pulse, PulseInput, describe_record
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.measurement import Measurement, check_conditions, is_same_label
 from splits.retrieval.result import (
@@ -354,10 +354,10 @@ def retrieve_return(
     free: Any,
     noise: Any,
     *,
-    pulse: Any = None,
+    pulse: PulseInput = None,
     fixed: Mapping[str, Any] | None = None,
     prior: Mapping[str, Any] | None = None,
-    seed: int = 1,
+    seed: Seed = 1,
 ) -> RetrievalResult:
     """Retrieve parameters from the measured return of a light pulse, with their errors.
 
@@ -419,7 +419,6 @@ def retrieve_return(
     >>> found.constrained
     {'specific_surface_area_m2_kg': True}
     """
-    seed = check_integer("seed", seed, 0)
     table = sort_returns(table)
     channels = make_channel_table(table)
     edges, rates = read_return(measured, table.wavelength.values)

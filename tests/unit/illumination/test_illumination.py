@@ -19,7 +19,7 @@ from splits.illumination.bands import (
     as_bands,
     load_band_centres,
 )
-from splits.illumination.sky import ATMOSPHERE_PARAMETERS, list_sky_names
+from splits.illumination.sky import ATMOSPHERE, list_sky_names
 from splits.instruments.sky_mixing import mix_direct_and_diffuse
 
 W = np.array([400.0, 500.0, 700.0, 1000.0])
@@ -141,7 +141,7 @@ def test_clear_and_standard_skies_match_known_irradiances():
     ],
 )
 def test_invalid_skies_are_rejected_in_one_line(definition, keywords, message):
-    unknown = not set(keywords) <= {"zenith_deg", *ATMOSPHERE_PARAMETERS}
+    unknown = not set(keywords) <= {"zenith_deg", *ATMOSPHERE}
     with pytest.raises(TypeError if unknown else ValueError, match=message) as error:
         splits.sky(definition, **keywords)
     assert "\n" not in str(error.value)

@@ -207,12 +207,12 @@ def local_estimation(rays: int = 2_000_000) -> Iterator[dict[str, Any]]:
         scene = (splits.ParticleLayer(**settings), [550.0], INCIDENCE_DEG)
         splits.goniophotometer(*scene, rays=1000, estimator="bins", threads=1)
         binned = splits.goniophotometer(*scene, rays=rays, estimator="bins", threads=1)
-        plane = {"polar_deg": binned.polar.values, "azimuth_deg": [0.0, 180.0]}
+        plane = {"polar_deg": binned.polar_deg.values, "azimuth_deg": [0.0, 180.0]}
         splits.goniophotometer(*scene, rays=1000, estimator="next_event", threads=1, **plane)
         estimate = splits.goniophotometer(
             *scene, rays=rays // 20, estimator="next_event", threads=1, seed=2, **plane
         )
-        binned = binned.sel(azimuth=[0.0, 180.0])
+        binned = binned.sel(azimuth_deg=[0.0, 180.0])
         times = [float(ds.attrs["wall_time_s"]) for ds in (binned, estimate)]
         gain = binned.brdf_stderr**2 * times[0] / (estimate.brdf_stderr**2 * times[1])
         z = (binned.brdf - estimate.brdf) / np.hypot(binned.brdf_stderr, estimate.brdf_stderr)
@@ -278,8 +278,12 @@ def reciprocity(error: float = 0.012) -> Iterator[dict[str, Any]]:
             }  # fmt: skip
             row: dict[str, Any] = {"medium": name, "interpretation": label}
             for incidence, view, azimuth in ANGLE_PAIRS:
-                forward = runs[incidence].sel(polar=view, azimuth=azimuth).isel(wavelength=0)
-                reverse = runs[view].sel(polar=incidence, azimuth=azimuth).isel(wavelength=0)
+                forward = (
+                    runs[incidence].sel(polar_deg=view, azimuth_deg=azimuth).isel(wavelength=0)
+                )
+                reverse = (
+                    runs[view].sel(polar_deg=incidence, azimuth_deg=azimuth).isel(wavelength=0)
+                )
                 mean = 0.5 * float(forward.brdf + reverse.brdf)
                 difference = float(forward.brdf - reverse.brdf) / mean
                 stderr = float(np.hypot(forward.brdf_stderr, reverse.brdf_stderr)) / mean
@@ -363,7 +367,7 @@ def polarization_error(
     medium, wavelength = POLARIZING_MEDIA["snow, 600 nm"]
     for count in rays:
         ds = measure_bins(medium, wavelength, count, stokes=True, seed=7).isel(
-            wavelength=0, polar=2, azimuth=0
+            wavelength=0, polar_deg=2, azimuth_deg=0
         )
         q, u, i = (float(ds[name]) for name in ("brdf_q", "brdf_u", "brdf"))
         degree = np.hypot(q, u) / i

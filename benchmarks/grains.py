@@ -190,7 +190,7 @@ def measure_reciprocity(
 ) -> Iterator[tuple[Any, ...]]:
     """Yield the ratio of azimuthally averaged BRDFs from 30° to 70° and back, by angular bins."""
     snow = make_snow(rule, density, depth_m=0.05)
-    bins = splits.goniophotometer(snow, [1000.0], 0.0, rays=1000, estimator="bins").polar.values
+    bins = splits.goniophotometer(snow, [1000.0], 0.0, rays=1000, estimator="bins").polar_deg.values
     near = [float(bins[np.abs(bins - angle).argmin()]) for angle in (30.0, 70.0)]
     means, errors = [], []
     for incidence, view in (near, near[::-1]):
@@ -198,10 +198,10 @@ def measure_reciprocity(
             snow, [1000.0], incidence, relative_stderr=6.0 * effort.brdf, seed=round(incidence),
             estimator="bins",
         )  # fmt: skip
-        ring = result.squeeze().sel(polar=view)
+        ring = result.squeeze().sel(polar_deg=view)
         means.append(float(ring.brdf.mean()))
         # Bins count different rays, so their errors are independent.
-        error = float(np.sqrt((ring.brdf_stderr**2).sum())) / ring.sizes["azimuth"]
+        error = float(np.sqrt((ring.brdf_stderr**2).sum())) / ring.sizes["azimuth_deg"]
         errors.append(error / means[-1])
     ratio = means[0] / means[1]
     yield "reciprocity", "30-70", ratio, ratio * float(np.hypot(*errors))

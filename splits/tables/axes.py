@@ -22,7 +22,7 @@ from splits.simulation.spectral_tally import SIDE_QUANTITIES
 
 INCIDENCE = "incidence_deg"
 RESULT_NAMES = (
-    "wavelength", "batch", "delay", "bounds", "reflectance", "transmittance", "absorptance",
+    "wavelength", "batch", "delay_s", "bounds", "reflectance", "transmittance", "absorptance",
     "reflectance_factor", "anisotropy_factor", "return_rate", "fraction", "mean_delay",
 )  # fmt: skip
 """Dimensions and quantities of tables, which no parameter may be named after."""

@@ -77,7 +77,7 @@ def build_return_table(
     -------
     xarray.Dataset
         Over the axes of the grid and ``wavelength``, of reflected light: ``return_rate`` (s⁻¹) over
-        ``delay``, and of the light within the record ``fraction`` and ``mean_delay`` (s), as of
+        ``delay_s``, and of the light within the record ``fraction`` and ``mean_delay`` (s), as of
         `splits.time_of_flight`, with standard errors ``…_stderr``.  ``mean_delay`` is NaN where
         ``moments_flag`` is 1.
 
@@ -97,7 +97,7 @@ def build_return_table(
     ...     delay_s=[0, 2e-11, 5e-11, 1e-10, 2e-10, 1e-9],
     ... )
     >>> dict(table.return_rate.sizes)
-    {'specific_surface_area_m2_kg': 3, 'density_kg_m3': 2, 'wavelength': 1, 'delay': 5}
+    {'specific_surface_area_m2_kg': 3, 'density_kg_m3': 2, 'wavelength': 1, 'delay_s': 5}
     """
     start_time = time.perf_counter()
     axes = ParameterGrid.from_checked(grid)

@@ -162,7 +162,7 @@ def test_diffuse_reflectance_factor_is_the_reciprocal_albedo(error):
             beam = splits.spectrophotometer(
                 medium, [1300.0], angle, max_stderr=error, seed=9, solver="monte_carlo"
             )
-            factor = factors.sel(polar=angle).isel(azimuth=0)
+            factor = factors.sel(polar_deg=angle).isel(azimuth_deg=0)
             difference = float(factor.reflectance_factor - beam.reflectance[0])
             z.append(
                 difference / np.hypot(factor.reflectance_factor_stderr, beam.reflectance_stderr[0])

@@ -22,7 +22,7 @@ def make_quadrature(points=48):
 
 def integrate_hemisphere(ds, name, weights):
     """Return the hemispherical integral of a distribution function, by wavelength."""
-    return (ds[name].mean("azimuth") * weights[:, np.newaxis].T).sum("polar").values
+    return (ds[name].mean("azimuth_deg") * weights[:, np.newaxis].T).sum("polar_deg").values
 
 
 SNOW = splits.Snow(depth_m=0.02)
@@ -109,8 +109,8 @@ def compute_reciprocity_z(medium, wavelength):
     }  # fmt: skip
     z = []
     for one, other, azimuth in PAIRS:
-        forward = runs[one].sel(polar=other, azimuth=azimuth)
-        reverse = runs[other].sel(polar=one, azimuth=azimuth)
+        forward = runs[one].sel(polar_deg=other, azimuth_deg=azimuth)
+        reverse = runs[other].sel(polar_deg=one, azimuth_deg=azimuth)
         error = np.hypot(forward.brdf_stderr, reverse.brdf_stderr)
         z.append(float(((forward.brdf - reverse.brdf) / error)[0]))
     return z
@@ -248,7 +248,7 @@ def test_deep_conservative_medium_is_nearly_lambertian():
     ds = splits.goniophotometer(
         conservative, [600.0], 0.0, relative_stderr=0.02, polar_deg=np.arange(0.0, 81.0, 10.0)
     )
-    factor = ds.anisotropy_factor[0].mean("azimuth").values
+    factor = ds.anisotropy_factor[0].mean("azimuth_deg").values
     error = 3.0 * ds.anisotropy_factor_stderr[0].values[:, 0]
     assert (np.abs(ds.anisotropy_factor[0] - factor[:, np.newaxis]) < 1e-9).all()
     assert (factor < 1.2 + error).all() and (factor > 0.6 - error).all()

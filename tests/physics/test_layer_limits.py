@@ -196,12 +196,12 @@ def test_bins_and_local_estimation_agree_on_polarization():
         bottom_albedo=None, phase_function="rayleigh", polarized=True,
     )  # fmt: skip
     bins = splits.goniophotometer(layer, NM, 50.0, estimator="bins", n_bins=(40, 36), rays=500_000)
-    bins = bins.isel(polar=bins.polar.values < 75.0)
+    bins = bins.isel(polar_deg=bins.polar_deg.values < 75.0)
     local = splits.goniophotometer(
         layer, NM, 50.0, estimator="next_event", seed=2, relative_stderr=0.014,
-        polar_deg=bins.polar.values, azimuth_deg=[0.0, 30.0, 90.0, 150.0, 180.0, 270.0],
+        polar_deg=bins.polar_deg.values, azimuth_deg=[0.0, 30.0, 90.0, 150.0, 180.0, 270.0],
     )  # fmt: skip
-    bins = bins.sel(azimuth=local.azimuth)
+    bins = bins.sel(azimuth_deg=local.azimuth_deg)
     for name in ("brdf", "brdf_q", "brdf_u", "brdf_v", "btdf", "btdf_q", "btdf_u", "btdf_v"):
         difference = (bins[name] - local[name]).values
         # The errors of bins, which use separate rays, dominate.
@@ -292,9 +292,9 @@ def test_lobes_too_narrow_for_the_expansion_are_reported():
     ds = splits.goniophotometer(layer, NM, 0.0, target="btdf")
     assert ds.attrs["stop_reason"] == "max_degree"
     bins = splits.goniophotometer(layer, NM, 0.0, rays=400_000, estimator="bins", n_bins=(60, 8))
-    top = bins.btdf.isel(wavelength=0, polar=0).mean("azimuth")
-    difference = abs(float(ds.btdf.isel(wavelength=0, polar=0)[0] - top))
-    assert difference < 3.0 * float(ds.btdf_stderr.isel(wavelength=0, polar=0)[0])
+    top = bins.btdf.isel(wavelength=0, polar_deg=0).mean("azimuth_deg")
+    difference = abs(float(ds.btdf.isel(wavelength=0, polar_deg=0)[0] - top))
+    assert difference < 3.0 * float(ds.btdf_stderr.isel(wavelength=0, polar_deg=0)[0])
 
 
 REFERENCE = Path(__file__).with_name("reference")

@@ -179,7 +179,7 @@ def test_narrow_peaks_agree_with_bins(asymmetry):
     layer, n_polar, first, last = make_cloud(asymmetry, 10.0), 600, 2, 10
     bins = splits.goniophotometer(
         layer, NM, 0.0, rays=400_000, seed=1, estimator="bins", n_bins=(n_polar, 1)
-    ).isel(polar=slice(first, last))
+    ).isel(polar_deg=slice(first, last))
     nodes, weights = np.polynomial.legendre.leggauss(3)
     cosine = 1.0 - (np.arange(first, last)[:, np.newaxis] + 0.5 * (nodes + 1.0)) / n_polar
     polar = np.degrees(np.arccos(cosine.ravel()))

@@ -194,8 +194,8 @@ def test_packed_natural_snow_is_reciprocal(density):
     }  # fmt: skip
     z = []
     for one, other, azimuth in pairs:
-        forward = runs[one].sel(polar=other, azimuth=azimuth)
-        reverse = runs[other].sel(polar=one, azimuth=azimuth)
+        forward = runs[one].sel(polar_deg=other, azimuth_deg=azimuth)
+        reverse = runs[other].sel(polar_deg=one, azimuth_deg=azimuth)
         error = math.hypot(float(forward.brdf_stderr), float(reverse.brdf_stderr))
         z.append(float(forward.brdf - reverse.brdf) / error)
     judge_z(z, "reciprocity", bound_added=True)

@@ -96,7 +96,7 @@ def test_subdivided_infinite_layer_equals_the_layer(albedo):
         radiance = splits.goniophotometer(medium, 550.0, 30.0, **view, **next_event)
         flux = [profile[name].values.ravel() for name in PROFILES]
         flux_stderr = [profile[f"{name}_stderr"].values.ravel() for name in PROFILES]
-        scattered = radiance.isel(azimuth=slice(1, None))
+        scattered = radiance.isel(azimuth_deg=slice(1, None))
         brdf = [scattered.brdf.values.ravel()], [scattered.brdf_stderr.values.ravel()]
         values.append([np.concatenate(flux + brdf[0]), np.concatenate(flux_stderr + brdf[1])])
     judge_z(compute_z(*values), albedo, independent=3, bound_added=True)
@@ -273,12 +273,12 @@ def test_next_event_estimates_of_stacks_agree_with_bins(polarized):
         ]
     )  # fmt: skip
     bins = splits.goniophotometer(stack, [550.0], 30.0, estimator="bins", n_bins=(30, 8))
-    bins = bins.isel(polar=bins.polar.values < 75.0)
+    bins = bins.isel(polar_deg=bins.polar_deg.values < 75.0)
     local = splits.goniophotometer(
         stack, [550.0], 30.0, seed=2, estimator="next_event", relative_stderr=0.01,
-        polar_deg=bins.polar.values, azimuth_deg=bins.azimuth.values[:4],
+        polar_deg=bins.polar_deg.values, azimuth_deg=bins.azimuth_deg.values[:4],
     )  # fmt: skip
-    bins = bins.sel(azimuth=local.azimuth)
+    bins = bins.sel(azimuth_deg=local.azimuth_deg)
     for name in names:
         difference = (bins[name] - local[name]).values
         judge_z(difference / np.hypot(bins[f"{name}_stderr"], local[f"{name}_stderr"]).values, name)

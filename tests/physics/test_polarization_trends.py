@@ -60,8 +60,10 @@ def compute_degree(
     rays: int = 300_000,
 ) -> Degree:
     """Return the degree between two polar angles, for light incident at Brewster's angle."""
-    ds = measure_bins(medium, wavelength_nm, rays).sel(azimuth=azimuth, polar=slice(*polar_deg))
-    weight = np.cos(np.radians(ds.polar))
+    ds = measure_bins(medium, wavelength_nm, rays).sel(
+        azimuth_deg=azimuth, polar_deg=slice(*polar_deg)
+    )
+    weight = np.cos(np.radians(ds.polar_deg))
     intensity = float((weight * ds.brdf).sum())
     degree = -float((weight * ds.brdf_q).sum()) / intensity
     error = weight * ds.brdf * ds.brdf_dolp_stderr

@@ -126,9 +126,9 @@ def test_small_slopes_reflect_by_geometric_optics():
         surface=make_gaussian_surface(rms, waves=400),
     )  # fmt: skip
     ds = splits.goniophotometer(layer, NM, 0.0, rays=rays, estimator="bins", n_bins=(rings, 8))
-    cosine = np.cos(np.radians(ds.polar.values))
+    cosine = np.cos(np.radians(ds.polar_deg.values))
     # Fractions of rays in rings of equal solid angle, from the zenith.
-    power = ds.brdf.isel(wavelength=0).mean("azimuth").values * cosine * 2.0 * math.pi / rings
+    power = ds.brdf.isel(wavelength=0).mean("azimuth_deg").values * cosine * 2.0 * math.pi / rings
     edges = np.append(cosine + 0.5 / rings, 0.0)
     cdf = -np.expm1(-(1.0 - edges) / (1.0 + edges) / rms**2)
     judge_p({"rings": compute_p_of_counts(rays * power, np.diff(cdf) / cdf[-1])})

@@ -155,7 +155,7 @@ def compare_views(name, n_points):
         )  # fmt: skip
         for polar, azimuth in itertools.product(*angles.values()):
             found = table.interp(**at, polar_deg=polar, azimuth_deg=azimuth)
-            solved = exact.sel(polar=polar, azimuth=azimuth)
+            solved = exact.sel(polar_deg=polar, azimuth_deg=azimuth)
             error = found.reflectance_factor_interpolation_error.values
             stderr = found.reflectance_factor_stderr.values
             other = np.hypot(np.sqrt(stderr**2 - error**2), np.pi * solved.brdf_stderr.values)

@@ -252,8 +252,8 @@ def test_pulses_are_convolved():
         result = result.squeeze().sel(side="reflected")
         light = result.return_rate * np.diff(edges)
         total = light.sum()
-        mean = (light * result.delay).sum() / total
-        spread = np.sqrt((light * (result.delay - mean) ** 2).sum() / total)
+        mean = (light * result.delay_s).sum() / total
+        spread = np.sqrt((light * (result.delay_s - mean) ** 2).sum() / total)
         np.testing.assert_allclose(total, instant.fraction, rtol=1e-3)
         np.testing.assert_allclose(mean, instant.mean_delay, atol=3e-12)
         np.testing.assert_allclose(spread**2, instant.delay_spread**2 + variance, rtol=3e-3)

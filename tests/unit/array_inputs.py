@@ -112,12 +112,12 @@ def make_return_table():
     """Return a table of returns that decay faster for small grains."""
     delay, size = np.array([0.5, 1.5, 2.5]), np.geomspace(32.0, 512.0, 5)
     rate = np.exp(-delay * (64.0 / size[:, np.newaxis]) ** 0.5)[:, np.newaxis]
-    dims = SIZE, "wavelength", "delay"
+    dims = SIZE, "wavelength", "delay_s"
     return xr.Dataset(
         {"return_rate": (dims, rate), "return_rate_stderr": (dims, 1e-4 * rate)},
         {
-            SIZE: size, "wavelength": [532.0], "delay": delay,
-            "delay_bounds": (("delay", "bounds"), [[0.0, 1.0], [1.0, 2.0], [2.0, 3.0]]),
+            SIZE: size, "wavelength": [532.0], "delay_s": delay,
+            "delay_bounds": (("delay_s", "bounds"), [[0.0, 1.0], [1.0, 2.0], [2.0, 3.0]]),
         },
         {"title": TITLE},
     )  # fmt: skip

@@ -177,8 +177,11 @@ def list_pairs(basis):
 def evaluate_brdf(polar, azimuth):
     values = np.cos(np.radians(polar))[:, np.newaxis] + 0.01 * np.arange(len(azimuth))
     stderr = np.full(values.shape, 0.1)
-    data = {"brdf": (("polar", "azimuth"), values), "brdf_stderr": (("polar", "azimuth"), stderr)}
-    return xr.Dataset(data, {"polar": polar, "azimuth": azimuth})
+    data = {
+        "brdf": (("polar_deg", "azimuth_deg"), values),
+        "brdf_stderr": (("polar_deg", "azimuth_deg"), stderr),
+    }
+    return xr.Dataset(data, {"polar_deg": polar, "azimuth_deg": azimuth})
 
 
 def test_principal_plane_runs_from_backward_to_forward():
@@ -188,7 +191,7 @@ def test_principal_plane_runs_from_backward_to_forward():
     cosine = np.cos(np.radians([60.0, 30.0, 0.0, 30.0, 60.0]))
     assert plane.brdf.values == pytest.approx(cosine + np.array([0.02, 0.02, 0.0, 0.0, 0.0]))
     with pytest.raises(ValueError, match=r"azimuth_deg = .*with 0 and 180 degrees"):
-        select_principal_plane(dataset.isel(azimuth=[0, 1]))
+        select_principal_plane(dataset.isel(azimuth_deg=[0, 1]))
 
 
 def test_merged_bins_are_weighted_means():
@@ -199,7 +202,7 @@ def test_merged_bins_are_weighted_means():
     assert merged.brdf.shape == (2, 4)
     first = (weight * dataset.brdf.values)[:3][:, [11, 0, 1]].sum() / (3.0 * weight[:3].sum())
     assert float(merged.brdf[0, 0]) == pytest.approx(first)
-    assert merged.azimuth.values.tolist() == [0.0, 90.0, 180.0, 270.0]
+    assert merged.azimuth_deg.values.tolist() == [0.0, 90.0, 180.0, 270.0]
     assert (merged.brdf_stderr < 0.1).all()
     with pytest.raises(ValueError, match="factor = 2: must be odd"):
         merge_angular_bins(dataset, 2)

@@ -61,10 +61,10 @@ def make_cases() -> list[CostCase]:
                  lambda **e: splits.hdrf(snow, SKY, [865], **PATHS, **e)),
         CostCase("irradiance_profile", "max_stderr", "snow, five wavelengths, five depths",
                  lambda **e: splits.irradiance_profile(
-                     snow, [450, 600, 850, 1000, 1300], DEPTHS_M, **PATHS, **e)),
+                     snow, [450, 600, 850, 1000, 1300], depth_m=DEPTHS_M, **PATHS, **e)),
         CostCase("radiation_profile", "max_stderr", "snow under a winter sky, five depths",
                  lambda **e: splits.radiation_profile(
-                     deep, SKY, DEPTHS_M, total_w_m2=500.0, **PATHS, **e)),
+                     deep, SKY, depth_m=DEPTHS_M, total_w_m2=500.0, **PATHS, **e)),
         CostCase("beam_spread", "rays", "snow, one wavelength",
                  lambda **e: splits.beam_spread(snow, [800], **e)),
         CostCase("single_scattering", "rays", "grains of snow, one wavelength",
@@ -120,7 +120,7 @@ def planes(numbers: tuple[int, ...] = (10, 50), rounds: int = 20) -> Iterator[di
         return lambda seed: splits.irradiance_profile(
             snow,
             WAVELENGTHS_NM,
-            depths,
+            depth_m=depths,
             max_stderr=LARGE_ERROR,
             seed=seed,
             threads=1,

@@ -104,7 +104,13 @@ def time_spectrum(
     """Return a spectrum and its processor time (s)."""
     start = time.process_time()
     result = splits.spectrophotometer(
-        medium, select_wavelengths(medium), incidence, error, seed, **settings, solver="monte_carlo"
+        medium,
+        select_wavelengths(medium),
+        incidence,
+        max_stderr=error,
+        seed=seed,
+        **settings,
+        solver="monte_carlo",
     )
     return result, time.process_time() - start
 

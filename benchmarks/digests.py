@@ -20,13 +20,15 @@ BANDS_NM = [450.0, 700.0, 1030.0, 1300.0]
 CLOUD = splits.ParticleLayer(optical_thickness=4.0, single_scattering_albedo=0.95, asymmetry=0.8)
 NATURAL_SNOW = splits.Snow.natural(specific_surface_area_m2_kg=20.0, depth_m=0.1)
 RUNS: dict[str, Callable[[], xr.Dataset]] = {
-    "snow": lambda: splits.spectrophotometer(splits.Snow(), BANDS_NM, 30.0, 0.005),
-    "snow, diffuse": lambda: splits.spectrophotometer(splits.Snow(), BANDS_NM, "diffuse", 0.005),
+    "snow": lambda: splits.spectrophotometer(splits.Snow(), BANDS_NM, 30.0, max_stderr=0.005),
+    "snow, diffuse": lambda: splits.spectrophotometer(
+        splits.Snow(), BANDS_NM, "diffuse", max_stderr=0.005
+    ),
     "snow, splits_2007": lambda: splits.spectrophotometer(
-        splits.Snow(interpretation="splits_2007"), BANDS_NM, 60.0, 0.005
+        splits.Snow(interpretation="splits_2007"), BANDS_NM, 60.0, max_stderr=0.005
     ),
     "snow, geometric": lambda: splits.spectrophotometer(
-        splits.Snow(interpretation="geometric"), BANDS_NM, 60.0, 0.005
+        splits.Snow(interpretation="geometric"), BANDS_NM, 60.0, max_stderr=0.005
     ),
     "snow, BRDF": lambda: splits.goniophotometer(
         splits.Snow(), [600.0], 30.0, relative_stderr=0.05, azimuth_deg=[0.0, 180.0]
@@ -35,20 +37,20 @@ RUNS: dict[str, Callable[[], xr.Dataset]] = {
         splits.Snow(), BANDS_NM, moments=8, rays=20_000
     ),
     "snow, lateral spread": lambda: splits.beam_spread(splits.Snow(), [900.0], 0.0),
-    "sand": lambda: splits.spectrophotometer(splits.Sand(), BANDS_NM[:3], 0.0, 0.005),
-    "layer": lambda: splits.spectrophotometer(CLOUD, [600.0], 30.0, 0.003),
+    "sand": lambda: splits.spectrophotometer(splits.Sand(), BANDS_NM[:3], 0.0, max_stderr=0.005),
+    "layer": lambda: splits.spectrophotometer(CLOUD, [600.0], 30.0, max_stderr=0.003),
     "stack over ground": lambda: splits.spectrophotometer(
         splits.Stack([splits.Snow(depth_m=0.02), splits.Snow(depth_m=0.05, density_kg_m3=350.0)],
-                     ground=0.2), BANDS_NM, 30.0, 0.005
+                     ground=0.2), BANDS_NM, 30.0, max_stderr=0.005
     ),
     "natural snow": lambda: splits.spectrophotometer(
-        NATURAL_SNOW, BANDS_NM, 60.0, 0.005, solver="monte_carlo"
+        NATURAL_SNOW, BANDS_NM, 60.0, max_stderr=0.005, solver="monte_carlo"
     ),
     "natural snow, geometric": lambda: splits.spectrophotometer(
         splits.Snow.natural(
             specific_surface_area_m2_kg=20.0, depth_m=0.1, interpretation="geometric"
         ),
-        BANDS_NM, 60.0, 0.005,
+        BANDS_NM, 60.0, max_stderr=0.005,
     ),
 }  # fmt: skip
 

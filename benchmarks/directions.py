@@ -114,10 +114,11 @@ def measure_layer(
         "estimator": "next_event",
         "threads": 1,
     }
-    splits.goniophotometer(layer, [700.0], 0.0, 10, **settings)
+    splits.goniophotometer(layer, [700.0], 0.0, rays=10, **settings)
     start = time.process_time()
     runs = [
-        splits.goniophotometer(layer, [700.0], 0.0, rays, seed, **settings) for seed in range(seeds)
+        splits.goniophotometer(layer, [700.0], 0.0, rays=rays, seed=seed, **settings)
+        for seed in range(seeds)
     ]
     time_per_ray_s = (time.process_time() - start) / (rays * seeds)
     value, stderr = (
@@ -166,11 +167,11 @@ def bins(rays: int = 1_000_000, error: float = 0.02, repeats: int = 8) -> Iterat
     for name, scene in SCENES.items():
         scene = (scene[0], [scene[1]], scene[2])
         # The first calls compile.
-        splits.goniophotometer(*scene, 1, **grid)
-        splits.goniophotometer(*scene, 1, estimator="bins", **grid)
+        splits.goniophotometer(*scene, rays=1, **grid)
+        splits.goniophotometer(*scene, rays=1, estimator="bins", **grid)
         binned, bins_s = time_call(
             lambda scene=scene: splits.goniophotometer(
-                *scene, rays, estimator="bins", n_bins=DEFAULT_N_BINS, threads=1
+                *scene, rays=rays, estimator="bins", n_bins=DEFAULT_N_BINS, threads=1
             )
         )
         runs, run_s = time_call(
@@ -206,12 +207,12 @@ def local_estimation(rays: int = 2_000_000) -> Iterator[dict[str, Any]]:
         scene = (splits.ParticleLayer(**settings), [550.0], INCIDENCE_DEG)
         splits.goniophotometer(*scene, rays=1000, estimator="bins", threads=1)
         binned = splits.goniophotometer(*scene, rays=rays, estimator="bins", threads=1)
-        plane = {"polar_deg": binned.polar.values, "azimuth_deg": [0.0, 180.0]}
+        plane = {"polar_deg": binned.polar_deg.values, "azimuth_deg": [0.0, 180.0]}
         splits.goniophotometer(*scene, rays=1000, estimator="next_event", threads=1, **plane)
         estimate = splits.goniophotometer(
             *scene, rays=rays // 20, estimator="next_event", threads=1, seed=2, **plane
         )
-        binned = binned.sel(azimuth=[0.0, 180.0])
+        binned = binned.sel(azimuth_deg=[0.0, 180.0])
         times = [float(ds.attrs["wall_time_s"]) for ds in (binned, estimate)]
         gain = binned.brdf_stderr**2 * times[0] / (estimate.brdf_stderr**2 * times[1])
         z = (binned.brdf - estimate.brdf) / np.hypot(binned.brdf_stderr, estimate.brdf_stderr)
@@ -277,8 +278,12 @@ def reciprocity(error: float = 0.012) -> Iterator[dict[str, Any]]:
             }  # fmt: skip
             row: dict[str, Any] = {"medium": name, "interpretation": label}
             for incidence, view, azimuth in ANGLE_PAIRS:
-                forward = runs[incidence].sel(polar=view, azimuth=azimuth).isel(wavelength=0)
-                reverse = runs[view].sel(polar=incidence, azimuth=azimuth).isel(wavelength=0)
+                forward = (
+                    runs[incidence].sel(polar_deg=view, azimuth_deg=azimuth).isel(wavelength=0)
+                )
+                reverse = (
+                    runs[view].sel(polar_deg=incidence, azimuth_deg=azimuth).isel(wavelength=0)
+                )
                 mean = 0.5 * float(forward.brdf + reverse.brdf)
                 difference = float(forward.brdf - reverse.brdf) / mean
                 stderr = float(np.hypot(forward.brdf_stderr, reverse.brdf_stderr)) / mean
@@ -362,7 +367,7 @@ def polarization_error(
     medium, wavelength = POLARIZING_MEDIA["snow, 600 nm"]
     for count in rays:
         ds = measure_bins(medium, wavelength, count, stokes=True, seed=7).isel(
-            wavelength=0, polar=2, azimuth=0
+            wavelength=0, polar_deg=2, azimuth_deg=0
         )
         q, u, i = (float(ds[name]) for name in ("brdf_q", "brdf_u", "brdf"))
         degree = np.hypot(q, u) / i
@@ -481,10 +486,11 @@ def facetness(
         row: dict[str, Any] = {"grains": name}
         for label, stokes in (("scalar", False), ("polarized", True)):
             grains = splits.single_scattering(
-                snow, WAVELENGTH_NM, 2, rays, threads=threads, stokes=stokes
+                snow, WAVELENGTH_NM, moments=2, rays=rays, threads=threads, stokes=stokes
             )
             spectrum = splits.spectrophotometer(
-                snow, [WAVELENGTH_NM], "diffuse", max_stderr, stokes=stokes, threads=threads,
+                snow, [WAVELENGTH_NM], "diffuse", max_stderr=max_stderr, stokes=stokes,
+                threads=threads,
                 solver="monte_carlo",
             )  # fmt: skip
             row |= {

@@ -136,7 +136,7 @@ def make_snow(rule: str, density: float, **settings: Any) -> splits.Snow:
 def reflect_dilute(rule: str, incidence: float | str, stderr: float) -> xr.Dataset:
     """Return the spectrum of the dilute half-space."""
     return splits.spectrophotometer(
-        make_snow(rule, 10.0), [1300.0], incidence, stderr, 20, solver="monte_carlo"
+        make_snow(rule, 10.0), [1300.0], incidence, max_stderr=stderr, seed=20, solver="monte_carlo"
     )
 
 
@@ -149,7 +149,12 @@ def measure_similarity(
     optics = correct_dense_packing(splits.single_scattering(deep, [1300.0], rays=500_000))
     for number, incidence in enumerate(INCIDENCES_DEG):
         result = splits.spectrophotometer(
-            snow, [1300.0], incidence, effort.stderr, 10 + number, solver="monte_carlo"
+            snow,
+            [1300.0],
+            incidence,
+            max_stderr=effort.stderr,
+            seed=10 + number,
+            solver="monte_carlo",
         )
         other = reflect_dilute(rule, incidence, effort.stderr)
         theory = solve_discrete_ordinates(optics, incidence)
@@ -167,7 +172,12 @@ def measure_transmittance(
     optics = correct_dense_packing(splits.single_scattering(snow, [700.0], rays=500_000))
     for number, incidence in enumerate((0.0, 75.0)):
         result = splits.spectrophotometer(
-            snow, [700.0], incidence, effort.stderr, 30 + number, solver="monte_carlo"
+            snow,
+            [700.0],
+            incidence,
+            max_stderr=effort.stderr,
+            seed=30 + number,
+            solver="monte_carlo",
         )
         theory = solve_discrete_ordinates(optics, incidence)
         difference = (result.transmittance - theory.transmittance).item()
@@ -180,7 +190,7 @@ def measure_reciprocity(
 ) -> Iterator[tuple[Any, ...]]:
     """Yield the ratio of azimuthally averaged BRDFs from 30° to 70° and back, by angular bins."""
     snow = make_snow(rule, density, depth_m=0.05)
-    bins = splits.goniophotometer(snow, [1000.0], 0.0, 1000, estimator="bins").polar.values
+    bins = splits.goniophotometer(snow, [1000.0], 0.0, rays=1000, estimator="bins").polar_deg.values
     near = [float(bins[np.abs(bins - angle).argmin()]) for angle in (30.0, 70.0)]
     means, errors = [], []
     for incidence, view in (near, near[::-1]):
@@ -188,10 +198,10 @@ def measure_reciprocity(
             snow, [1000.0], incidence, relative_stderr=6.0 * effort.brdf, seed=round(incidence),
             estimator="bins",
         )  # fmt: skip
-        ring = result.squeeze().sel(polar=view)
+        ring = result.squeeze().sel(polar_deg=view)
         means.append(float(ring.brdf.mean()))
         # Bins count different rays, so their errors are independent.
-        error = float(np.sqrt((ring.brdf_stderr**2).sum())) / ring.sizes["azimuth"]
+        error = float(np.sqrt((ring.brdf_stderr**2).sum())) / ring.sizes["azimuth_deg"]
         errors.append(error / means[-1])
     ratio = means[0] / means[1]
     yield "reciprocity", "30-70", ratio, ratio * float(np.hypot(*errors))
@@ -224,7 +234,13 @@ def measure_paths(rule: str, density: float, effort: PackingEffort) -> Iterator[
             }
             snow = make_snow(rule, density, depth_m=depth, refractive_index=indices)
             result = splits.spectrophotometer(
-                snow, [1000.0], light, 1e-6, 40, max_rays=effort.rays, solver="monte_carlo"
+                snow,
+                [1000.0],
+                light,
+                max_stderr=1e-6,
+                seed=40,
+                max_rays=effort.rays,
+                solver="monte_carlo",
             ).squeeze()
             ratios.append(result[["absorptance", "absorptance_stderr"]] / (alpha * length))
         mean = 2.0 * ratios[0].absorptance - ratios[1].absorptance
@@ -353,9 +369,10 @@ def compare_media(number: int, error: float) -> Iterator[Comparison]:
         medium = make_medium(generator, is_sand=seed % 2 == 0)
         incidence = "diffuse" if seed % 5 == 0 else float(generator.uniform(0.0, 80.0))
         solved, paths = (
-            splits.spectrophotometer(medium, WAVELENGTHS_NM, incidence, *accuracy, solver=solver)
+            splits.spectrophotometer(medium, WAVELENGTHS_NM, incidence, **accuracy, solver=solver)
             for solver, accuracy in (
-                ("discrete_ordinates", (2.0 * error,)), ("monte_carlo", (error, seed)),
+                ("discrete_ordinates", {"max_stderr": 2.0 * error}),
+                ("monte_carlo", {"max_stderr": error, "seed": seed}),
             )
         )  # fmt: skip
         (layer,) = make_granular_stack(medium, WAVELENGTHS_NM, 2.0 * error).layers

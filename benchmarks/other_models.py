@@ -49,7 +49,7 @@ class SnowpackCase(NamedTuple):
             for area, density, depth, soot in self.layers
         ]  # fmt: skip
         stack = splits.Stack(layers, ground=self.ground)
-        run = splits.spectrophotometer(stack, WAVELENGTHS_NM, self.incidence, max_stderr)
+        run = splits.spectrophotometer(stack, WAVELENGTHS_NM, self.incidence, max_stderr=max_stderr)
         return run.reflectance.values, run.reflectance_stderr.values
 
     def compute_tartes_albedo(self, **shape: Any) -> np.ndarray:
@@ -232,8 +232,8 @@ def compare_snowpack(name: str, number: int, max_stderr: float) -> pd.DataFrame:
                 splits.Stack(layers, ground=SOIL_ALBEDO),
                 SNOWPACK_WAVELENGTHS_NM,
                 angle,
-                max_stderr,
-                seed,
+                max_stderr=max_stderr,
+                seed=seed,
             )
             for seed, layers in ((7, snowpack_layers), (8, overlapping_layers))
         )

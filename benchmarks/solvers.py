@@ -236,7 +236,12 @@ def measure_traced_grains() -> pd.DataFrame:
 
         def simulate(solver: str, error: float = 0.002, medium: object = medium) -> np.ndarray:
             return splits.spectrophotometer(
-                medium, TRACED_WAVELENGTHS_NM, INCIDENCE_DEG, error, threads=1, solver=solver
+                medium,
+                TRACED_WAVELENGTHS_NM,
+                INCIDENCE_DEG,
+                max_stderr=error,
+                threads=1,
+                solver=solver,
             ).reflectance.values
 
         with tempfile.TemporaryDirectory() as folder:

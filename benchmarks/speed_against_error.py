@@ -131,7 +131,7 @@ def compute_discrete_ordinates(
 ) -> xr.Dataset:
     """Return the spectrum by discrete ordinates, for the grains of the medium."""
     optics = splits.single_scattering(
-        medium, wavelengths, N_STREAMS, rays, threads=1, wet_pores="equilibrium"
+        medium, wavelengths, moments=N_STREAMS, rays=rays, threads=1, wet_pores="equilibrium"
     )
     return solve_discrete_ordinates(correct_dense_packing(optics), streams=N_STREAMS)
 
@@ -139,7 +139,7 @@ def compute_discrete_ordinates(
 def compute_kz04(medium: splits.Snow, wavelengths: np.ndarray, rays: int) -> xr.Dataset:
     """Return the spectrum by asymptotic theory, with B and g of the dry grains of the medium."""
     optics = splits.single_scattering(
-        replace(medium, saturation=0.0), wavelengths, 1, rays, threads=1
+        replace(medium, saturation=0.0), wavelengths, moments=1, rays=rays, threads=1
     )
     area = medium.specific_surface_area_m2_kg
     k = medium.refractive_index["ice"](wavelengths).imag

@@ -86,8 +86,8 @@ def compare_nodes(table: xr.Dataset, grid: dict[str, Any], count: int) -> None:
             make_snow(**point),
             WAVELENGTHS_NM,
             incidence,
-            NODE_STDERR,
-            1000 + int(number),
+            max_stderr=NODE_STDERR,
+            seed=1000 + int(number),
             solver="monte_carlo",
         )
         is_compared = node.reflectance.values >= MIN_VALUE * NODE_STDERR
@@ -114,7 +114,12 @@ def compare_between_nodes(table: xr.Dataset, grid: dict[str, Any], count: int, s
         interpolated = interpolator.interp(**point, wavelength=wavelengths)
         incidence = point.pop("incidence_deg")
         run = splits.spectrophotometer(
-            make_snow(**point), wavelengths, incidence, 0.002, 5000 + number, solver=solver
+            make_snow(**point),
+            wavelengths,
+            incidence,
+            max_stderr=0.002,
+            seed=5000 + number,
+            solver=solver,
         )
         differences.append((interpolated.reflectance - run.reflectance).values)
         errors.append(np.hypot(interpolated.reflectance_stderr, run.reflectance_stderr).values)
@@ -163,10 +168,12 @@ def time_alternatives() -> None:
     snow = make_snow(soot_ng_g=50.0, optical_radius_um=200.0)
     for solver in ("discrete_ordinates", "monte_carlo"):
         for error in (MAX_STDERR, 0.001):
-            splits.spectrophotometer(snow, WAVELENGTHS_NM, 50.0, error, 1, threads=1, solver=solver)
+            splits.spectrophotometer(
+                snow, WAVELENGTHS_NM, 50.0, max_stderr=error, seed=1, threads=1, solver=solver
+            )
             _, _, cpu_s = time_call(
                 lambda e=error, s=solver: splits.spectrophotometer(
-                    snow, WAVELENGTHS_NM, 50.0, e, 2, threads=1, solver=s
+                    snow, WAVELENGTHS_NM, 50.0, max_stderr=e, seed=2, threads=1, solver=s
                 )
             )
             print(f"single run by {solver} to {error}: {cpu_s:.3f} s of one core", flush=True)
@@ -217,7 +224,7 @@ def main() -> None:
         # The first runs compile.
         splits.spectrophotometer(
             make_snow(0.0, optical_radius_um=100.0, liquid_water_content=water),
-            [500.0, 1500.0], 10.0, 0.05, solver="monte_carlo",
+            [500.0, 1500.0], 10.0, max_stderr=0.05, solver="monte_carlo",
         )  # fmt: skip
     table, wall_s, cpu_s = time_call(
         lambda: splits.build_table(

@@ -20,7 +20,7 @@ def select_principal_plane(dataset: xr.Dataset) -> xr.Dataset:
     -------
     xarray.Dataset
         Variables over ``angle`` (degrees from the normal, positive in the forward direction)
-        instead of ``polar`` and ``azimuth``.
+        instead of ``polar_deg`` and ``azimuth_deg``.
 
     Raises
     ------
@@ -29,11 +29,13 @@ def select_principal_plane(dataset: xr.Dataset) -> xr.Dataset:
     """
     sides = []
     for azimuth, sign in ((180.0, -1.0), (0.0, 1.0)):
-        matches = np.flatnonzero(np.isclose(dataset.azimuth.values, azimuth))
+        matches = np.flatnonzero(np.isclose(dataset.azimuth_deg.values, azimuth))
         if matches.size == 0:
-            raise invalid("azimuth_deg", dataset.azimuth.values.tolist(), "with 0 and 180 degrees")
-        part = dataset.isel(azimuth=matches[0], drop=True)
-        part = part.assign_coords(polar=sign * part.polar.values).rename(polar="angle")
+            raise invalid(
+                "azimuth_deg", dataset.azimuth_deg.values.tolist(), "with 0 and 180 degrees"
+            )
+        part = dataset.isel(azimuth_deg=matches[0], drop=True)
+        part = part.assign_coords(polar_deg=sign * part.polar_deg.values).rename(polar_deg="angle")
         sides.append(part.isel(angle=slice(None, None, -1)) if sign < 0.0 else part)
     back, forward = sides
     # The zenith is in both halves; the forward one keeps it.
@@ -63,13 +65,13 @@ def merge_angular_bins(dataset: xr.Dataset, factor: int) -> xr.Dataset:
     ValueError
         For an invalid factor.
     """
-    polar, azimuth = dataset.sizes["polar"], dataset.sizes["azimuth"]
+    polar, azimuth = dataset.sizes["polar_deg"], dataset.sizes["azimuth_deg"]
     if factor < 1 or factor % 2 == 0 or polar % factor or azimuth % factor:
         raise invalid("factor", factor, f"odd and a divisor of {polar} and {azimuth}")
     # Centres of bins are equally spaced in the cosine, which is proportional to the projected area.
-    weight = np.cos(np.radians(dataset.polar))
-    rolled = dataset[["brdf", "brdf_stderr"]].roll(azimuth=factor // 2, roll_coords=False)
-    blocks = {"polar": factor, "azimuth": factor}
+    weight = np.cos(np.radians(dataset.polar_deg))
+    rolled = dataset[["brdf", "brdf_stderr"]].roll(azimuth_deg=factor // 2, roll_coords=False)
+    blocks = {"polar_deg": factor, "azimuth_deg": factor}
 
     def total(values: xr.DataArray) -> xr.DataArray:
         return values.coarsen(blocks).sum()
@@ -77,7 +79,7 @@ def merge_angular_bins(dataset: xr.Dataset, factor: int) -> xr.Dataset:
     area = total(weight.broadcast_like(rolled.brdf))
     brdf = total(weight * rolled.brdf) / area
     stderr = np.sqrt(total((weight * rolled.brdf_stderr) ** 2)) / area
-    cosine = np.cos(np.radians(dataset.polar.values)).reshape(-1, factor).mean(axis=1)
+    cosine = np.cos(np.radians(dataset.polar_deg.values)).reshape(-1, factor).mean(axis=1)
     return xr.Dataset({"brdf": brdf, "brdf_stderr": stderr}).assign_coords(
-        polar=np.degrees(np.arccos(cosine)), azimuth=dataset.azimuth.values[::factor]
+        polar_deg=np.degrees(np.arccos(cosine)), azimuth_deg=dataset.azimuth_deg.values[::factor]
     )

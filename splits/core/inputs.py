@@ -14,7 +14,7 @@ from splits.core.arrays import (
     check_axis,
     check_named_numbers,
 )
-from splits.core.declarations import Quantity
+from splits.core.declarations import UNIT_SYMBOLS, Quantity
 from splits.core.spacing import SPACING_SCHEMA, expand_spacing
 from splits.core.validation import (
     check_range,
@@ -216,14 +216,26 @@ def check_depths(key: str, values: Any) -> np.ndarray:
     return as_1d_array(key, values, "numbers in metres")
 
 
+ScatteringAngles = Annotated[
+    Numbers,
+    Quantity(
+        "scattering angle", "degree", schema=NUMBERS_SCHEMA,
+        check=lambda key, angles: check_array_range(
+            key, as_1d_array(key, angles, "numbers in degrees"), 0.0, 180.0, "degrees"
+        ),
+    ),
+]  # fmt: skip
+
+
 def declare_numbers(
     long_name: str, unit: str, plural: str, low: float, high: float, *, open_low: bool = False
 ) -> Quantity:
     """Return the quantity of increasing numbers in a range, in a unit with a name in the plural."""
+    symbol = UNIT_SYMBOLS.get(unit, unit)
 
     def check(key: str, values: Any) -> np.ndarray:
         numbers = as_1d_array(key, values, f"numbers in {plural}")
-        return check_axis(key, numbers, low, high, unit, open_low=open_low)
+        return check_axis(key, numbers, low, high, symbol, open_low=open_low)
 
     return Quantity(long_name, unit, check=check, schema=NUMBERS_SCHEMA)
 

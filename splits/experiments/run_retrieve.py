@@ -471,7 +471,7 @@ def simulate_returns(
             footprint_radius_m=instrument.get("footprint_radius_m"), threads=threads,
         )  # fmt: skip
         one_photon = scale_counts(np.ones(edges.size - 1), edges, photons).rates
-        rates = light.return_rate.sel(side="reflected").transpose("wavelength", "delay").values
+        rates = light.return_rate.sel(side="reflected").transpose("wavelength", "delay_s").values
         expected = truth.get(SCALE, 1.0) * rates / one_photon
         counts = np.random.default_rng([seed, number]).poisson(expected)
         returns[sample] = scale_counts(counts, edges, photons)

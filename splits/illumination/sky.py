@@ -186,14 +186,29 @@ SNICAR_ZENITH_DEG = 60.0
 ZENITH_REQUIREMENT = "given: the polar angle of the sun in degrees"
 ASTM_ZENITH_DEG, ASTM_TILT_DEG = 48.19, 37.0
 """Polar angle of the sun, and tilt of the surface, in ASTM G173."""
-ATMOSPHERE_PARAMETERS: dict[str, tuple[float, tuple[float, float]]] = {
-    "pressure_pa": (101_325.0, (3e4, 1.1e5)),
-    "precipitable_water_cm": (1.0, (0.0, 10.0)),
-    "ozone_atm_cm": (0.3, (0.0, 1.0)),
-    "turbidity_500nm": (0.1, (0.0, 2.0)),
-    "ground_albedo": (0.8, (0.0, 1.0)),
+ATMOSPHERE = {
+    "pressure_pa": 101_325.0,
+    "precipitable_water_cm": 1.0,
+    "ozone_atm_cm": 0.3,
+    "turbidity_500nm": 0.1,
+    "ground_albedo": 0.8,
 }
-"""Parameters of a clear sky other than the sun: default and range."""
+"""Default parameters of a clear sky other than the sun."""
+
+SunZenith = Annotated[
+    float | None,
+    Quantity("polar angle of the sun", "degree", low=0.0, high=MAX_ZENITH_DEG),
+]
+Pressure = Annotated[float | None, Quantity("air pressure", "Pa", low=3e4, high=1.1e5)]
+WaterColumn = Annotated[float | None, Quantity("precipitable water", "cm", low=0.0, high=10.0)]
+OzoneColumn = Annotated[float | None, Quantity("column of ozone", "atm cm", low=0.0, high=1.0)]
+Turbidity = Annotated[
+    float | None, Quantity("optical thickness of the aerosol at 500 nm", low=0.0, high=2.0)
+]
+GroundAlbedo = Annotated[
+    float | None,
+    Quantity("albedo of the ground, whose light the sky scatters back", low=0.0, high=1.0),
+]
 
 
 @cache
@@ -209,13 +224,13 @@ def list_sky_names() -> tuple[str, ...]:
 @declare_function
 def sky(
     spectrum: Any = "midlatitude_winter",
-    zenith_deg: float | None = None,
+    zenith_deg: SunZenith = None,
     *,
-    pressure_pa: float | None = None,
-    precipitable_water_cm: float | None = None,
-    ozone_atm_cm: float | None = None,
-    turbidity_500nm: float | None = None,
-    ground_albedo: float | None = None,
+    pressure_pa: Pressure = None,
+    precipitable_water_cm: WaterColumn = None,
+    ozone_atm_cm: OzoneColumn = None,
+    turbidity_500nm: Turbidity = None,
+    ground_albedo: GroundAlbedo = None,
 ) -> Sky:
     """Return the spectral irradiance of a sky.
 
@@ -231,8 +246,8 @@ def sky(
         Polar angle of the sun, 0 to 89 degrees.  Skies of SNICAR have 60 by default, and
         ``astm_g173`` is for 48.19 only; other skies with direct light require it.
     pressure_pa, precipitable_water_cm, ozone_atm_cm : float, optional
-        State of the atmosphere, for ``"clear"`` only (Bird & Riordan 1986); `ATMOSPHERE_PARAMETERS`
-        contains the defaults and ranges.
+        State of the atmosphere, for ``"clear"`` only (Bird & Riordan 1986); `ATMOSPHERE` contains
+        the defaults.
     turbidity_500nm, ground_albedo : float, optional
         For ``"clear"`` only: optical thickness of the aerosol, and albedo of the ground, whose
         light the sky scatters back; 0.8 by default, for snow.
@@ -253,43 +268,37 @@ def sky(
         raise invalid(
             "zenith_deg", zenith_deg, "left out", f"{ASTM_G173} is for {ASTM_ZENITH_DEG}°"
         )
-    zenith = None
-    if zenith_deg is not None:
-        zenith = check_range("zenith_deg", zenith_deg, 0.0, MAX_ZENITH_DEG, "degrees")
     given = (pressure_pa, precipitable_water_cm, ozone_atm_cm, turbidity_500nm, ground_albedo)
-    named = zip(ATMOSPHERE_PARAMETERS, given, strict=True)
+    named = zip(ATMOSPHERE, given, strict=True)
     atmosphere = {key: value for key, value in named if value is not None}
     if name == CLEAR_SKY:
-        if zenith is None:
+        if zenith_deg is None:
             raise invalid(
                 "zenith_deg", None, ZENITH_REQUIREMENT, f'splits.sky("{CLEAR_SKY}", zenith_deg=50)'
             )
         # After Bird & Riordan (1986).
-        parameters = {
-            name: check_range(name, atmosphere.get(name, default), *limits)
-            for name, (default, limits) in ATMOSPHERE_PARAMETERS.items()
-        }
+        parameters = ATMOSPHERE | atmosphere
         compute_air_mass = import_optional(
             "pvlib.atmosphere", "sky", "clear skies need"
         ).get_relative_airmass
         spectra = import_optional("pvlib.spectrum", "sky", "clear skies need").spectrl2(
-            apparent_zenith=zenith,
-            aoi=zenith,
+            apparent_zenith=zenith_deg,
+            aoi=zenith_deg,
             surface_tilt=0.0,
             ground_albedo=parameters["ground_albedo"],
             surface_pressure=parameters["pressure_pa"],
-            relative_airmass=compute_air_mass(zenith, model="kasten1966"),
+            relative_airmass=compute_air_mass(zenith_deg, model="kasten1966"),
             precipitable_water=parameters["precipitable_water_cm"],
             ozone=parameters["ozone_atm_cm"],
             aerosol_turbidity_500nm=parameters["turbidity_500nm"],
             dayofyear=80,
         )
         direct, diffuse = (np.ravel(spectra[key]) for key in ("dni", "dhi"))
-        direct = np.maximum(direct, 0.0) * np.cos(np.radians(zenith))
+        direct = np.maximum(direct, 0.0) * np.cos(np.radians(zenith_deg))
         description = ", ".join(f"{name} {value:g}" for name, value in parameters.items())
         source = f"Bird & Riordan (1986), by pvlib: {description}"
         wavelengths = np.ravel(spectra["wavelength"])
-        return Sky(CLEAR_SKY, source, zenith, wavelengths, direct, np.maximum(diffuse, 0.0))
+        return Sky(CLEAR_SKY, source, zenith_deg, wavelengths, direct, np.maximum(diffuse, 0.0))
     if atmosphere:
         first, value = next(iter(atmosphere.items()))
         raise invalid(first, value, "left out", f"it applies to the sky {CLEAR_SKY} only")
@@ -306,13 +315,13 @@ def sky(
         return Sky(
             ASTM_G173, "ASTM G173-03, by pvlib", ASTM_ZENITH_DEG, wavelengths, direct, diffuse
         )
-    polar_angle = SNICAR_ZENITH_DEG if zenith is None else zenith
+    polar_angle = SNICAR_ZENITH_DEG if zenith_deg is None else zenith_deg
     if isinstance(spectrum, Mapping | Path) or is_csv_path(name):
         columns, digest = read_tabulated_function("sky", spectrum, SKY_COLUMNS)
         name = "table" if isinstance(spectrum, Mapping) else Path(spectrum).name
         wavelengths, direct, diffuse = columns
         user_sky = Sky(name, "given by the user", polar_angle, wavelengths, direct, diffuse)
-        if zenith is None and user_sky.direct.any():
+        if zenith_deg is None and user_sky.direct.any():
             hint = "splits.sky(…, zenith_deg=50): this sky has direct light"
             raise invalid("zenith_deg", None, ZENITH_REQUIREMENT, hint)
         content = np.stack([user_sky.wavelength_nm, user_sky.direct, user_sky.diffuse])

@@ -204,11 +204,11 @@ def hdrf(
     -------
     xarray.Dataset
         ``reflectance_factor`` and its error ``reflectance_factor_stderr`` over ``wavelength``,
-        ``polar`` and ``azimuth``: the radiance over that of a white Lambertian surface in the same
-        light.  The specular reflection of sunlight at a smooth boundary is excluded.  With bands,
-        ``band_reflectance_factor`` is its mean over ``band`` in place of ``wavelength``, weighted
-        by irradiance times response, and ``irradiance_covered`` the fraction of the band's light
-        within the wavelengths.
+        ``polar_deg`` and ``azimuth_deg``: the radiance over that of a white Lambertian surface in
+        the same light.  The specular reflection of sunlight at a smooth boundary is excluded.  With
+        bands, ``band_reflectance_factor`` is its mean over ``band`` in place of ``wavelength``,
+        weighted by irradiance times response, and ``irradiance_covered`` the fraction of the band's
+        light within the wavelengths.
 
     Raises
     ------
@@ -241,7 +241,7 @@ def hdrf(
     name = "reflectance_factor"
     mixed = mix_direct_and_diffuse(sky_spectrum, wavelengths, simulate_component, [name])
     term = "hemispherical-directional reflectance factor under this sky"
-    dims = ("wavelength", "polar", "azimuth")
+    dims = ("wavelength", "polar_deg", "azimuth_deg")
     mean, stderr = (mixed[key].transpose(*dims).values for key in (name, f"{name}_stderr"))
     mixed = mixed.assign(make_variable(name, dims, mean, stderr, term))
     attributes = run.make_attributes("Reflectance factor under a sky", "hdrf", medium)

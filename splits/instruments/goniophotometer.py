@@ -127,7 +127,7 @@ def make_angular_dataset(
         Variables that are left out.
     """
     polar, azimuth = angles
-    grid = ("wavelength", "polar", "azimuth")
+    grid = ("wavelength", "polar_deg", "azimuth_deg")
     shape = (len(wavelengths), len(polar), len(azimuth))
     is_diffuse = attributes["incidence_deg"] == "diffuse"
     distributions: dict[str, tuple[str, str, int, Any]] = {
@@ -154,8 +154,12 @@ def make_angular_dataset(
     azimuth_label = "angle from the direction in which the beam travels"
     coordinates = {
         "wavelength": make_wavelength_coordinate(wavelengths),
-        "polar": ("polar", polar, {"units": "degree", "long_name": "angle from the normal"}),
-        "azimuth": ("azimuth", azimuth, {"units": "degree", "long_name": azimuth_label}),
+        "polar_deg": (
+            "polar_deg",
+            polar,
+            {"units": "degree", "long_name": "angle from the normal"},
+        ),
+        "azimuth_deg": ("azimuth_deg", azimuth, {"units": "degree", "long_name": azimuth_label}),
     }
     # Without a BTDF, its polarization is undefined, too.
     kept = {
@@ -300,10 +304,10 @@ def goniophotometer(
     Returns
     -------
     xarray.Dataset
-        Over ``wavelength``, ``polar`` and ``azimuth``: ``brdf`` and ``btdf`` (1/sr) of scattered
-        light; the ``reflectance_factor`` π·BRDF; the ``anisotropy_factor``, π·BRDF divided by the
-        reflectance, 0 without light.  Its error allows for what both have
-        in common, except for bins and next-event estimation, where it is that of the BRDF.
+        Over ``wavelength``, ``polar_deg`` and ``azimuth_deg``: ``brdf`` and ``btdf`` (1/sr) of
+        scattered light; the ``reflectance_factor`` π·BRDF; the ``anisotropy_factor``, π·BRDF
+        divided by the reflectance, 0 without light.  Its error allows for what both have in common,
+        except for bins and next-event estimation, where it is that of the BRDF.
         Over ``wavelength``: ``reflectance`` and ``transmittance`` of all light, and their
         unscattered parts, which leave as collimated beams: ``specular_reflectance`` and
         ``direct_transmittance``.  All with their standard errors ``…_stderr``.

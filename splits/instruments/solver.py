@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from splits.core.uncertainty import ErrorTarget
-from splits.core.validation import check_choice, invalid
+from splits.core.validation import invalid
 from splits.discrete_ordinates.applicability import (
     find_direction_obstacle,
     find_obstacle,
@@ -37,16 +37,17 @@ from splits.media.medium import Medium
 from splits.simulation.spectral_tally import Derivatives, SpectralEstimate
 from splits.simulation.threads import limit_blas_threads
 
-MONTE_CARLO, DISCRETE_ORDINATES, AUTO = "monte_carlo", "discrete_ordinates", "auto"
+MONTE_CARLO: Final = "monte_carlo"
+DISCRETE_ORDINATES: Final = "discrete_ordinates"
+AUTO: Final = "auto"
 OPTICS_SHARE_OF_ERROR = 0.86
 """Error of single scattering that leaves half of a requested error for truncation."""
 LEAST_PATH_ERROR = 1e-4
 """About the error of a reflectance by the default largest number of rays."""
-SOLVERS = (MONTE_CARLO, DISCRETE_ORDINATES, AUTO)
 
 
 def choose_solver(
-    solver: Any, media: Iterable[Medium], wavelength_nm: np.ndarray, obstacle: str | None = None,
+    solver: str, media: Iterable[Medium], wavelength_nm: np.ndarray, obstacle: str | None = None,
     parameters: Sequence[str] = (), max_stderr: float = np.inf,
 ) -> str:  # fmt: skip
     """Return the solver for media: with "auto", discrete ordinates where they are the best.
@@ -56,8 +57,7 @@ def choose_solver(
 
     Parameters
     ----------
-    solver : object
-        As given by the user.
+    solver : {"auto", "discrete_ordinates", "monte_carlo"}
     media : iterable of Medium
     wavelength_nm : float, shape (wavelengths,)
     obstacle : str, optional
@@ -71,9 +71,8 @@ def choose_solver(
     Raises
     ------
     ValueError
-        For an unknown solver, and where discrete ordinates are requested and do not apply.
+        Where discrete ordinates are requested and do not apply.
     """
-    solver = check_choice("solver", solver, SOLVERS)
     if solver == MONTE_CARLO:
         return MONTE_CARLO
     media = list(media)

@@ -162,7 +162,7 @@ def time_of_flight(
     -------
     xarray.Dataset
         Over ``side`` ("reflected", "transmitted") and ``wavelength``: ``return_rate`` (s⁻¹) over
-        ``delay``, the fraction of the incident light per time, convolved with the pulse.  For an
+        ``delay_s``, the fraction of the incident light per time, convolved with the pulse.  For an
         instantaneous pulse and delays before the end of the record: ``fraction`` of the incident
         light, ``mean_delay`` (s), ``delay_spread`` (s), the standard deviation,
         ``delay_skewness``, and ``path_length`` (m), the mean length of the path in each
@@ -398,7 +398,7 @@ def make_delay_dataset(
     total, dims, width = moments.sum(axis=-2), ("side", "wavelength"), np.diff(edges)
     rate_error = tally.compute_fraction_error(histogram, bound[:, np.newaxis])
     variables = make_variable(
-        "return_rate", (*dims, "delay"), histogram.mean(axis=0) / width, rate_error / width,
+        "return_rate", (*dims, "delay_s"), histogram.mean(axis=0) / width, rate_error / width,
         "fraction of the incident light per time", "s-1",
     )  # fmt: skip
     recorded = lengths.mean(axis=0)
@@ -428,10 +428,10 @@ def make_delay_dataset(
     coordinates: dict[str, Any] = {
         "side": ("side", list(SIDES), {"long_name": "side of the sample where light leaves"}),
         "wavelength": make_wavelength_coordinate(wavelengths),
-        "delay": ("delay", centres, delay_attributes),
-        "delay_bounds": (("delay", "bounds"), np.column_stack([edges[:-1], edges[1:]])),
+        "delay_s": ("delay_s", centres, delay_attributes),
+        "delay_bounds": (("delay_s", "bounds"), np.column_stack([edges[:-1], edges[1:]])),
         "range": (
-            "delay", 0.5 * SPEED_OF_LIGHT * centres,
+            "delay_s", 0.5 * SPEED_OF_LIGHT * centres,
             {"long_name": "apparent depth below the surface", "units": "m"},
         ),
         "material": ("material", list(materials), {"long_name": "material"}),

@@ -52,7 +52,7 @@ from splits.core.validation import (
 
 SCHEMA_ATTRIBUTE = "splits_schema"
 """Attribute of the schema version; files without it are of version 0."""
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 CF_CONVENTIONS = "CF-1.11"
 RUN_SPECIFIC_ATTRIBUTES = ("date_created", "history", "wall_time_s", "threads", "host_cpu")
 """Attributes that differ between runs of the same simulation."""

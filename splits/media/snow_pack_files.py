@@ -5,15 +5,16 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 
+from splits.core.declarations import Quantity
 from splits.core.keywords import declare_function
 from splits.core.optional import import_optional
-from splits.core.validation import check_range, expand_path, invalid, suggest_name
+from splits.core.validation import expand_path, invalid, suggest_name
 from splits.io.crocus import THICKNESS, WATER_DENSITY_KG_M3, read_crocus_output
 from splits.io.layer_profiles import (
     SnowPit,
@@ -41,9 +42,26 @@ from splits.media.snow_packs import SnowPacks
 # Readers of snowpacks: snow pits in CAAML files, and output of the model Crocus.
 
 
+Extend = Annotated[
+    bool,
+    Quantity("whether layers above the first or below the last measurement take its value"),
+]
+PitLabel = Annotated[Literal["time", "file"], Quantity("label of a snow pit")]
+Position = Annotated[int | None, Quantity("position along the points of the model Crocus", low=0)]
+Latitude = Annotated[
+    float | None, Quantity("latitude of the snowpacks", "degree", low=-90.0, high=90.0)
+]
+Longitude = Annotated[
+    float | None, Quantity("longitude of the snowpacks", "degree", low=-180.0, high=180.0)
+]
+
+
 @declare_function
 def read_caaml(
-    path: str | Path | Sequence[str | Path], *, extend: bool = True, label: str = DEFAULT_LABEL
+    path: str | Path | Sequence[str | Path],
+    *,
+    extend: Extend = True,
+    label: PitLabel = "time",
 ) -> SnowPacks:
     """Read snow pits from CAAML files, version 6 of the snow profile of the IACS.
 
@@ -90,8 +108,6 @@ def read_caaml(
     paths = [path] if isinstance(path, str | os.PathLike) else list(path)
     if not paths:
         raise invalid("path", [], "at least one file")
-    if label not in (DEFAULT_LABEL, "file"):
-        raise invalid("label", label, f"{DEFAULT_LABEL} or file")
     pits = [read_snow_pit(one, with_time=label == DEFAULT_LABEL) for one in paths]
     columns = [_assign_to_layers(pit, extend) for pit in pits]
     n_layers = max(1, *(pit.top_m.size for pit in pits))
@@ -127,8 +143,8 @@ def _assign_to_layers(pit: SnowPit, extend: bool) -> dict[str, np.ndarray]:
 def read_crocus(
     source: str | Path | xr.Dataset,
     *,
-    point: int | None = None,
-    patch: int | None = None,
+    point: Position = None,
+    patch: Position = None,
     impurities: Mapping[str, str] | None = None,
 ) -> SnowPacks:
     """Read snowpacks from the output of the snow model Crocus in SURFEX (PRO file).
@@ -187,10 +203,11 @@ PACK_SUFFIXES = (".csv", *NETCDF_SUFFIXES, *CAAML_SUFFIXES)
 @declare_function
 def read_snow_packs(
     file: str | Path | Sequence[str | Path],
+    *,
     ground: Any = None,
-    point: int | None = None,
-    latitude_deg: float | None = None,
-    longitude_deg: float | None = None,
+    point: Position = None,
+    latitude_deg: Latitude = None,
+    longitude_deg: Longitude = None,
 ) -> SnowPacks:
     """Read snowpacks from a file.
 
@@ -234,12 +251,11 @@ def read_snow_packs(
         is_csv = suffixes == {".csv"}
         packs = SnowPacks(_read_csv(files[0]) if is_csv else _read_netcdf(files[0]), ground=ground)
     place = {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg}
-    if all(value is None for value in place.values()):
+    missing = [key for key, value in place.items() if value is None]
+    if len(missing) == len(place):
         return packs
-    for (key, value), limit in zip(place.items(), (90.0, 180.0), strict=True):
-        if value is None:
-            raise invalid(key, None, "given", "a place has a latitude and a longitude")
-        place[key] = check_range(key, value, -limit, limit, "degrees")
+    if missing:
+        raise invalid(missing[0], None, "given", "a place has a latitude and a longitude")
     return packs.with_sun_zenith(_compute_sun_zenith(packs, *place.values()))
 
 

@@ -73,7 +73,7 @@ def describe_bins(dataset: xr.Dataset) -> str:
     """Return the note that explains the gap around the normal; empty without angular bins."""
     if dataset.attrs.get("estimator") != "bins":
         return ""
-    first = f"{float(dataset.polar.min()):.3g}°"
+    first = f"{float(dataset.polar_deg.min()):.3g}°"
     return f"Lines join the centres of angular bins; the first are at {first} from the normal."
 
 
@@ -86,7 +86,7 @@ def insert_zenith_gap(plane: xr.Dataset) -> xr.Dataset:
 
 def make_lines(dataset: xr.Dataset, quantity: str) -> PlotLines:
     """Return the lines of a quantity over directions; a single wavelength has no label."""
-    directions = ("angle", "polar", "azimuth")
+    directions = ("angle", "polar_deg", "azimuth_deg")
     dims = [str(d) for d in dataset[quantity].dims if d not in directions]
     dims = [d for d in dims if d != "wavelength" or dataset.sizes[d] > 1]
     return PlotLines(dataset, dims, use_dashes=True)
@@ -168,13 +168,13 @@ def draw_hemispheres(
         Name of a single varying parameter; that of the parameter by default.
     """
     dataset = select_point(dataset, select)
-    if not can_map_hemisphere(dataset.polar.values, dataset.azimuth.values):
+    if not can_map_hemisphere(dataset.polar_deg.values, dataset.azimuth_deg.values):
         allowed = (
             f"another kind, such as principal_plane: a map needs at least {MIN_POLAR_ANGLES} polar "
             f"angles and {MIN_AZIMUTHS} azimuths at most {MAX_AZIMUTH_GAP_DEG:g} degrees apart, "
             "all around"
         )
-        hint = f"here are {dataset.sizes['polar']} and {dataset.sizes['azimuth']}"
+        hint = f"here are {dataset.sizes['polar_deg']} and {dataset.sizes['azimuth_deg']}"
         raise invalid("figure.kind", "hemisphere", allowed, hint)
     count = len(make_lines(dataset, quantity[0]).lines)
     check_count("maps", count * len(quantity), MAX_PANELS, select)
@@ -239,7 +239,7 @@ def draw_maps(
     list of matplotlib.axes.Axes
         Axes of the maps, in the order of the points.
     """
-    shown = dataset.isel(polar=dataset.polar.values <= MAX_POLAR_DEG)
+    shown = dataset.isel(polar_deg=dataset.polar_deg.values <= MAX_POLAR_DEG)
     points = make_lines(dataset, name).lines
     parts = [select_line(shown, point.labels) for point in points]
     titles = [make_panel_title(point.labels, legend) for point in points]
@@ -253,7 +253,7 @@ def draw_dataset_maps(
     titles: Sequence[str],
     name: str,
 ) -> list[Axes]:
-    """Draw maps of datasets over ``polar`` and ``azimuth`` only, see `draw_maps`."""
+    """Draw maps of datasets over ``polar_deg`` and ``azimuth_deg`` only, see `draw_maps`."""
     values = np.concatenate([part[name].values.ravel() for part in parts])
     is_degree = name == "brdf_dolp"
     norm = Normalize(0.0, float(values.max()) or 1.0) if is_degree else _make_colour_scale(values)
@@ -290,8 +290,8 @@ def _make_mesh(part: xr.Dataset, name: str) -> tuple[np.ndarray, np.ndarray, np.
 
     Wide bins are subdivided so that their borders are round.
     """
-    part = part.sortby("azimuth").sortby("polar")
-    azimuth, polar = part.azimuth.values, part.polar.values
+    part = part.sortby("azimuth_deg").sortby("polar_deg")
+    azimuth, polar = part.azimuth_deg.values, part.polar_deg.values
     n_cuts = -(-_MIN_AZIMUTH_STEPS // azimuth.size)
     steps = np.diff(azimuth, append=azimuth[0] + 360.0)
     first = azimuth[0] - 0.5 * steps[-1]
@@ -302,7 +302,7 @@ def _make_mesh(part: xr.Dataset, name: str) -> tuple[np.ndarray, np.ndarray, np.
     middle = 0.5 * (polar[1:] + polar[:-1])
     step = polar[-1] - polar[-2] if polar.size > 1 else 90.0
     last = min(90.0, polar[-1] + 0.5 * step)
-    values = part[name].transpose("polar", "azimuth").values
+    values = part[name].transpose("polar_deg", "azimuth_deg").values
     polar_borders = np.concatenate([[0.0], middle, [last]])
     return np.radians(azimuth_borders), polar_borders, np.repeat(values, n_cuts, axis=1)
 
@@ -342,10 +342,12 @@ def _draw_polarization_angles(axes: Axes, part: xr.Dataset) -> None:
     Seen from above, the angle increases anticlockwise from the radius of the map.
     """
     part = part.isel(
-        polar=slice(None, None, -(-part.sizes["polar"] // 6)),
-        azimuth=slice(None, None, -(-part.sizes["azimuth"] // 12)),
-    ).transpose(..., "polar", "azimuth")
-    radius, azimuth = np.meshgrid(part.polar.values, np.radians(part.azimuth.values), indexing="ij")
+        polar_deg=slice(None, None, -(-part.sizes["polar_deg"] // 6)),
+        azimuth_deg=slice(None, None, -(-part.sizes["azimuth_deg"] // 12)),
+    ).transpose(..., "polar_deg", "azimuth_deg")
+    radius, azimuth = np.meshgrid(
+        part.polar_deg.values, np.radians(part.azimuth_deg.values), indexing="ij"
+    )
     shown = (part.brdf_aolp_stderr.values < _MAX_ANGLE_STDERR_DEG) & (radius > _LINE_LENGTH_DEG)
     radius, azimuth = radius[shown], azimuth[shown]
     angle = azimuth + np.radians(part.brdf_aolp.values[shown])
@@ -379,9 +381,11 @@ def draw_lobes(dataset: xr.Dataset, select: Mapping[str, float | str] | None = N
         Grid labels to select.
     """
     dataset = select_point(dataset, select)
-    dataset = dataset.isel(polar=dataset.polar.values <= MAX_POLAR_DEG)
-    periodic = dataset.pad(azimuth=(0, 1), mode="wrap")
-    azimuth = np.radians(np.append(dataset.azimuth.values, dataset.azimuth.values[0] + 360.0))
+    dataset = dataset.isel(polar_deg=dataset.polar_deg.values <= MAX_POLAR_DEG)
+    periodic = dataset.pad(azimuth_deg=(0, 1), mode="wrap")
+    azimuth = np.radians(
+        np.append(dataset.azimuth_deg.values, dataset.azimuth_deg.values[0] + 360.0)
+    )
     plane = extract_plane(dataset)
     lines = make_lines(plane, "brdf").lines
     check_count("surfaces", len(lines), MAX_PANELS, select)
@@ -399,8 +403,8 @@ def draw_lobes(dataset: xr.Dataset, select: Mapping[str, float | str] | None = N
             position = 2 * row * columns + column + 1
             axes = figure.add_subplot(2 * rows, columns, position, projection="3d")
             lobe = select_line(periodic, grid_line.labels)
-            polar = np.radians(lobe.polar.values)[:, np.newaxis]
-            radius = lobe.brdf.transpose("polar", "azimuth").values
+            polar = np.radians(lobe.polar_deg.values)[:, np.newaxis]
+            radius = lobe.brdf.transpose("polar_deg", "azimuth_deg").values
             axes.plot_surface(
                 radius * np.sin(polar) * np.cos(azimuth),
                 radius * np.sin(polar) * np.sin(azimuth),

@@ -252,8 +252,7 @@ def _draw_views(dataset: xr.Dataset, quantity: Sequence[str], legend: str | None
     note = " · ".join(
         f"{format_parameter(str(n))} {format_value(part[n].item(), str(n))}" for n in fixed
     )
-    part = part.drop_vars(fixed).rename(dict(zip(VIEW_AXES, ("polar", "azimuth"), strict=True)))
-    figure = draw_principal_planes(part, quantity, legend=legend)
+    figure = draw_principal_planes(part.drop_vars(fixed), quantity, legend=legend)
     with use_style():
         add_notes(figure, f"at {note}" if note else "")
     return figure

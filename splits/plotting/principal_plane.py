@@ -104,7 +104,7 @@ def draw_principal_planes(
         titles = [make_panel_title({panel_dim: value}) for value in panel_values]
     else:
         parts, titles = [plane], [""]
-    has_all_azimuths = can_map_hemisphere(dataset.polar.values, dataset.azimuth.values)
+    has_all_azimuths = can_map_hemisphere(dataset.polar_deg.values, dataset.azimuth_deg.values)
     is_mapped = has_all_azimuths and len(lines.lines) <= MAX_MAPS and not panel_dim
     n_maps = len(lines.lines) if is_mapped else 0
     blocks = [
@@ -216,7 +216,7 @@ def draw_bin_sizes(dataset: xr.Dataset, select: Mapping[str, float | str] | None
     if dataset.attrs.get("estimator") != "bins":
         raise invalid("estimator", dataset.attrs.get("estimator"), "bins for figure.kind = 'bins'")
     dataset = dataset.isel(wavelength=0)
-    n_bins = dataset.sizes["polar"], dataset.sizes["azimuth"]
+    n_bins = dataset.sizes["polar_deg"], dataset.sizes["azimuth_deg"]
     factors = [
         divisor
         for divisor in (9, 5, 3, 1)

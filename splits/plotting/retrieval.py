@@ -74,7 +74,7 @@ def draw_retrievals(
         Prefixes of the names of samples that have a common panel of reference values.
     """
     all_samples = dataset.sample.values
-    is_return = "delay" in dataset.dims
+    is_return = "delay_s" in dataset.dims
     known = reference or {}
     # Corner plots of returns show reference values.
     reference = {
@@ -126,7 +126,7 @@ def draw_retrievals(
 
 def _make_note(dataset: xr.Dataset, rows: int, several: bool) -> str:
     """Return the note at the foot of the figure."""
-    note = RETURN_NOTE if "delay" in dataset.dims else SPECTRUM_NOTE
+    note = RETURN_NOTE if "delay_s" in dataset.dims else SPECTRUM_NOTE
     if rows < dataset.sizes["sample"]:
         note = f"{rows} of {dataset.sizes['sample']} samples, evenly among all. " + note
     if dataset.sizes["model"] == 1:
@@ -384,7 +384,7 @@ def draw_return_fit(figure: Figure, cell: SubplotSpec, part: xr.Dataset, title: 
     top = figure.add_subplot(inner[0])
     bottom = figure.add_subplot(inner[1], sharex=top)
     part = part.isel(model=0)
-    delay = 1e9 * part.delay.values
+    delay = 1e9 * part.delay_s.values
     n_wavelengths, lowest = part.sizes["wavelength"], np.inf
     several = n_wavelengths > 1
     for wavelength, colour in zip(

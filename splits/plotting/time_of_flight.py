@@ -53,7 +53,7 @@ def draw_returns(
         Title of the legend; by default the parameters of the grid.
     """
     dataset = _select_reflected(dataset, select)
-    dims = [str(d) for d in dataset.return_rate.dims if d != "delay"]
+    dims = [str(d) for d in dataset.return_rate.dims if d != "delay_s"]
     lines = PlotLines(dataset, [d for d in dims if d != "wavelength" or dataset.sizes[d] > 1])
     begin, end = (dataset.delay_bounds.values[:, column] for column in (0, 1))
     with use_style():

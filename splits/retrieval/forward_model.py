@@ -199,7 +199,7 @@ class TableForwardModel:
             name: float(physical[self.state_vector.names.index(name)]) for name in self.axes
         }
         fixed = {name: value for name, value in self.fixed.items() if name in self.table.axes}
-        interpolated, q = self.table.interp(**fixed, **free_values), self.quantity
+        interpolated, q = self.table.interp(**{**fixed, **free_values}), self.quantity
         interpolation_error = interpolated[f"{q}_interpolation_error"].values
         node_stderr = np.sqrt(
             np.maximum(interpolated[f"{q}_stderr"].values ** 2 - interpolation_error**2, 0.0)

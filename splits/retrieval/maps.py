@@ -14,12 +14,13 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import as_float_array, find_labels, match_labels
+from splits.core.inputs import Threads
 from splits.core.keywords import declare_function
 from splits.core.labels import check_nanometres, convert_units
 from splits.core.parameter_names import describe_parameter
 from splits.core.uncertainty import make_variable
 from splits.core.validation import InvalidValue, check_choice, invalid, join_names
-from splits.illumination.bands import SpectralBand, check_bands
+from splits.illumination.bands import Bands, SpectralBand, check_bands
 from splits.io.netcdf import ANCILLARY_ATTRIBUTE, make_provenance, to_netcdf_attributes
 from splits.kernels.compiler.jit import entry_point
 from splits.kernels.interpolation import interpolate
@@ -340,9 +341,9 @@ def retrieve_map(
     *,
     fixed: Mapping[str, Any] | None = None,
     prior: Mapping[str, Any] | None = None,
-    bands: Any = None,
+    bands: Bands = None,
     quantity: str | None = None,
-    threads: int | None = None,
+    threads: Threads = None,
 ) -> xr.Dataset:
     """Retrieve parameters in every pixel of an image.
 
@@ -535,7 +536,7 @@ class _MapRetrieval(NamedTuple):
     model: TableForwardModel
     reduced_table: tuple[np.ndarray, ...]
     covariance: np.ndarray
-    threads: int
+    threads: int | None
     is_lazy: bool
 
     def retrieve_block(self, spectra: np.ndarray) -> np.ndarray:

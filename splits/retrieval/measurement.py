@@ -110,21 +110,20 @@ def check_conditions(key: str, measured: Any, conditions: Mapping[str, Any]) -> 
     measured : object
         Only coordinates of xarray are checked, other than those of dimensions.
     conditions : mapping
-        Value by name, or a list of one value; ``polar_deg`` is also named ``polar``, as in results.
+        Value by name, or a list of one value.
     """
     coordinates: Mapping[Any, Any] = (
         measured.coords if isinstance(measured, xr.DataArray | xr.Dataset) else {}
     )
-    for condition, expected in conditions.items():
-        for name in {condition, condition.removesuffix("_deg")} & {*coordinates}:
-            values = coordinates[name].values
-            if condition == AZIMUTH and values.dtype.kind in "biuf":
-                values, expected = fold_azimuths(values), fold_azimuths(expected)
-            if name not in measured.dims and not is_same_label(values, expected):
-                found = np.unique(coordinates[name].values).tolist()
-                hint = f"the model has {condition} = {short_repr(expected)}"
-                hint += "; give the parts with one value each" if len(found) > 1 else ""
-                raise invalid(f"{key}.{name}", found, short_repr(expected), hint)
+    for name in [name for name in conditions if name in coordinates]:
+        values, expected = coordinates[name].values, conditions[name]
+        if name == AZIMUTH and values.dtype.kind in "biuf":
+            values, expected = fold_azimuths(values), fold_azimuths(expected)
+        if name not in measured.dims and not is_same_label(values, expected):
+            found = np.unique(coordinates[name].values).tolist()
+            hint = f"the model has {name} = {short_repr(expected)}"
+            hint += "; give the parts with one value each" if len(found) > 1 else ""
+            raise invalid(f"{key}.{name}", found, short_repr(expected), hint)
 
 
 def is_same_label(values: Any, expected: Any) -> bool:

@@ -22,8 +22,6 @@ from splits.core.inputs import check_incidence
 from splits.core.progress import Progress, ProgressCallback
 from splits.core.validation import (
     InvalidValue,
-    check_choice,
-    check_range,
     invalid,
     key_prefix,
     unknown_key,
@@ -38,7 +36,7 @@ from splits.discrete_ordinates.granular_stack import (
     compute_optics_error,
     solve_spectrum,
 )
-from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO, SOLVERS, choose_solver
+from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO, choose_solver
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
@@ -459,7 +457,8 @@ class SimulationForwardModel(MediumForwardModel):
         """Return a simulation at a state with derivatives by some parameters, and the scale."""
         medium, incidence, scale = self.make_inputs(state)
         spectrum = spectrophotometer(
-            medium, self.wavelengths, incidence, max_stderr, seed, solver=MONTE_CARLO,
+            medium, self.wavelengths, incidence, max_stderr=max_stderr, seed=seed,
+            solver=MONTE_CARLO,
             jacobian=names, progress=self._progress.track_run(max_stderr, count_runs(len(names))),
         )  # fmt: skip
         return spectrum, scale
@@ -581,10 +580,8 @@ def make_medium_model(
     progress: ProgressCallback,
 ) -> MediumForwardModel:  # fmt: skip
     """Return the forward model by discrete ordinates or by simulation; see `choose_solver`."""
-    if max_stderr is not None:
-        max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
     arguments = medium, measurement, state_vector, incidence, seed
-    if check_choice("solver", solver, SOLVERS) != MONTE_CARLO:
+    if solver != MONTE_CARLO:
         model = OrdinatesForwardModel(*arguments)
         media, obstacle = model.list_extreme_media(), None
         if find_obstacle(medium, model.wavelengths) is None:

@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from splits.core.inputs import Seed, Solver, StandardError
 from splits.core.keywords import declare_function
 from splits.core.progress import ProgressCallback
-from splits.core.validation import check_choice, check_integer, invalid
+from splits.core.validation import check_choice, invalid
+from splits.illumination.bands import Bands
 from splits.instruments.solver import AUTO
 from splits.media.formatting import suggest_medium
 from splits.media.kinds import MEDIUM_NAMES
@@ -65,13 +67,13 @@ def retrieve(
     free: Any,
     noise: Any = None,
     *,
+    max_stderr: StandardError | None = None,
+    solver: Solver = "auto",
     fixed: Mapping[str, Any] | None = None,
     prior: Mapping[str, Any] | None = None,
-    bands: Any = None,
+    bands: Bands = None,
     quantity: str | None = None,
-    solver: str = AUTO,
-    seed: int = 1,
-    max_stderr: float | None = None,
+    seed: Seed = 1,
     progress: ProgressCallback = None,
 ) -> RetrievalResult:
     """Retrieve parameters from a measured spectrum, with their errors.
@@ -100,6 +102,13 @@ def retrieve(
         and optional independent ones.  Without it, the fit is one of least squares, and the
         covariance of errors is estimated from the misfit, including its correlation between
         neighbouring values.
+    max_stderr : float, optional
+        Standard error of the final simulations of a medium; by default half of the smallest noise,
+        within 0.001 to 0.01, and 0.002 for unknown noise.  For discrete ordinates, it determines
+        the number of streams, and is 0.001 by default.
+    solver : {"auto", "discrete_ordinates", "monte_carlo"}
+        Solver for a medium, as for `splits.spectrophotometer`.  "auto" uses discrete ordinates for
+        natural snow if they apply within all ranges.
     fixed : mapping
         Values of the other axes, such as ``incidence_deg``, the only one for a medium, by default
         0.  For a table with directions, ``polar_deg`` and ``azimuth_deg`` are those of the
@@ -114,15 +123,8 @@ def retrieve(
     quantity : str, optional
         Quantity of the table, by default "reflectance"; required for a table with directions or
         for one direction, such as "reflectance_factor".
-    solver : {"auto", "discrete_ordinates", "monte_carlo"}
-        Solver for a medium, as for `splits.spectrophotometer`.  "auto" uses discrete ordinates for
-        natural snow if they apply within all ranges.
     seed : int
         Seed of the draws and of simulations.
-    max_stderr : float, optional
-        Standard error of the final simulations of a medium; by default half of the smallest noise,
-        within 0.001 to 0.01, and 0.002 for unknown noise.  For discrete ordinates, it determines
-        the number of streams, and is 0.001 by default.
     progress : callable or bool, optional
         See `splits.Progress`; True for a bar.  Only retrievals by simulation report.
 
@@ -161,7 +163,6 @@ def retrieve(
     >>> found.constrained
     {'optical_radius_um': True}
     """
-    seed = check_integer("seed", seed, 0)
     forward_model: TableForwardModel | MediumForwardModel
     if isinstance(model, Table):
         if max_stderr is not None:

@@ -20,17 +20,17 @@ from splits.core.arrays import (
     find_labels,
     match_labels,
 )
+from splits.core.inputs import Seed
 from splits.core.keywords import declare_function
 from splits.core.validation import (
     ROUNDING_TOLERANCE,
     as_scalar,
-    check_integer,
     check_range,
     invalid,
     short_repr,
 )
 from splits.illumination.bands import SpectralOperator
-from splits.instruments.delay_record import Pulse, describe_record
+from splits.instruments.delay_record import Pulse, PulseInput, describe_record
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.measurement import Measurement, check_conditions, is_same_label
 from splits.retrieval.result import (
@@ -73,11 +73,11 @@ class ReturnForwardModel(TableForwardModel):
 
 def sort_returns(dataset: Any) -> Any:
     """Return a dataset with ascending wavelengths and delays; other objects are unchanged."""
-    for dimension in ("wavelength", "delay"):
+    for dimension in ("wavelength", "delay_s"):
         if isinstance(dataset, xr.Dataset) and dimension in dataset.indexes:
             dataset = dataset.sortby(dimension)
     if isinstance(dataset, xr.Dataset) and "delay_bounds" in dataset:
-        bounds = dataset.delay_bounds.transpose("delay", ..., missing_dims="ignore")
+        bounds = dataset.delay_bounds.transpose("delay_s", ..., missing_dims="ignore")
         dataset = dataset.assign_coords(delay_bounds=bounds)
     return dataset
 
@@ -98,7 +98,7 @@ def make_channel_table(table: Any) -> Table:
     for name in (*names, "delay_bounds"):
         if name not in table:
             raise invalid(f"table.{name}", None, "given", allowed)
-    for dimension in ("wavelength", "delay"):
+    for dimension in ("wavelength", "delay_s"):
         if dimension not in table[QUANTITY].dims or dimension not in table.coords:
             hint = f"select a list: isel({dimension}=[0]), which keeps the axis"
             raise invalid("table", f"without an axis {dimension}", allowed, hint)
@@ -106,9 +106,9 @@ def make_channel_table(table: Any) -> Table:
     bounds = table.delay_bounds.values
     if not np.allclose(bounds[1:, 0], bounds[:-1, 1], rtol=ROUNDING_TOLERANCE, atol=0.0):
         hint = "select a slice of the record"
-        raise invalid("table.delay", "with gaps", "bins that follow each other", hint)
-    stacked = table[names].stack(channel=("wavelength", "delay"), create_index=False)
-    channels = stacked.drop_vars(["wavelength", "delay", "range"], errors="ignore")
+        raise invalid("table.delay_s", "with gaps", "bins that follow each other", hint)
+    stacked = table[names].stack(channel=("wavelength", "delay_s"), create_index=False)
+    channels = stacked.drop_vars(["wavelength", "delay_s", "range"], errors="ignore")
     channels = channels.rename(channel="wavelength")
     channels = channels.assign_coords(wavelength=np.arange(channels.sizes["wavelength"]) + 1.0)
     return Table(channels.assign_attrs(path_sharing_axes="none"))
@@ -155,13 +155,13 @@ def _align_to_channels(
     Labels are wavelengths (nm), and the middles, the beginnings or the ends of bins (s).
     """
     bins = 0.5 * (edges[1:] + edges[:-1]), edges[:-1], edges[1:]
-    labels: dict[str, Any] = {"wavelength": [wavelengths], "delay": bins}
+    labels: dict[str, Any] = {"wavelength": [wavelengths], "delay_s": bins}
     if isinstance(values, xr.DataArray):
         values = values.transpose(*(dim for dim in labels if dim in values.dims), ...)
         check_conditions(key, values, {"wavelength": wavelengths.tolist()})
     numbers = as_float_array(key, values, allowed)
     for axis in range(min(numbers.ndim, 2)):
-        name = "delay" if axis == numbers.ndim - 1 else "wavelength"
+        name = "delay_s" if axis == numbers.ndim - 1 else "wavelength"
         if isinstance(values, xr.DataArray) and values.dims[axis] in labels:
             name = str(values.dims[axis])
         positions = match_labels(f"{key} ({name})", find_labels(values, axis), labels[name])
@@ -207,19 +207,23 @@ def _read_return_dataset(measured: xr.Dataset) -> tuple[np.ndarray, xr.DataArray
     part = measured.isel({dim: 0 for dim in ("side", "wavelength") if measured.sizes.get(dim) == 1})
     if not {QUANTITY, "delay_bounds"} <= {*part.variables}:
         raise invalid("measured", "a dataset", f"with {QUANTITY} and delay_bounds", RETURN_HINT)
-    rates, bounds = part[QUANTITY], part.delay_bounds.transpose("delay", ...).values
+    rates, bounds = part[QUANTITY], part.delay_bounds.transpose("delay_s", ...).values
     side = str(as_scalar(part.coords.get("side", "reflected")))
-    if "delay" not in rates.dims or {*rates.dims} - {"wavelength", "delay"} or side != "reflected":
+    if (
+        "delay_s" not in rates.dims
+        or {*rates.dims} - {"wavelength", "delay_s"}
+        or side != "reflected"
+    ):
         side = "both sides" if "side" in rates.dims else side
         found = f"{side}, over {', '.join(map(str, rates.dims))}"
         raise invalid("measured", found, "reflected, over wavelength and delay", RETURN_HINT)
     if not np.allclose(bounds[1:, 0], bounds[:-1, 1], rtol=ROUNDING_TOLERANCE, atol=0.0):
-        raise invalid("measured.delay", "with gaps", "bins that follow each other")
+        raise invalid("measured.delay_s", "with gaps", "bins that follow each other")
     if rates.attrs.get("units", UNITS) != UNITS:
         raise invalid("measured", f"in {rates.attrs['units']}", f"in {UNITS}")
     # Light is matched by the delays of its bins.
     edges = np.append(bounds[:, 0], bounds[-1, 1])
-    return edges, rates.drop_vars("delay", errors="ignore").transpose(..., "delay")
+    return edges, rates.drop_vars("delay_s", errors="ignore").transpose(..., "delay_s")
 
 
 def check_return_noise(
@@ -354,10 +358,10 @@ def retrieve_return(
     free: Any,
     noise: Any,
     *,
-    pulse: Any = None,
+    pulse: PulseInput = None,
     fixed: Mapping[str, Any] | None = None,
     prior: Mapping[str, Any] | None = None,
-    seed: int = 1,
+    seed: Seed = 1,
 ) -> RetrievalResult:
     """Retrieve parameters from the measured return of a light pulse, with their errors.
 
@@ -392,7 +396,8 @@ def retrieve_return(
     Returns
     -------
     RetrievalResult
-        As of `splits.retrieve`, with ``measured`` and ``fitted`` over ``wavelength`` and ``delay``.
+        As of `splits.retrieve`, with ``measured`` and ``fitted`` over ``wavelength`` and
+        ``delay_s``.
 
     Raises
     ------
@@ -419,7 +424,6 @@ def retrieve_return(
     >>> found.constrained
     {'specific_surface_area_m2_kg': True}
     """
-    seed = check_integer("seed", seed, 0)
     table = sort_returns(table)
     channels = make_channel_table(table)
     edges, rates = read_return(measured, table.wavelength.values)
@@ -480,7 +484,7 @@ def _check_rates(
         limits = float(state_vector.low[number]), float(state_vector.high[number])
     width = np.tile(np.diff(edges), len(rates))
     node_rates, error = (
-        table[name].transpose(..., "wavelength", "delay").values.reshape(-1, matrix.shape[1])
+        table[name].transpose(..., "wavelength", "delay_s").values.reshape(-1, matrix.shape[1])
         for name in (QUANTITY, f"{QUANTITY}_stderr")
     )
     tabulated = np.maximum(node_rates - NODE_ERRORS * error, 0.0) @ matrix.T @ width
@@ -501,16 +505,16 @@ def _split_channels(dataset: xr.Dataset, table: xr.Dataset, edges: np.ndarray) -
     shape = table.sizes["wavelength"], edges.size - 1
     variables = {
         name: (
-            ("wavelength", "delay"), dataset[name].values.reshape(shape),
+            ("wavelength", "delay_s"), dataset[name].values.reshape(shape),
             {**dataset[name].attrs, "units": UNITS},
         )
         for name in names
     }  # fmt: skip
     bounds = np.column_stack([edges[:-1], edges[1:]])
-    delay = ("delay", bounds.mean(axis=1), table.delay.attrs)
+    delay = ("delay_s", bounds.mean(axis=1), table.delay_s.attrs)
     coordinates = {
         "wavelength": table.wavelength,
-        "delay": delay,
-        "delay_bounds": (("delay", "bounds"), bounds),
+        "delay_s": delay,
+        "delay_bounds": (("delay_s", "bounds"), bounds),
     }
     return dataset.drop_dims("wavelength").assign(variables).assign_coords(coordinates)

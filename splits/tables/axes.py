@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from numbers import Real
-from typing import Any, NamedTuple, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import numpy as np
 import xarray as xr
 
-from splits.core.arrays import as_1d_array, check_increasing, check_no_gaps
-from splits.core.inputs import check_polar_angles
+from splits.core.arrays import as_1d_array, check_axis, check_no_gaps
+from splits.core.declarations import Quantity
+from splits.core.inputs import ANGLE_SCHEMA, DIFFUSE, check_incidence, check_polar_angles
 from splits.core.parameter_names import describe_parameter
 from splits.core.validation import as_scalar, format_key, has_surrogates, invalid, unknown_key
 from splits.io.netcdf import NETCDF_LOCK
+from splits.media.medium import Medium
 from splits.simulation.spectral_tally import SIDE_QUANTITIES
 
 INCIDENCE = "incidence_deg"
 RESULT_NAMES = (
-    "wavelength", "batch", "delay", "bounds", "reflectance", "transmittance", "absorptance",
+    "wavelength", "batch", "delay_s", "bounds", "reflectance", "transmittance", "absorptance",
     "reflectance_factor", "anisotropy_factor", "return_rate", "fraction", "mean_delay",
 )  # fmt: skip
 """Dimensions and quantities of tables, which no parameter may be named after."""
@@ -43,31 +45,13 @@ class ParameterGrid(NamedTuple):
 
     @classmethod
     def from_mapping(cls, grid: Any) -> ParameterGrid:
-        """Return the grid for a user's mapping.
+        """Return the grid of a user's mapping, see `check_grid`."""
+        return cls.from_checked(check_grid("grid", grid))
 
-        Parameters
-        ----------
-        grid : mapping
-            Sequence of distinct values by parameter: numbers, or text such as "diffuse" and the
-            names of soils.
-
-        Raises
-        ------
-        ValueError
-            For an empty axis, duplicate values, mixed numbers and text, or unordered numbers.
-        """
-        if not isinstance(grid, Mapping) or not grid:
-            raise invalid("grid", grid, "a mapping from parameters to lists of values")
-        axes = cls(
-            tuple(map(str, grid)), tuple(_check_grid_axis(str(k), v) for k, v in grid.items())
-        )
-        for name in axes.names:
-            if not name or has_surrogates(name) or name.removesuffix("_stderr") in RESULT_NAMES:
-                allowed = "names that no quantity and no dimension of the result has"
-                raise invalid("grid", name, allowed)
-        if axes.size > MAX_SPECTRA:
-            raise invalid("grid", f"{axes.size} spectra", f"at most {MAX_SPECTRA}")
-        return axes
+    @classmethod
+    def from_checked(cls, grid: Mapping[str, tuple[Any, ...]]) -> ParameterGrid:
+        """Return the grid of values by parameter."""
+        return cls(tuple(grid), tuple(grid.values()))
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -88,17 +72,14 @@ class ParameterGrid(NamedTuple):
         """Return the values of an axis, or the default if there is no such axis."""
         return self.values[self.names.index(name)] if name in self.names else (default,)
 
-    def check_single_incidence(self, incidence_deg: Any) -> None:
-        """Reject several angles, and any but the default where it is an axis of the grid."""
-        incidence_deg = as_scalar(incidence_deg)
-        if isinstance(incidence_deg, Iterable) and not isinstance(incidence_deg, str):
-            incidence_deg = [as_scalar(value) for value in incidence_deg]
-        if INCIDENCE in self.names and incidence_deg != 0.0:
+    def get_incidences(self, incidence_deg: float | str) -> list[float | str]:
+        """Return the angles of the axis of incidence, or that of all points without this axis."""
+        if INCIDENCE not in self.names:
+            return [incidence_deg]
+        if incidence_deg != 0.0:
             allowed = f"left out, because grid.{INCIDENCE} sets it"
             raise invalid(INCIDENCE, incidence_deg, allowed)
-        if isinstance(incidence_deg, list):
-            hint = f"the grid takes the axis '{INCIDENCE}': {incidence_deg}"
-            raise invalid(INCIDENCE, incidence_deg, "one angle in degrees, or diffuse", hint)
+        return [check_incidence(INCIDENCE, angle) for angle in self.get_values(INCIDENCE, 0.0)]
 
     def iterate_points(self) -> Iterator[dict[str, Any]]:
         """Yield the parameters of every point; the last axis varies fastest."""
@@ -108,6 +89,68 @@ class ParameterGrid(NamedTuple):
     def to_coordinates(self) -> dict[str, Any]:
         """Return the axes as dataset coordinates with long names and units."""
         return {name: (name, *_make_coordinate(name, row)) for name, row in zip(*self, strict=True)}
+
+
+def check_grid(key: str, grid: Any) -> dict[str, tuple[Any, ...]]:
+    """Return the values of a grid by parameter, after checking them.
+
+    Parameters
+    ----------
+    key : str
+        Key named in error messages.
+    grid : mapping
+        Sequence of distinct values by parameter: numbers, or text such as "diffuse" and the names
+        of soils.
+
+    Raises
+    ------
+    ValueError
+        For an empty axis, duplicate values, mixed numbers and text, or unordered numbers.
+    """
+    if not isinstance(grid, Mapping) or not grid:
+        raise invalid(key, grid, "a mapping from parameters to lists of values")
+    axes = {str(name): _check_grid_axis(str(name), values) for name, values in grid.items()}
+    for name in axes:
+        if not name or has_surrogates(name) or name.removesuffix("_stderr") in RESULT_NAMES:
+            allowed = "names that no quantity and no dimension of the result has"
+            raise invalid(key, name, allowed)
+    size = math.prod(map(len, axes.values()))
+    if size > MAX_SPECTRA:
+        raise invalid(key, f"{size} spectra", f"at most {MAX_SPECTRA}")
+    return axes
+
+
+def check_single_incidence(key: str, incidence_deg: Any) -> float | str:
+    """Return the incidence of all points of a grid, after checking that it is a single one."""
+    is_several = isinstance(incidence_deg, Iterable) and np.ndim(incidence_deg) > 0  # type: ignore[arg-type]
+    if is_several and not isinstance(incidence_deg, str):
+        angles = [as_scalar(value) for value in incidence_deg]
+        hint = f"the grid takes the axis '{INCIDENCE}': {angles}"
+        raise invalid(key, angles, "one angle in degrees, or diffuse", hint)
+    return check_incidence(key, incidence_deg)
+
+
+def _check_function(key: str, make: Any) -> Callable[..., Any]:
+    if not callable(make):
+        raise invalid(key, make, "a function that returns a medium", "such as Snow.natural")
+    return make  # type: ignore[no-any-return]
+
+
+MakeMedium = Annotated[
+    Callable[..., Medium],
+    Quantity("function of the parameters that returns a medium", check=_check_function),
+]
+Grid = Annotated[
+    Mapping[str, Any],
+    Quantity("values by parameter", check=check_grid, schema={"type": "object"}),
+]
+GridIncidence = Annotated[
+    float | str,
+    Quantity(
+        "angle of incidence", "degree", check=check_single_incidence,
+        schema={"anyOf": [ANGLE_SCHEMA, {"const": DIFFUSE}]},
+    ),
+]  # fmt: skip
 
 
 def check_axis_values(
@@ -235,12 +278,9 @@ class ViewGrid(NamedTuple):
             if name not in given:
                 raise invalid(f"{prefix}{name}", None, "given", f"{given[0]} needs it")
         polar = check_polar_angles(f"{prefix}{POLAR}", grid.get_values(POLAR, 0.0))
-        azimuth = as_1d_array(f"{prefix}{AZIMUTH}", grid.get_values(AZIMUTH, 0.0), "numbers")
-        check_increasing(f"{prefix}{AZIMUTH}", azimuth)
-        if azimuth[0] < 0.0 or azimuth[-1] > 180.0:
-            hint = "both sides of the plane of incidence are the same"
-            raise invalid(f"{prefix}{AZIMUTH}", azimuth.tolist(), "0 to 180", hint)
-        return cls(polar, azimuth)
+        key, hint = f"{prefix}{AZIMUTH}", "both sides of the plane of incidence are the same"
+        azimuth = as_1d_array(key, grid.get_values(AZIMUTH, 0.0), "numbers")
+        return cls(polar, check_axis(key, azimuth, 0.0, 180.0, "degrees", hint=hint))
 
     def to_coordinates(self) -> dict[str, Any]:
         """Return the angles as dataset coordinates."""

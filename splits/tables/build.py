@@ -4,25 +4,39 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import xarray as xr
 
 from splits.core.atomic import check_writable
+from splits.core.declarations import Quantity
+from splits.core.inputs import (
+    Kernel,
+    MaxRays,
+    Seed,
+    Solver,
+    StandardError,
+    Threads,
+    Wavelengths,
+)
 from splits.core.keywords import declare_function
 from splits.core.progress import ProgressCallback, report_whole_table
 from splits.core.provenance import hash_physics_sources
 from splits.core.validation import expand_path, invalid
-from splits.illumination.bands import SpectralOperator, check_bands, choose_band_wavelengths
+from splits.illumination.bands import (
+    Bands,
+    SpectralOperator,
+    check_bands,
+    choose_band_wavelengths,
+)
 from splits.instruments.goniophotometer import MAX_CONVERGED_POLAR_DEG
 from splits.instruments.solver import MONTE_CARLO
 from splits.instruments.spectrophotometer import SpectralRequest
 from splits.io.cache import Cache
-from splits.media.medium import Medium
 from splits.simulation.run_options import RunOptions
 from splits.simulation.shared_paths import (
     PathSharingMedia,
@@ -34,6 +48,9 @@ from splits.tables.assembly import (
     average_nodes,
 )
 from splits.tables.axes import (
+    Grid,
+    GridIncidence,
+    MakeMedium,
     ParameterGrid,
     ViewGrid,
     check_quantities,
@@ -49,23 +66,28 @@ BLOCK_PREFIX = "block"
 """Beginning of the names of files of blocks."""
 
 
+Covariance = Annotated[
+    bool, Quantity("whether the table contains the contributions of batches of rays to the errors")
+]
+
+
 @declare_function
 def build_table(
-    make: Callable[..., Medium],
-    grid: Mapping[str, Any],
-    wavelength_nm: Any = None,
-    incidence_deg: float | str = 0.0,
-    max_stderr: float = 0.003,
-    seed: int = 1,
+    make: MakeMedium,
+    grid: Grid,
+    wavelength_nm: Wavelengths | None = None,
+    incidence_deg: GridIncidence = 0.0,
     *,
-    solver: str = "auto",
+    max_stderr: StandardError = 0.003,
+    solver: Solver = "auto",
     quantities: Sequence[str] | None = None,
-    covariance: bool = False,
-    bands: Any = None,
+    covariance: Covariance = False,
+    bands: Bands = None,
     folder: str | Path | None = None,
-    max_rays: int = 20_000_000,
-    threads: int | None = None,
-    kernel: str = "auto",
+    seed: Seed = 1,
+    max_rays: MaxRays = 20_000_000,
+    threads: Threads = None,
+    kernel: Kernel = "auto",
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
     """Compute a table of spectra over a grid of parameters.
@@ -88,10 +110,10 @@ def build_table(
         apart.
     incidence_deg : float or "diffuse"
         Angle of incidence (degrees), unless it is an axis of the grid.
-    max_stderr, seed, max_rays, threads, kernel
-        As for `splits.spectrophotometer`.  `max_stderr` applies to every node of the table, and
-        `max_rays` to each ensemble.  With directions, it applies to reflectance factors up to polar
-        angles of `splits.instruments.goniophotometer.MAX_CONVERGED_POLAR_DEG`.
+    max_stderr : float
+        Largest standard error of every node of the table, as for `splits.spectrophotometer`.  With
+        directions, it applies to reflectance factors up to polar angles of
+        `splits.instruments.goniophotometer.MAX_CONVERGED_POLAR_DEG`.
     solver : {"auto", "discrete_ordinates", "monte_carlo"}
         As for `splits.spectrophotometer`, for all points of the table.
     quantities : sequence of str, optional
@@ -109,6 +131,8 @@ def build_table(
     folder : path, optional
         Folder in which each ensemble is stored when it is complete.  An interrupted run resumes
         from there with the same results.
+    seed, max_rays, threads, kernel
+        As for `splits.spectrophotometer`; `max_rays` applies to each ensemble.
     progress : callable or bool, optional
         As for `splits.spectrophotometer`, for the whole table.
 
@@ -137,34 +161,25 @@ def build_table(
     {'optical_radius_um': 3, 'incidence_deg': 2, 'wavelength': 2}
     """
     start_time = time.perf_counter()
-    if not callable(make):
-        raise invalid("make", make, "a function that returns a medium", "such as Snow.natural")
     run = RunOptions.start(seed, threads, kernel)
     named = {} if bands is None else check_bands(bands)
-    if wavelength_nm is None and named:
-        wavelength_nm = choose_band_wavelengths(named)
-    spectral_request = SpectralRequest(wavelength_nm, 0.0, max_stderr, max_rays, run)
+    if wavelength_nm is None and not named:
+        raise invalid("wavelength_nm", None, "given, or bands")
+    wavelengths = choose_band_wavelengths(named) if wavelength_nm is None else wavelength_nm
+    spectral_request = SpectralRequest(np.asarray(wavelengths), 0.0, max_stderr, max_rays, run)
     matrix = SpectralOperator.from_bands(named, spectral_request.wavelengths) if named else None
-    axes = ParameterGrid.from_mapping(grid)
+    axes = ParameterGrid.from_checked(grid)
     views = ViewGrid.from_grid(axes)
-    selected = check_quantities(quantities, views, bool(covariance))
+    selected = check_quantities(quantities, views, covariance)
     plan = TablePlan.from_grid(
-        make,
-        drop_view_axes(axes),
-        spectral_request.wavelengths,
-        incidence_deg,
-        has_views=views is not None,
-        with_diffuse=has_diffuse(selected),
-    )
+        make, drop_view_axes(axes), spectral_request.wavelengths, incidence_deg,
+        has_views=views is not None, with_diffuse=has_diffuse(selected),
+    )  # fmt: skip
     chosen = choose_table_solver(
-        solver,
-        plan.list_media(),
-        spectral_request.wavelengths,
-        bool(covariance),
-        spectral_request.max_stderr,
+        solver, plan.list_media(), spectral_request.wavelengths, covariance, max_stderr,
         has_views=views is not None,
-    )
-    request = TableRequest(spectral_request, selected, bool(covariance), chosen, views)
+    )  # fmt: skip
+    request = TableRequest(spectral_request, selected, covariance, chosen, views)
     block_folder = None if folder is None else expand_path(folder, "folder")
     table = compute_table(plan, request, block_folder, progress)
     compared = add_comparisons(

@@ -6,17 +6,18 @@ The part of a table that these programs take is selected, and its angles are che
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import xarray as xr
 
 from splits.core.arrays import check_no_gaps
+from splits.core.declarations import Quantity
+from splits.core.keywords import declare_function
 from splits.core.validation import (
     ROUNDING_TOLERANCE,
     as_scalar,
     check_choice,
-    check_integer,
     check_number,
     invalid,
     snap_to_limits,
@@ -132,11 +133,17 @@ MIN_LAST_ZENITH_DEG = 60.0
 """Smallest last node of the zenith angles of a table that is converted."""
 
 
+CosineCount = Annotated[int, Quantity("number of cosines of both zenith angles", low=2, high=1000)]
+AzimuthCount = Annotated[int, Quantity("number of azimuths", low=2, high=3600)]
+
+
+@declare_function
 def convert_to_eradiate(
     dataset: xr.Dataset,
+    *,
     wavelength: float | None = None,
-    n_cosines: int = 51,
-    n_azimuths: int = 72,
+    n_cosines: CosineCount = 51,
+    n_azimuths: AzimuthCount = 72,
     **at: Any,
 ) -> xr.Dataset:
     """Convert a table of directions to the data of eradiate's ``MQDiffuseBSDF``.
@@ -181,8 +188,6 @@ def convert_to_eradiate(
     With the package eradiate: ``eradiate.scenes.bsdfs.MQDiffuseBSDF(data=d)`` for a dataset ``d``
     or the path of its netCDF file.
     """
-    n_cosines = check_integer("n_cosines", n_cosines, 2, 1000)
-    n_azimuths = check_integer("n_azimuths", n_azimuths, 2, 3600)
     subset = select_reflectance_factor(dataset, at)
     factor, nodes = subset[REFLECTANCE_FACTOR], subset.wavelength.values
     allowed = f"one of the table's {nodes.size} wavelengths, from {nodes[0]:g} to {nodes[-1]:g} nm"

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.core.inputs import check_incidence
+from splits.core.inputs import DIFFUSE
 from splits.core.validation import invalid, suggest_name
 from splits.discrete_ordinates.applicability import find_direction_obstacle
 from splits.instruments.solver import DISCRETE_ORDINATES, choose_solver
@@ -21,7 +21,6 @@ from splits.simulation.shared_paths import (
 )
 from splits.tables.axes import ANGLES, INCIDENCE, ParameterGrid
 
-DIFFUSE = "diffuse"
 MAX_VIEW_ROWS = 1000
 """Largest number of rows of one tally of directions, which needs up to 2 GB."""
 
@@ -99,11 +98,9 @@ class TablePlan(NamedTuple):
         ValueError
             For an invalid point; the message names it.
         """
-        grid.check_single_incidence(incidence_deg)
+        beams = grid.get_incidences(incidence_deg)
         media_axes = grid.drop(INCIDENCE)
         media = [make_point_medium(make_medium, point) for point in media_axes.iterate_points()]
-        angles = grid.get_values(INCIDENCE, incidence_deg)
-        beams = [check_incidence(INCIDENCE, angle) for angle in angles]
         if with_diffuse and DIFFUSE in beams:
             raise invalid(INCIDENCE, DIFFUSE, "angles with quantities under isotropic light")
         max_rows = MAX_VIEW_ROWS if has_views else MAX_SHARED_ROWS

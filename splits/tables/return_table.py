@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from splits.core.inputs import check_incidence, check_wavelengths
+from splits.core.inputs import Kernel, RayCount, Seed, Threads, Wavelengths
 from splits.core.keywords import declare_function
 from splits.core.progress import ProgressCallback, report_whole_table
-from splits.core.validation import check_integer
 from splits.instruments.delay_record import (
+    DEFAULT_EDGES_S,
+    AcceptanceAngle,
+    DelayEdges,
+    FootprintRadius,
     Pulse,
     check_granular_layers,
     check_record,
@@ -24,7 +25,7 @@ from splits.instruments.time_of_flight import FLAG_NAME, DelayRequest, simulate_
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.media.medium import Medium
 from splits.simulation.run_options import RunOptions
-from splits.tables.axes import INCIDENCE, ParameterGrid
+from splits.tables.axes import INCIDENCE, Grid, GridIncidence, MakeMedium, ParameterGrid
 from splits.tables.plan import make_point_medium
 
 RETURN_QUANTITIES = ("return_rate", "fraction", "mean_delay")
@@ -36,18 +37,18 @@ TITLE = "Table of returns"
 
 @declare_function
 def build_return_table(
-    make: Callable[..., Medium],
-    grid: Mapping[str, Any],
-    wavelength_nm: Any,
-    incidence_deg: float | str = 0.0,
-    rays: int = 100_000,
-    seed: int = 1,
+    make: MakeMedium,
+    grid: Grid,
+    wavelength_nm: Wavelengths,
+    incidence_deg: GridIncidence = 0.0,
     *,
-    delay_s: Any = None,
-    acceptance_deg: float | None = None,
-    footprint_radius_m: float | None = None,
-    threads: int | None = None,
-    kernel: str = "auto",
+    rays: RayCount = 100_000,
+    delay_s: DelayEdges = DEFAULT_EDGES_S,
+    acceptance_deg: AcceptanceAngle = None,
+    footprint_radius_m: FootprintRadius = None,
+    seed: Seed = 1,
+    threads: Threads = None,
+    kernel: Kernel = "auto",
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
     """Compute the return of an instantaneous pulse of light over a grid of parameters.
@@ -65,18 +66,18 @@ def build_return_table(
     wavelength_nm, incidence_deg, delay_s, acceptance_deg, footprint_radius_m, threads, kernel
         As for `splits.time_of_flight`.  For `splits.retrieve_return`, bins should be narrower than
         the pulse and the bins of the measurement.
-    progress : callable or bool, optional
-        As for `splits.build_table`.
     rays : int
         Number of rays at each point and wavelength.
     seed : int
         Non-negative; a table and synthetic measurements must have different seeds.
+    progress : callable or bool, optional
+        As for `splits.build_table`.
 
     Returns
     -------
     xarray.Dataset
         Over the axes of the grid and ``wavelength``, of reflected light: ``return_rate`` (s⁻¹) over
-        ``delay``, and of the light within the record ``fraction`` and ``mean_delay`` (s), as of
+        ``delay_s``, and of the light within the record ``fraction`` and ``mean_delay`` (s), as of
         `splits.time_of_flight`, with standard errors ``…_stderr``.  ``mean_delay`` is NaN where
         ``moments_flag`` is 1.
 
@@ -96,19 +97,19 @@ def build_return_table(
     ...     delay_s=[0, 2e-11, 5e-11, 1e-10, 2e-10, 1e-9],
     ... )
     >>> dict(table.return_rate.sizes)
-    {'specific_surface_area_m2_kg': 3, 'density_kg_m3': 2, 'wavelength': 1, 'delay': 5}
+    {'specific_surface_area_m2_kg': 3, 'density_kg_m3': 2, 'wavelength': 1, 'delay_s': 5}
     """
     start_time = time.perf_counter()
-    axes = ParameterGrid.from_mapping(grid)
-    wavelengths = check_wavelengths("wavelength_nm", wavelength_nm)
-    rays = check_integer("rays", rays, 1)
+    axes = ParameterGrid.from_checked(grid)
+    wavelengths = np.asarray(wavelength_nm)
     run = RunOptions.start(seed, threads, kernel)
     pulse = Pulse.from_argument(None)
-    edges, end = check_record(delay_s, None, pulse)
-    axes.check_single_incidence(incidence_deg)
+    edges, end = check_record(np.asarray(delay_s), None, pulse)
+    angles = axes.get_values(INCIDENCE, incidence_deg)
+    beams = dict(zip(angles, axes.get_incidences(incidence_deg), strict=True))
     points = []
     for parameters in axes.iterate_points():
-        incidence = check_incidence("incidence_deg", parameters.get(INCIDENCE, incidence_deg))
+        incidence = beams[parameters.get(INCIDENCE, incidence_deg)]
         receiver = make_receiver(incidence, acceptance_deg, footprint_radius_m)
         request = DelayRequest(incidence, rays, receiver, edges, end, pulse)
         keywords = {name: value for name, value in parameters.items() if name != INCIDENCE}

@@ -13,6 +13,7 @@ from splits.core.atomic import atomic_write
 from splits.core.escaping import escape_cells
 from splits.core.keywords import declare_function
 from splits.core.validation import expand_path, invalid, key_prefix
+from splits.illumination.bands import Bands
 from splits.io.netcdf import load, open_lazily
 from splits.tables.assembly import MAX_BYTES_IN_MEMORY
 from splits.tables.axes import (
@@ -35,7 +36,16 @@ from splits.tables.table_interpolation import (
     interpolate_deviations,
     interpolate_table,
 )
-from splits.tables.view_selection import ViewRequest, describe_table, select_view
+from splits.tables.view_selection import (
+    VIEW_POLAR,
+    FieldOfView,
+    ViewAzimuth,
+    ViewPolar,
+    ViewRequest,
+    check_view_azimuth,
+    describe_table,
+    select_view,
+)
 
 
 def write_csv(dataset: xr.Dataset, path: str | Path) -> None:
@@ -123,10 +133,10 @@ class Table:
     @declare_function
     def at_view(
         self,
-        polar_deg: float,
-        azimuth_deg: float | None = None,
+        polar_deg: ViewPolar,
+        azimuth_deg: ViewAzimuth | None = None,
         *,
-        field_of_view_deg: float = 0.0,
+        field_of_view_deg: FieldOfView = 0.0,
         diffuse_fraction: Any = 0.0,
     ) -> Table:
         """Return the table for one direction of observation.
@@ -172,7 +182,9 @@ class Table:
             return dict(at)
         at = check_axis_values(at, self.axes)
         polar, azimuth = self._get_direction(at)
-        request = ViewRequest.from_arguments(self.dataset, polar, azimuth, 0.0, 0.0)
+        polar = VIEW_POLAR.check_number(POLAR, polar)
+        azimuth = None if azimuth is None else check_view_azimuth(AZIMUTH, azimuth)
+        request = ViewRequest.from_arguments(self.dataset, polar, azimuth)
         for name in VIEW_AXES:
             if name in self.axes:
                 request.check_within_table(name, self.dataset[name].values)
@@ -198,7 +210,7 @@ class Table:
             return self.at_view(*direction), others
 
     @declare_function
-    def interp(self, *, bands: Any = None, **at: Any) -> xr.Dataset:
+    def interp(self, *, bands: Bands = None, **at: Any) -> xr.Dataset:
         """Interpolate spectra between the nodes of the table.
 
         Parameters
@@ -310,10 +322,17 @@ class Table:
 
     @declare_function
     def to_eradiate(
-        self, wavelength: float | None = None, n_cosines: int = 51, n_azimuths: int = 72, **at: Any
+        self,
+        *,
+        wavelength: float | None = None,
+        n_cosines: int = 51,
+        n_azimuths: int = 72,
+        **at: Any,
     ) -> xr.Dataset:
         """Convert the table for eradiate; see `splits.tables.conversions.convert_to_eradiate`."""
-        return convert_to_eradiate(self.dataset, wavelength, n_cosines, n_azimuths, **at)
+        return convert_to_eradiate(
+            self.dataset, wavelength=wavelength, n_cosines=n_cosines, n_azimuths=n_azimuths, **at
+        )
 
 
 @declare_function

@@ -7,15 +7,16 @@ Environment 103, 27).  A part of the light may be isotropic.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from splits.core.arrays import align_to_labels, check_array_range
+from splits.core.declarations import Quantity
 from splits.core.inputs import check_azimuths
 from splits.core.uncertainty import make_variable
-from splits.core.validation import check_number, check_range, invalid, snap_to_limits
+from splits.core.validation import check_number, invalid, snap_to_limits
 from splits.tables.axes import (
     AZIMUTH,
     DIFFUSE_PREFIX,
@@ -43,6 +44,31 @@ LABELS = {
 }
 
 
+VIEW_POLAR = Quantity("angle from the normal", "degree", low=0.0, high=90.0, open_high=True)
+
+
+def check_view_azimuth(key: str, azimuth_deg: Any) -> float:
+    """Return an azimuth from 0 to below 360 degrees, after checking it."""
+    azimuth: float = check_azimuths(key, check_number(key, azimuth_deg)).item()
+    return azimuth
+
+
+ViewPolar = Annotated[float, VIEW_POLAR]
+ViewAzimuth = Annotated[
+    float,
+    Quantity(
+        "angle from the direction in which the beam travels", "degree", check=check_view_azimuth,
+        schema={"type": "number"},
+    ),
+]  # fmt: skip
+FieldOfView = Annotated[
+    float,
+    Quantity(
+        "full angle of a conical field of view", "degree", low=0.0, high=MAX_FIELD_OF_VIEW_DEG
+    ),
+]
+
+
 class ViewRequest(NamedTuple):
     """Direction of observation, and what else determines a reflectance factor.
 
@@ -63,16 +89,14 @@ class ViewRequest(NamedTuple):
 
     @classmethod
     def from_arguments(
-        cls, dataset: xr.Dataset, polar_deg: Any, azimuth_deg: Any, field_of_view_deg: Any,
-        diffuse_fraction: Any,
+        cls, dataset: xr.Dataset, polar_deg: float, azimuth_deg: float | None,
+        field_of_view_deg: float = 0.0, diffuse_fraction: Any = 0.0,
     ) -> ViewRequest:  # fmt: skip
-        """Return the request of `splits.Table.at_view`, after checking all values."""
+        """Return the request of `splits.Table.at_view`, after checking it with the table."""
         if POLAR not in list_axes(dataset):
             hint = f"axes {', '.join(list_axes(dataset))}"
             raise invalid("polar_deg", polar_deg, "left out for a table without directions", hint)
-        polar = check_range("polar_deg", polar_deg, 0.0, 90.0, open_high=True)
-        azimuth = _choose_azimuth(dataset, polar, azimuth_deg)
-        field = check_range("field_of_view_deg", field_of_view_deg, 0.0, MAX_FIELD_OF_VIEW_DEG)
+        azimuth = _choose_azimuth(dataset, polar_deg, azimuth_deg)
         fraction = np.asarray(diffuse_fraction, dtype=float)
         if np.ndim(diffuse_fraction):
             wavelengths = dataset.wavelength.values
@@ -85,7 +109,7 @@ class ViewRequest(NamedTuple):
         if fraction.any() and missing:
             hint = f"the table lacks {', '.join(missing)}, see quantities of splits.build_table"
             raise invalid("diffuse_fraction", diffuse_fraction, "0 for this table", hint)
-        return cls(polar, float(fold_azimuths(azimuth)), field, fraction)
+        return cls(polar_deg, float(fold_azimuths(azimuth)), field_of_view_deg, fraction)
 
     def list_directions(self) -> list[tuple[dict[str, float], float]]:
         """Return the angles of directions in the field of view, with weights of a sum of 1."""
@@ -129,19 +153,15 @@ class ViewRequest(NamedTuple):
             raise invalid("field_of_view_deg", self.field_of_view_deg, allowed, hint)
 
 
-def _choose_azimuth(dataset: xr.Dataset, polar: float, azimuth_deg: Any) -> float:
+def _choose_azimuth(dataset: xr.Dataset, polar: float, azimuth_deg: float | None) -> float:
     """Return the azimuth (degrees), the first of the table where it has no effect."""
     nodes = dataset[AZIMUTH].values if AZIMUTH in dataset.dims else np.zeros(1)
-    given = None
-    if azimuth_deg is not None:
-        azimuth = check_number("azimuth_deg", azimuth_deg)
-        given = check_azimuths("azimuth_deg", azimuth).item()
     incidence = np.ravel(dataset[INCIDENCE] if INCIDENCE in dataset else dataset.attrs[INCIDENCE])
     if polar == 0.0 or AZIMUTH not in dataset.dims or (incidence == 0.0).all():
         return float(nodes[0])
-    if given is None and nodes.size > 1:
+    if azimuth_deg is None and nodes.size > 1:
         raise invalid("azimuth_deg", None, "given", "an axis of the table")
-    return float(nodes[0]) if given is None else given
+    return float(nodes[0]) if azimuth_deg is None else azimuth_deg
 
 
 def _list_mixed(dataset: xr.Dataset) -> list[str]:

@@ -151,7 +151,7 @@ LONG_RUN_SEED = 1_000_000
 
 def make_spectrum_run(medium, wavelengths, incidence=0.0, error=0.01, **settings):
     return lambda seed: splits.spectrophotometer(
-        medium, wavelengths, incidence, error, seed, **ONE_THREAD, **settings
+        medium, wavelengths, incidence, max_stderr=error, seed=seed, **ONE_THREAD, **settings
     )
 
 
@@ -177,69 +177,110 @@ def make_expansion_case(name, *scene):
 
 def make_bins_run(medium, wavelength, rays=30_000):
     return lambda seed: splits.goniophotometer(
-        medium, [wavelength], 40.0, rays, seed, estimator="bins", n_bins=(3, 6), **ONE_THREAD
+        medium,
+        [wavelength],
+        40.0,
+        rays=rays,
+        seed=seed,
+        estimator="bins",
+        n_bins=(3, 6),
+        **ONE_THREAD,
     )
 
 
 def make_next_event_run(medium, rays):
     return lambda seed: splits.goniophotometer(
-        medium, [600.0], 40.0, rays, seed, estimator="next_event", **FEW_DIRECTIONS, **ONE_THREAD
+        medium,
+        [600.0],
+        40.0,
+        rays=rays,
+        seed=seed,
+        estimator="next_event",
+        **FEW_DIRECTIONS,
+        **ONE_THREAD,
     )
 
 
 def make_spread_run(medium, wavelength, half_width):
     return lambda seed: splits.beam_spread(
-        medium, [wavelength], 30.0, 20_000, seed, half_width_m=half_width, **ONE_THREAD
+        medium, [wavelength], 30.0, rays=20_000, seed=seed, half_width_m=half_width, **ONE_THREAD
     )
 
 
 def run_delays(seed):
     delays = [0.0, 1e-12, 1e-11, 1e-10, 1e-9]
-    return splits.time_of_flight(SNOW, [1300.0], 30.0, 20_000, seed, delay_s=delays, **ONE_THREAD)
+    return splits.time_of_flight(
+        SNOW, [1300.0], 30.0, rays=20_000, seed=seed, delay_s=delays, **ONE_THREAD
+    )
 
 
 def make_profile_run(medium, wavelengths, incidence=0.0, error=0.02):
     return lambda seed: splits.irradiance_profile(
-        medium, wavelengths, [0.002, 0.005], incidence, error, seed, **ONE_THREAD
+        medium,
+        wavelengths,
+        incidence,
+        depth_m=[0.002, 0.005],
+        max_stderr=error,
+        seed=seed,
+        **ONE_THREAD,
     )
 
 
 def make_grain_run(medium, wavelengths):
-    return lambda seed: splits.single_scattering(medium, wavelengths, 8, 4000, seed, **ONE_THREAD)
+    return lambda seed: splits.single_scattering(
+        medium, wavelengths, moments=8, rays=4000, seed=seed, **ONE_THREAD
+    )
 
 
 def run_soot(seed):
     media = {"clean": SNOW, "sooty": SOOTY}
-    return splits.spectrophotometer(media, DISTANT_WAVELENGTHS_NM, 0.0, 0.004, seed, **ONE_THREAD)
+    return splits.spectrophotometer(
+        media, DISTANT_WAVELENGTHS_NM, 0.0, max_stderr=0.004, seed=seed, **ONE_THREAD
+    )
 
 
 def run_lens(seed):
     return splits.lens(
-        ROUGH_LAYER, [2.0, 5.0], 0.5, centre_on="origin", realizations=100, seed=seed, rays=36
+        ROUGH_LAYER,
+        screen_depth_m=[2.0, 5.0],
+        radius_m=0.5,
+        centre_on="origin",
+        realizations=100,
+        seed=seed,
+        rays=36,
     )
 
 
 def run_surface_map(seed):
     # A square of many wavelengths: the mean square over a small one has a skewed distribution.
-    return splits.surface_map(ROUGH_LAYER, 100.0, points=2, realizations=100, seed=seed)
+    return splits.surface_map(
+        ROUGH_LAYER, half_width_m=100.0, points=2, realizations=100, seed=seed
+    )
 
 
 def make_albedo_run(medium):
     # Diffuse light uses the next seed.
     return lambda seed: splits.albedo(
-        medium, SKY, DISTANT_WAVELENGTHS_NM, 0.005, 2 * seed, **ONE_THREAD
+        medium, SKY, DISTANT_WAVELENGTHS_NM, max_stderr=0.005, seed=2 * seed, **ONE_THREAD
     )
 
 
 def make_hdrf_run(error):
     return lambda seed: splits.hdrf(
-        SNOW, SKY, [600.0], error, 2 * seed, **VIEW_DIRECTIONS, **ONE_THREAD
+        SNOW, SKY, [600.0], relative_stderr=error, seed=2 * seed, **VIEW_DIRECTIONS, **ONE_THREAD
     )
 
 
 def run_radiation_profile(seed):
     return splits.radiation_profile(
-        SNOW, SKY, [0.003], DISTANT_WAVELENGTHS_NM, 0.02, 2 * seed, total_w_m2=500.0, **ONE_THREAD
+        SNOW,
+        SKY,
+        DISTANT_WAVELENGTHS_NM,
+        depth_m=[0.003],
+        max_stderr=0.02,
+        seed=2 * seed,
+        total_w_m2=500.0,
+        **ONE_THREAD,
     )
 
 

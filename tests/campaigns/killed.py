@@ -39,7 +39,7 @@ def make_missing_outputs(results: Path, cache: Path) -> None:
     data, table, archive = (results / name for name in (DATA_FILE, TABLE_FILE, ARCHIVE_FILE))
     if not data.exists():
         layer = splits.ParticleLayer(surface=ROUGH_SURFACE, depth_m=10.0)
-        splits.save(splits.surface_map(layer, 1.0, points=41, realizations=2), data)
+        splits.save(splits.surface_map(layer, half_width_m=1.0, points=41, realizations=2), data)
     dataset = splits.load(data)
     if not table.exists():
         with atomic_write(table) as aside:

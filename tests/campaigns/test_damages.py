@@ -83,7 +83,7 @@ def dataset(tmp_path_factory):
     path = tmp_path_factory.mktemp("made") / "data" / "made.nc"
     waves = {"rms_height_m": 0.1, "wave_number_per_m": 1.0, "waves": 8, "correlation": "gaussian"}
     layer = splits.ParticleLayer(surface=waves, depth_m=10.0)
-    splits.save(splits.surface_map(layer, 1.0, points=41, realizations=2), path)
+    splits.save(splits.surface_map(layer, half_width_m=1.0, points=41, realizations=2), path)
     return path
 
 

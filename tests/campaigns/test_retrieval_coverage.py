@@ -49,9 +49,7 @@ def sample_truths(random, number):
 
 def simulate(truths, incidence_deg, seed):
     """Return the spectra of snows and the deviations of their batches, from the same paths."""
-    request = SpectralRequest(
-        W, incidence_deg, TRUTH_STDERR, 20_000_000, RunOptions.start(seed)
-    )
+    request = SpectralRequest(W, incidence_deg, TRUTH_STDERR, 20_000_000, RunOptions.start(seed))
     spectra = [None] * len(truths)
     media = [make_snow(*map(float, truth)) for truth in truths]
     for group in group_by_shared_paths(media, W):

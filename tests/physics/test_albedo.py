@@ -37,8 +37,8 @@ CUSTOM_SKY = {
 def test_radiation_profile_conserves_energy():
     """Incoming irradiance equals reflected, absorbed and transmitted power, and the given total."""
     profile = splits.radiation_profile(
-        splits.Snow(depth_m=0.03), splits.sky("midlatitude_winter"), [0.01],
-        [400.0, 700.0, 1000.0, 2000.0], 0.05, total_w_m2=500.0,
+        splits.Snow(depth_m=0.03), splits.sky("midlatitude_winter"), [400.0, 700.0, 1000.0, 2000.0],
+        depth_m=[0.01], max_stderr=0.05, total_w_m2=500.0,
         bands={"photosynthetic": (400, 700)},
     )  # fmt: skip
     assert profile.band.values.tolist() == ["broadband", "photosynthetic"]
@@ -60,7 +60,13 @@ def test_errors_of_radiation_profile_agree_with_scatter(seeds):
     snow, sky = splits.Snow(depth_m=0.02), splits.sky(CUSTOM_SKY, 50.0)
     runs = [
         splits.radiation_profile(
-            snow, sky, [0.005], [900.0, 950.0, 1000.0], 0.03, seed=2 * seed, solver="monte_carlo"
+            snow,
+            sky,
+            [900.0, 950.0, 1000.0],
+            depth_m=[0.005],
+            max_stderr=0.03,
+            seed=2 * seed,
+            solver="monte_carlo",
         )
         for seed in range(seeds)
     ]
@@ -89,7 +95,14 @@ COARSE = np.arange(310.0, 2491.0, 90.0)
 def compute_stack_profile(error, **settings):
     sky = splits.sky("midlatitude_winter")
     return splits.radiation_profile(
-        STACK, sky, [0.02, 0.06], COARSE, error, total_w_m2=1.0, **settings, solver="monte_carlo"
+        STACK,
+        sky,
+        COARSE,
+        depth_m=[0.02, 0.06],
+        max_stderr=error,
+        total_w_m2=1.0,
+        **settings,
+        solver="monte_carlo",
     )
 
 
@@ -147,9 +160,9 @@ def test_diffuse_reflectance_factor_is_the_reciprocal_albedo(error):
         assert (factors.reflectance_factor[:, 0] == factors.reflectance_factor[:, 1]).all()
         for angle in polar:
             beam = splits.spectrophotometer(
-                medium, [1300.0], angle, error, seed=9, solver="monte_carlo"
+                medium, [1300.0], angle, max_stderr=error, seed=9, solver="monte_carlo"
             )
-            factor = factors.sel(polar=angle).isel(azimuth=0)
+            factor = factors.sel(polar_deg=angle).isel(azimuth_deg=0)
             difference = float(factor.reflectance_factor - beam.reflectance[0])
             z.append(
                 difference / np.hypot(factor.reflectance_factor_stderr, beam.reflectance_stderr[0])
@@ -199,7 +212,13 @@ def test_error_of_albedo_change_agrees_with_scatter():
     changes, stderrs = [], []
     for seed in range(20):
         ds = splits.albedo(
-            media, sky, W, 0.02, 2 * seed, bands={"visible": (400, 700)}, solver="monte_carlo"
+            media,
+            sky,
+            W,
+            max_stderr=0.02,
+            seed=2 * seed,
+            bands={"visible": (400, 700)},
+            solver="monte_carlo",
         )
         change, error = compute_difference(ds, "band_albedo", "dirty", "clean")
         changes.append(change.values)
@@ -225,7 +244,13 @@ def test_band_albedos_agree_with_sums_over_exact_spectra():
     z = []
     for seed in range(20):
         found = splits.albedo(
-            snow, sky, wavelengths, 0.02, 2 * seed, bands=sensor, solver="monte_carlo"
+            snow,
+            sky,
+            wavelengths,
+            max_stderr=0.02,
+            seed=2 * seed,
+            bands=sensor,
+            solver="monte_carlo",
         )
         found = found.sel(band=list(bands))
         stderr = np.hypot(found.band_albedo_stderr.values, uncertainty)
@@ -241,8 +266,8 @@ def test_albedos_of_several_media_agree_with_single_runs():
         {"a": make_polluted_snow(0.0), "b": make_polluted_snow(200.0)},
         sky,
         W,
-        0.01,
-        3,
+        max_stderr=0.01,
+        seed=3,
         solver="monte_carlo",
     )
     assert both.attrs["medium"] == "snow"
@@ -250,7 +275,12 @@ def test_albedos_of_several_media_agree_with_single_runs():
     z = []
     for number, (name, soot) in enumerate((("a", 0.0), ("b", 200.0))):
         single = splits.albedo(
-            make_polluted_snow(soot), sky, W, 0.01, 50 + 2 * number, solver="monte_carlo"
+            make_polluted_snow(soot),
+            sky,
+            W,
+            max_stderr=0.01,
+            seed=50 + 2 * number,
+            solver="monte_carlo",
         )
         shared = both.sel(medium=name)
         error = np.hypot(single.albedo_stderr, shared.albedo_stderr)
@@ -271,7 +301,9 @@ def test_errors_of_bands_contain_the_distance_of_wavelengths(step):
 
     def measure(spacing):
         wavelengths = np.arange(900.0, 1700.1, spacing)
-        found = splits.albedo(snow, splits.sky(sky), wavelengths, 1e-3, bands=bands, threads=1)
+        found = splits.albedo(
+            snow, splits.sky(sky), wavelengths, max_stderr=1e-3, bands=bands, threads=1
+        )
         return found.sel(band=[*bands])
 
     coarse, fine = measure(step), measure(2.0)
@@ -308,7 +340,9 @@ def place_over(medium, ground):
 
 
 def measure(medium, incidence, seed, **settings):
-    ds = splits.spectrophotometer(medium, WAVELENGTHS, incidence, 0.002, seed, **settings)
+    ds = splits.spectrophotometer(
+        medium, WAVELENGTHS, incidence, max_stderr=0.002, seed=seed, **settings
+    )
     values = ds.reflectance.values, ds.transmittance.values
     return *values, ds.reflectance_stderr.values, ds.transmittance_stderr.values
 
@@ -351,7 +385,9 @@ def test_conservative_media_over_white_ground_reflect_all():
     ):
         for incidence in (0.0, 80.0, "diffuse"):
             for kernel in ("vectorized", "scalar"):
-                ds = splits.spectrophotometer(medium, 500.0, incidence, 0.02, kernel=kernel)
+                ds = splits.spectrophotometer(
+                    medium, 500.0, incidence, max_stderr=0.02, kernel=kernel
+                )
                 assert abs(float(ds.reflectance[0]) - 1.0) < 1e-12
                 assert abs(float(ds.absorptance[0])) < 1e-12
                 assert float(ds.transmittance[0]) == 0.0
@@ -397,9 +433,11 @@ def test_spectral_and_analog_estimators_agree_over_a_ground():
     z = []
     for number, name in enumerate(MEDIA):
         medium = place_over(MEDIA[name][0], 0.4)
-        one = splits.spectrophotometer(medium, WAVELENGTHS, 20.0, 0.003, 20 + number)
+        one = splits.spectrophotometer(
+            medium, WAVELENGTHS, 20.0, max_stderr=0.003, seed=20 + number
+        )
         other = splits.spectrophotometer(
-            medium, WAVELENGTHS, 20.0, 0.003, 20 + number, estimator="analog"
+            medium, WAVELENGTHS, 20.0, max_stderr=0.003, seed=20 + number, estimator="analog"
         )
         for quantity in ("reflectance", "transmittance", "absorptance"):
             error = np.hypot(one[f"{quantity}_stderr"], other[f"{quantity}_stderr"])
@@ -410,10 +448,14 @@ def test_spectral_and_analog_estimators_agree_over_a_ground():
 def test_spectral_ground_albedo_agrees_with_single_albedos():
     """One ensemble serves black, grey and white grounds."""
     albedo = {"wavelength_nm": WAVELENGTHS, "albedo": [1.0, 0.0, 0.3]}
-    ds = splits.spectrophotometer(place_over(WET, albedo), WAVELENGTHS, 10.0, 0.002, 5)
+    ds = splits.spectrophotometer(
+        place_over(WET, albedo), WAVELENGTHS, 10.0, max_stderr=0.002, seed=5
+    )
     z = []
     for row, (w, value) in enumerate(zip(WAVELENGTHS, albedo["albedo"], strict=True)):
-        single = splits.spectrophotometer(place_over(WET, value), w, 10.0, 0.002, 6 + row)
+        single = splits.spectrophotometer(
+            place_over(WET, value), w, 10.0, max_stderr=0.002, seed=6 + row
+        )
         for quantity in ("reflectance", "transmittance"):
             error = np.hypot(ds[f"{quantity}_stderr"][row], single[f"{quantity}_stderr"][0])
             if float(error) > 0.0 and value < 1.0:
@@ -424,6 +466,6 @@ def test_spectral_ground_albedo_agrees_with_single_albedos():
 def test_brdf_over_a_ground_integrates_to_reflectance():
     thin = place_over(WET, 0.8)
     brdf = splits.goniophotometer(thin, [500.0, 900.0], 40.0, relative_stderr=0.05, seed=2)
-    flux = splits.spectrophotometer(thin, [500.0, 900.0], 40.0, 0.001, seed=3)
+    flux = splits.spectrophotometer(thin, [500.0, 900.0], 40.0, max_stderr=0.001, seed=3)
     error = np.hypot(brdf.reflectance_stderr, flux.reflectance_stderr)
     judge_z(((brdf.reflectance - flux.reflectance) / error).values, bound_added=True)

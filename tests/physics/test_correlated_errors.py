@@ -199,9 +199,9 @@ def test_errors_of_spectra_cover_rare_light(name):
         arguments = (snow, [wavelength], incidence)
         z = compare(
             lambda seed, arguments=arguments: splits.spectrophotometer(
-                *arguments, error, seed, solver="monte_carlo"
+                *arguments, max_stderr=error, seed=seed, solver="monte_carlo"
             ),
-            splits.spectrophotometer(*arguments, 0.0003, solver="discrete_ordinates"),
+            splits.spectrophotometer(*arguments, max_stderr=0.0003, solver="discrete_ordinates"),
             ("reflectance", "transmittance", "absorptance"),
         )
         judge_z(z, f"{name}, {wavelength:g} nm", independent=len(RARE_SEEDS), bound_added=True)
@@ -213,10 +213,14 @@ def test_errors_of_spectra_cover_rare_light(name):
 @pytest.mark.parametrize("name", PROFILES)
 def test_errors_of_profiles_cover_rare_light(name):
     snow, wavelength, depths, incidence = PROFILES[name]
-    arguments = (snow, [wavelength], depths, incidence)
+    arguments = (snow, [wavelength], incidence)
     z = compare(
-        lambda seed: splits.irradiance_profile(*arguments, 0.01, seed, solver="monte_carlo"),
-        splits.irradiance_profile(*arguments, 0.0005, solver="discrete_ordinates"),
+        lambda seed: splits.irradiance_profile(
+            *arguments, depth_m=depths, max_stderr=0.01, seed=seed, solver="monte_carlo"
+        ),
+        splits.irradiance_profile(
+            *arguments, depth_m=depths, max_stderr=0.0005, solver="discrete_ordinates"
+        ),
         ("downward_irradiance", "upward_irradiance", "absorptance", "actinic_flux"),
     )
     judge_z(z, name, independent=len(RARE_SEEDS), bound_added=True)
@@ -230,7 +234,7 @@ def test_errors_of_angular_bins_cover_rare_light():
 
     def run(rays, seed):
         return splits.goniophotometer(
-            snow, [2000.0], 30.0, rays, seed, estimator="bins", n_bins=(3, 6)
+            snow, [2000.0], 30.0, rays=rays, seed=seed, estimator="bins", n_bins=(3, 6)
         )
 
     z = compare(lambda seed: run(4000, seed), run(2_000_000, 1), ("brdf", "reflectance"))

@@ -52,7 +52,12 @@ def compute_central_difference(medium, name, step, error):
     for seed, (offset, weight) in enumerate({-2: 1, -1: -8, 1: 8, 2: -1}.items(), start=100):
         shifted = replace_parameter(medium, name, get_parameter(medium, name) + offset * step)
         run = splits.spectrophotometer(
-            shifted, select_wavelengths(medium), 30, error, seed, solver="monte_carlo"
+            shifted,
+            select_wavelengths(medium),
+            30,
+            max_stderr=error,
+            seed=seed,
+            solver="monte_carlo",
         )
         coefficient = weight / (12.0 * step)
         value = value + coefficient * run.reflectance.values
@@ -66,7 +71,12 @@ def test_derivatives_agree_with_independent_runs():
     z = []
     for medium, name, step, method in CASES.values():
         run = splits.spectrophotometer(
-            medium, select_wavelengths(medium), 30, 0.004, jacobian=[name], solver="monte_carlo"
+            medium,
+            select_wavelengths(medium),
+            30,
+            max_stderr=0.004,
+            jacobian=[name],
+            solver="monte_carlo",
         )
         assert run.parameter_method.values.tolist() == [method]
         value, error = compute_central_difference(medium, name, step, 0.004)
@@ -82,7 +92,9 @@ def test_derivatives_agree_with_independent_runs():
 @NEEDS_JIT
 def test_derivatives_keep_the_requested_order():
     names = ["density_kg_m3", "ground", "incidence_deg"]
-    run = splits.spectrophotometer(THIN, [850.0], 30, 0.05, jacobian=names, solver="monte_carlo")
+    run = splits.spectrophotometer(
+        THIN, [850.0], 30, max_stderr=0.05, jacobian=names, solver="monte_carlo"
+    )
     assert run.parameter.values.tolist() == names
     assert run.parameter_method.values.tolist() == [
         "finite_difference",
@@ -92,7 +104,7 @@ def test_derivatives_keep_the_requested_order():
     assert run.parameter_unit.values.tolist() == ["m3 kg-1", "1", "degree-1"]
     for i, name in enumerate(names):
         single = splits.spectrophotometer(
-            THIN, [850.0], 30, 0.05, jacobian=[name], solver="monte_carlo"
+            THIN, [850.0], 30, max_stderr=0.05, jacobian=[name], solver="monte_carlo"
         )
         assert float(single.reflectance_jacobian[0, 0]) == float(run.reflectance_jacobian[i, 0])
     assert run.attrs["finite_difference_rays"] > 0

@@ -242,9 +242,8 @@ def test_anisotropy_factors_of_wet_snow_integrate_to_the_scattered_share(inciden
         solver="discrete_ordinates", relative_stderr=0.01, polar_deg=polar,
         azimuth_deg=np.arange(0.0, 181.0, 15.0),
     )  # fmt: skip
-    renamed = result.rename(polar="polar_deg", azimuth="azimuth_deg")
     integral, stderr = (
-        integrate(renamed[f"anisotropy_factor{suffix}"]).values for suffix in ("", "_stderr")
+        integrate(result[f"anisotropy_factor{suffix}"]).values for suffix in ("", "_stderr")
     )
     specular = (result.specular_reflectance / result.reflectance).values
     relative = (result.reflectance_stderr / result.reflectance).values

@@ -22,7 +22,7 @@ def make_quadrature(points=48):
 
 def integrate_hemisphere(ds, name, weights):
     """Return the hemispherical integral of a distribution function, by wavelength."""
-    return (ds[name].mean("azimuth") * weights[:, np.newaxis].T).sum("polar").values
+    return (ds[name].mean("azimuth_deg") * weights[:, np.newaxis].T).sum("polar_deg").values
 
 
 SNOW = splits.Snow(depth_m=0.02)
@@ -46,7 +46,7 @@ def test_hemispherical_integrals_agree_with_the_spectrophotometer():
     for number, (medium, wavelength, incidence) in enumerate(CASES):
         # Both instruments number their random streams alike, so their seeds differ.
         ds = splits.goniophotometer(
-            medium, [wavelength], incidence, 100_000, seed=100 + number,
+            medium, [wavelength], incidence, rays=100_000, seed=100 + number,
             polar_deg=polar, azimuth_deg=azimuth,
         )  # fmt: skip
         total = splits.spectrophotometer(
@@ -72,7 +72,7 @@ def test_empty_slab_has_only_specular_and_direct_light(saturation, incidence):
     empty = splits.Snow(
         density_kg_m3=1e-9, saturation=saturation, refractive_index={"water": 1.33, "ice": 1.31}
     )
-    ds = splits.goniophotometer(empty, [600.0], incidence, 200_000)
+    ds = splits.goniophotometer(empty, [600.0], incidence, rays=200_000)
     assert not ds.brdf.values.any() and not ds.btdf.values.any()
     r = fresnel(1.0, 1.33, 0.0, np.cos(np.radians(incidence)))[0] if saturation else 0.0
     expected = 2.0 * r / (1.0 + r)
@@ -109,8 +109,8 @@ def compute_reciprocity_z(medium, wavelength):
     }  # fmt: skip
     z = []
     for one, other, azimuth in PAIRS:
-        forward = runs[one].sel(polar=other, azimuth=azimuth)
-        reverse = runs[other].sel(polar=one, azimuth=azimuth)
+        forward = runs[one].sel(polar_deg=other, azimuth_deg=azimuth)
+        reverse = runs[other].sel(polar_deg=one, azimuth_deg=azimuth)
         error = np.hypot(forward.brdf_stderr, reverse.brdf_stderr)
         z.append(float(((forward.brdf - reverse.brdf) / error)[0]))
     return z
@@ -188,7 +188,7 @@ def test_expansion_agrees_with_bins(error, rays):
     z = []
     for number, (medium, wavelength, incidence) in enumerate(CASES[:7:2]):
         bins = splits.goniophotometer(
-            medium, [wavelength], incidence, rays, seed=number, estimator="bins", n_bins=shape
+            medium, [wavelength], incidence, rays=rays, seed=number, estimator="bins", n_bins=shape
         )
         fine = np.degrees(np.arccos((np.arange(12 * 8)[::-1] + 0.5) / (12 * 8)))
         expansion = splits.goniophotometer(
@@ -248,7 +248,7 @@ def test_deep_conservative_medium_is_nearly_lambertian():
     ds = splits.goniophotometer(
         conservative, [600.0], 0.0, relative_stderr=0.02, polar_deg=np.arange(0.0, 81.0, 10.0)
     )
-    factor = ds.anisotropy_factor[0].mean("azimuth").values
+    factor = ds.anisotropy_factor[0].mean("azimuth_deg").values
     error = 3.0 * ds.anisotropy_factor_stderr[0].values[:, 0]
     assert (np.abs(ds.anisotropy_factor[0] - factor[:, np.newaxis]) < 1e-9).all()
     assert (factor < 1.2 + error).all() and (factor > 0.6 - error).all()
@@ -257,7 +257,8 @@ def test_deep_conservative_medium_is_nearly_lambertian():
 
 def test_results_are_independent_of_threads():
     runs = [
-        splits.goniophotometer(SNOW, [600.0, 900.0], 30.0, 100_000, threads=n) for n in (1, 2, 4)
+        splits.goniophotometer(SNOW, [600.0, 900.0], 30.0, rays=100_000, threads=n)
+        for n in (1, 2, 4)
     ]
     for run in runs[1:]:
         assert all(np.array_equal(runs[0][name], run[name]) for name in run.data_vars)
@@ -278,7 +279,7 @@ def test_wavelengths_that_share_paths_agree_with_single_runs(relative_stderr, ra
     assert together.attrs["ensembles"] < len(wavelengths)
     z = {"brdf": [], "reflectance": [], "specular_reflectance": []}
     for seed, wavelength in enumerate(wavelengths[::5]):
-        single = splits.goniophotometer(wet, [wavelength], 30.0, rays, seed=seed, **grid)
+        single = splits.goniophotometer(wet, [wavelength], 30.0, rays=rays, seed=seed, **grid)
         shared = together.sel(wavelength=[wavelength])
         for name, values in z.items():
             error = np.hypot(single[f"{name}_stderr"], shared[f"{name}_stderr"])
@@ -312,7 +313,7 @@ def test_vectorized_kernel_agrees_with_scalar_kernel():
         z = []
         pair = [
             splits.goniophotometer(
-                SNOW, [900.0], 60.0, 40_000, seed=seed, kernel=kernel, estimator=estimator,
+                SNOW, [900.0], 60.0, rays=40_000, seed=seed, kernel=kernel, estimator=estimator,
                 n_bins=(6, 8), polar_deg=[0, 30, 60, 75], azimuth_deg=[0, 90, 180],
             )
             for seed, kernel in ((1, "vectorized"), (2, "scalar"))

@@ -369,7 +369,7 @@ TRAPPING = {
         lambda snow: splits.spectrophotometer(snow, [550.0]),
         lambda snow: splits.single_scattering(snow, [550.0]),
         lambda snow: splits.goniophotometer(snow, [550.0]),
-        lambda snow: splits.irradiance_profile(snow, [550.0], [0.01]),
+        lambda snow: splits.irradiance_profile(snow, [550.0], depth_m=[0.01]),
     ],
     ids=["spectrum", "single scattering", "directions", "profile"],
 )

@@ -124,11 +124,11 @@ def test_errors_of_sparse_bins_allow_for_unseen_polarized_light():
     """Most of the rays in a bin were depolarized by the bottom; few were scattered by particles."""
     layer = replace(THIN_LAYER, bottom_albedo=0.5)
     counted = splits.goniophotometer(
-        layer, [550.0], 60.0, 5000, estimator="bins", n_bins=(8, 24)
+        layer, [550.0], 60.0, rays=5000, estimator="bins", n_bins=(8, 24)
     ).squeeze("wavelength")  # fmt: skip
     expected = splits.goniophotometer(
-        layer, [550.0], 60.0, 200_000, estimator="next_event", polar_deg=counted.polar,
-        azimuth_deg=counted.azimuth,
+        layer, [550.0], 60.0, rays=200_000, estimator="next_event", polar_deg=counted.polar_deg,
+        azimuth_deg=counted.azimuth_deg,
     ).squeeze("wavelength")  # fmt: skip
     lit = (counted.brdf > 0.0).values
     assert (counted.brdf_dolp_stderr.values > 0.0)[lit].all()
@@ -146,7 +146,7 @@ def test_errors_hold_at_every_angle_of_polarization():
     n_runs, rays = 60, scale_sample_size(150_000)
     runs = [
         splits.goniophotometer(
-            layer, [550.0], 60.0, rays, seed, estimator="bins", n_bins=(3, 16)
+            layer, [550.0], 60.0, rays=rays, seed=seed, estimator="bins", n_bins=(3, 16)
         ).squeeze("wavelength")
         for seed in range(n_runs)
     ]  # fmt: skip
@@ -175,10 +175,10 @@ def compute_reflection_matrix(
     incidence, polar = angles
     runs = [
         splits.goniophotometer(
-            layer, [550.0], incidence, scale_sample_size(40_000), seed + number,
+            layer, [550.0], incidence, rays=scale_sample_size(40_000), seed=seed + number,
             polar_deg=[polar], azimuth_deg=[20.0, 70.0, 140.0], estimator="next_event",
             stokes=stokes,
-        ).squeeze(("wavelength", "polar"))
+        ).squeeze(("wavelength", "polar_deg"))
         for number, stokes in enumerate(INCIDENT.values())
     ]  # fmt: skip
     values, errors = (
@@ -244,7 +244,7 @@ def test_reflection_matrix_of_a_semi_infinite_layer():
         name: splits.goniophotometer(
             layer, [550.0], 60.0, rays=50_000, polar_deg=[60.0], azimuth_deg=azimuth,
             estimator="next_event", seed=seed, stokes=stokes,
-        ).squeeze(("wavelength", "polar"))
+        ).squeeze(("wavelength", "polar_deg"))
         for seed, (name, stokes) in enumerate(INCIDENT.items(), start=1)
     }  # fmt: skip
     z = []

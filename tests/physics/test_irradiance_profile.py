@@ -41,8 +41,15 @@ def net_flux(ds):
     ],
 )
 def test_profile_conserves_energy(medium, wavelengths, depths, kernel, max_stderr):
-    ds = splits.irradiance_profile(medium, wavelengths, depths, 40.0, max_stderr, kernel=kernel)
-    spectrum = splits.spectrophotometer(medium, wavelengths, 40.0, 0.003, seed=2)
+    ds = splits.irradiance_profile(
+        medium,
+        wavelengths,
+        40.0,
+        depth_m=depths,
+        max_stderr=max_stderr,
+        kernel=kernel,
+    )
+    spectrum = splits.spectrophotometer(medium, wavelengths, 40.0, max_stderr=0.003, seed=2)
     reflected, transmitted = ds.upward_irradiance.isel(depth=0), net_flux(ds).isel(depth=-1)
     absorbed = ds.absorptance.sum("interval")
     np.testing.assert_allclose(reflected + transmitted + absorbed, 1.0, rtol=0.0, atol=1e-12)
@@ -66,7 +73,7 @@ def test_absorber_without_grains_follows_beers_law(incidence):
     water = {"water": complex(1.0, k), "ice": 1.31}
     pores = splits.Snow(density_kg_m3=1e-8, saturation=1.0, refractive_index=water, depth_m=0.1)
     depths = np.array([0.01, 0.03, 0.07])
-    ds = splits.irradiance_profile(pores, 500.0, depths, incidence, 0.003)
+    ds = splits.irradiance_profile(pores, 500.0, incidence, depth_m=depths, max_stderr=0.003)
     x = 4.0 * np.pi * k / 500e-9 * np.array([0.0, *depths, 0.1])
     if incidence == "diffuse":
         # Irradiance and mean path under isotropic radiance.
@@ -119,14 +126,20 @@ def test_actinic_flux_times_absorption_coefficient_is_the_absorptance(name):
     """The coefficient is that of the layer, the same in all intervals and for both solvers."""
     medium, wavelengths, depths = ABSORBED[name]
     paths = splits.irradiance_profile(
-        medium, wavelengths, depths, 30.0, 0.03, solver="monte_carlo", kernel="scalar"
+        medium,
+        wavelengths,
+        30.0,
+        depth_m=depths,
+        max_stderr=0.03,
+        solver="monte_carlo",
+        kernel="scalar",
     )
     thickness = (paths.interval_bottom - paths.interval_top).values
     if name == "particles":
         coefficient = np.full((1, 1), 0.1 * 20.0 / 0.4)
     else:
         solved = splits.irradiance_profile(
-            medium, wavelengths, depths, 30.0, solver="discrete_ordinates"
+            medium, wavelengths, 30.0, depth_m=depths, solver="discrete_ordinates"
         )
         with np.errstate(divide="ignore", invalid="ignore"):
             coefficient = (solved.absorptance / (solved.actinic_flux * thickness)).values
@@ -147,11 +160,11 @@ def test_actinic_flux_times_absorption_coefficient_is_the_absorptance(name):
 def test_actinic_flux_in_the_dark_is_not_low():
     """Few rays survive the absorption by soot; the others have been absorbed in the interval."""
     medium, _, depths = ABSORBED["sooty snow"]
-    solved = splits.irradiance_profile(medium, [350.0], depths, solver="discrete_ordinates")
+    solved = splits.irradiance_profile(medium, [350.0], depth_m=depths, solver="discrete_ordinates")
     z, flux = [], []
     for seed in range(1, 9):
         paths = splits.irradiance_profile(
-            medium, [350.0], depths, seed=seed, solver="monte_carlo", kernel="scalar"
+            medium, [350.0], depth_m=depths, seed=seed, solver="monte_carlo", kernel="scalar"
         )
         stderr = np.hypot(paths.actinic_flux_stderr, solved.actinic_flux_stderr)
         z.append(((paths.actinic_flux - solved.actinic_flux) / stderr).values[0])
@@ -166,7 +179,8 @@ def test_kernels_agree_on_profiles(error):
     for medium, wavelengths, seed in ((WET, WAVELENGTHS, 5), (STACK, SAND_WAVELENGTHS, 7)):
         one, other = (
             splits.irradiance_profile(
-                medium, wavelengths, [0.001, 0.0045, 0.011], 20.0, error, seed + i, kernel=kernel
+                medium, wavelengths, 20.0, depth_m=[0.001, 0.0045, 0.011], max_stderr=error,
+                seed=seed + i, kernel=kernel
             )
             for i, kernel in enumerate(("vectorized", "scalar"))
         )  # fmt: skip
@@ -191,7 +205,9 @@ def test_sparse_layer_agrees_with_discrete_ordinates():
     depth = thickness * splits.Snow(**common, depth_m=1e4).mean_grain_distance_m
     snow = splits.Snow(**common, depth_m=depth)
     fractions = np.linspace(0.05, 0.95, 10)
-    ds = splits.irradiance_profile(snow, WAVELENGTHS, fractions * depth, 60.0, 0.0025)
+    ds = splits.irradiance_profile(
+        snow, WAVELENGTHS, 60.0, depth_m=fractions * depth, max_stderr=0.0025
+    )
     runs = []
     for seed in range(1, 7):
         optics = splits.single_scattering(snow, WAVELENGTHS, rays=100_000, seed=seed)
@@ -217,7 +233,7 @@ def test_sparse_layer_agrees_with_discrete_ordinates():
 
 def test_depths_that_no_ray_reaches_have_nonzero_errors():
     deep = splits.Snow(depth_m=0.05)
-    ds = splits.irradiance_profile(deep, 1500.0, [0.04, 0.045], max_stderr=0.05)
+    ds = splits.irradiance_profile(deep, 1500.0, depth_m=[0.04, 0.045], max_stderr=0.05)
     assert not ds.downward_irradiance[0, 2:].values.any()
     assert (ds.downward_irradiance_stderr[0, 1:] > 1e-6).all()
     assert (ds.absorptance_stderr > 1e-6).all()
@@ -244,7 +260,15 @@ def test_errors_cover_large_steps_of_weights(name, kernel):
     depth = 0.25 * medium.depth_m
     fine_depths = np.linspace(0.0, depth, 101)[1:]
     coarse, fine = (
-        splits.irradiance_profile(medium, [wavelength], depths, 0.0, 0.01, seed, kernel=kernel)
+        splits.irradiance_profile(
+            medium,
+            [wavelength],
+            0.0,
+            depth_m=depths,
+            max_stderr=0.01,
+            seed=seed,
+            kernel=kernel,
+        )
         for seed, depths in ((5, [depth]), (6, fine_depths))
     )
     upper = fine.isel(interval=slice(100))
@@ -270,7 +294,7 @@ def test_errors_cover_large_steps_of_weights(name, kernel):
 )
 def test_depths_outside_the_medium_are_rejected(depths, message):
     with pytest.raises(ValueError, match=message):
-        splits.irradiance_profile(WET, WAVELENGTHS, depths)
+        splits.irradiance_profile(WET, WAVELENGTHS, depth_m=depths)
 
 
 ROUGH = {"rms_height_m": 0.01, "wave_number_per_m": 10.0, "correlation": "gaussian"}
@@ -293,8 +317,8 @@ DEEP_SNOW = {"specific_surface_area_m2_kg": 20, "density_kg_m3": 300}
 @pytest.mark.parametrize("name", LAYERS)
 def test_particle_layers_conserve_energy_and_match_reflectance(name):
     layer = LAYERS[name]
-    ds = splits.irradiance_profile(layer, [500.0], [0.1, 0.4, 0.8], 30.0, 0.01)
-    spectrum = splits.spectrophotometer(layer, [500.0], 30.0, 0.004, seed=2)
+    ds = splits.irradiance_profile(layer, [500.0], 30.0, depth_m=[0.1, 0.4, 0.8], max_stderr=0.01)
+    spectrum = splits.spectrophotometer(layer, [500.0], 30.0, max_stderr=0.004, seed=2)
     reflected, absorbed = ds.upward_irradiance[0, 0], ds.absorptance[0].sum()
     transmitted = (
         net_flux(ds)[0, -1] if ds.sizes["interval"] == 4 and name != "semi-infinite" else 0.0
@@ -316,7 +340,14 @@ def test_particle_layers_agree_with_exact_fluxes(error):
     z = []
     for number, (_, row) in enumerate(table.iterrows()):
         incidence = float(np.degrees(np.arccos(row.mu0)))
-        ds = splits.irradiance_profile(make_layer(row), [550.0], [0.5], incidence, error, number)
+        ds = splits.irradiance_profile(
+            make_layer(row),
+            [550.0],
+            incidence,
+            depth_m=[0.5],
+            max_stderr=error,
+            seed=number,
+        )
         down = float(row["T"])
         for name, index, exact in (("upward", 0, row.R), ("downward", -1, down)):
             value, stderr = (
@@ -340,7 +371,7 @@ def test_stacked_particle_layers_agree_with_discrete_ordinates(error):
         ground,
     )
     depths = np.array([0.3, 1.0, 1.5, 2.0, 3.0, 4.2])
-    ds = splits.irradiance_profile(stack, [500.0], depths, 60.0, error)
+    ds = splits.irradiance_profile(stack, [500.0], 60.0, depth_m=depths, max_stderr=error)
     legendre = np.array([[g**n for n in range(streams + 1)] for *_, g in layers])
     _, up, down, *_ = pydisort(
         np.cumsum([tau for tau, *_ in layers]), np.array([ssa for _, ssa, _ in layers]), streams,
@@ -362,8 +393,14 @@ def test_stacked_particle_layers_agree_with_discrete_ordinates(error):
 @NEEDS_JIT
 def test_depth_planes_do_not_change_the_spectrum():
     """Materials absorb in their own layer only, and totals agree with the spectrophotometer."""
-    ds = splits.irradiance_profile(HAZY_STACK, [500.0, 900.0], [0.004, 0.01, 0.015], 20.0, 0.01)
-    spectrum = splits.spectrophotometer(HAZY_STACK, [500.0, 900.0], 20.0, 0.005, seed=3)
+    ds = splits.irradiance_profile(
+        HAZY_STACK,
+        [500.0, 900.0],
+        20.0,
+        depth_m=[0.004, 0.01, 0.015],
+        max_stderr=0.01,
+    )
+    spectrum = splits.spectrophotometer(HAZY_STACK, [500.0, 900.0], 20.0, max_stderr=0.005, seed=3)
     absorbed = ds.absorptance.sum("interval")
     z = [
         (actual - spectrum[name]).values / np.hypot(error, spectrum[f"{name}_stderr"]).values
@@ -386,8 +423,8 @@ def test_semi_infinite_snowpack_agrees_with_a_deep_one(error):
     wavelengths, depths = [500.0, 900.0, 1100.0], [0.005, 0.02, 0.04]
     semi_infinite, deep = (
         splits.irradiance_profile(
-            splits.Snow.natural(**DEEP_SNOW, depth_m=depth), wavelengths, depths,
-            "diffuse", error, seed, solver="monte_carlo",
+            splits.Snow.natural(**DEEP_SNOW, depth_m=depth), wavelengths, "diffuse",
+            depth_m=depths, max_stderr=error, seed=seed, solver="monte_carlo",
         )
         for seed, depth in ((1, math.inf), (2, 0.5))
     )  # fmt: skip
@@ -434,10 +471,10 @@ def test_errors_of_profiles_agree_with_scatter(medium, depths, seeds):
         splits.irradiance_profile(
             medium,
             [700.0],
-            depths,
             40.0,
-            0.03,
-            seed,
+            depth_m=depths,
+            max_stderr=0.03,
+            seed=seed,
             target="absorptance",
             threads=1,
             solver="monte_carlo",
@@ -461,7 +498,7 @@ def test_errors_of_profiles_agree_with_scatter(medium, depths, seeds):
 @pytest.mark.parametrize("albedo", [0.9, 1.0])
 def test_unbounded_interval_is_saved_and_loaded(albedo, tmp_path):
     ds = splits.irradiance_profile(
-        splits.ParticleLayer(math.inf, albedo, refractive_index=1.0), 500.0, [1.0, 8.0]
+        splits.ParticleLayer(math.inf, albedo, refractive_index=1.0), 500.0, depth_m=[1.0, 8.0]
     )
     splits.save(ds, tmp_path / "inside.nc")
     assert splits.load(tmp_path / "inside.nc").equals(ds)
@@ -483,7 +520,14 @@ def test_deep_fluxes_decay_by_asymptotic_theory():
     diffusion = step / (3.0 * (1.0 - optics.asymmetry_parameter.values[0] + loss))
     rate = math.sqrt(loss / step / diffusion)
     depths = np.array([1.0, 2.0]) / rate
-    ds = splits.irradiance_profile(snow, [900.0], depths, "diffuse", 0.008, solver="monte_carlo")
+    ds = splits.irradiance_profile(
+        snow,
+        [900.0],
+        "diffuse",
+        depth_m=depths,
+        max_stderr=0.008,
+        solver="monte_carlo",
+    )
     down, up = ds.downward_irradiance[0, 1:].values, ds.upward_irradiance[0, 1:].values
     relative = np.hypot(*(ds.downward_irradiance_stderr[0, 1:].values / down))
     # Diffusion theory is accurate to first order in κD, here to a few per cent.
@@ -504,4 +548,4 @@ def test_deep_fluxes_decay_by_asymptotic_theory():
 )  # fmt: skip
 def test_unsupported_profiles_are_rejected(medium, depths, message):
     with pytest.raises(ValueError, match=message):
-        splits.irradiance_profile(medium, 500.0, depths)
+        splits.irradiance_profile(medium, 500.0, depth_m=depths)

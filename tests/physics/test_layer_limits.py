@@ -38,7 +38,7 @@ def plate_fluxes(index: float, cosine: float) -> tuple[float, float]:
 @pytest.mark.parametrize("index", [1.0, 1.5])
 def test_layer_without_particles_is_a_plate(index, incidence):
     plate = splits.ParticleLayer(optical_thickness=0.0, refractive_index=index, bottom_albedo=None)
-    ds = splits.spectrophotometer(plate, NM, incidence, 0.01)
+    ds = splits.spectrophotometer(plate, NM, incidence, max_stderr=0.01)
     expected = plate_fluxes(index, math.cos(math.radians(incidence)))
     (value, stderr), (exact, transmitted) = get_value(ds, "reflectance"), expected
     assert float(ds.transmittance[0]) - transmitted == pytest.approx(exact - value, abs=1e-12)
@@ -63,7 +63,7 @@ def test_layer_without_particles_is_a_plate(index, incidence):
 )
 def test_conservative_layer_on_white_bottom_reflects_all(settings, polarized):
     layer = splits.ParticleLayer(**CONSERVATIVE, polarized=polarized, **settings)
-    ds = splits.spectrophotometer(layer, NM, 30.0, 0.5)
+    ds = splits.spectrophotometer(layer, NM, 30.0, max_stderr=0.5)
     assert float(ds.reflectance[0]) == pytest.approx(1.0, abs=1e-12)
 
 
@@ -77,7 +77,7 @@ def test_thick_conservative_layer_follows_diffusion_theory(error):
         optical_thickness=1e4, single_scattering_albedo=1.0, asymmetry=0.99,
         refractive_index=1.0, bottom_albedo=None,
     )  # fmt: skip
-    ds = splits.spectrophotometer(layer, NM, 0.0, error)
+    ds = splits.spectrophotometer(layer, NM, 0.0, max_stderr=error)
     value, stderr = get_value(ds, "transmittance")
     expected = 4.0 / 3.0 * 1.2591 / (100.0 + 2.0 * 0.7104)
     assert abs(value - expected) < 0.02 * expected + compute_z_bound(1) * stderr
@@ -89,7 +89,7 @@ def test_black_particles_transmit_only_the_direct_beam():
         optical_thickness=1.0, single_scattering_albedo=0.0, refractive_index=1.0,
         bottom_albedo=None,
     )  # fmt: skip
-    ds = splits.spectrophotometer(layer, NM, 60.0, 0.01)
+    ds = splits.spectrophotometer(layer, NM, 60.0, max_stderr=0.01)
     value, stderr = get_value(ds, "transmittance")
     judge_z([(value - math.exp(-2.0)) / stderr], "black particles")
     assert float(ds.reflectance[0]) == 0.0
@@ -98,7 +98,7 @@ def test_black_particles_transmit_only_the_direct_beam():
 def test_spectral_and_analog_estimators_agree():
     layer = splits.ParticleLayer(optical_thickness=3.0, single_scattering_albedo=0.8)
     spectral, analog = (
-        splits.spectrophotometer(layer, NM, 40.0, 0.005, seed, estimator=estimator)
+        splits.spectrophotometer(layer, NM, 40.0, max_stderr=0.005, seed=seed, estimator=estimator)
         for seed, estimator in ((1, "spectral"), (2, "analog"))
     )
     z = []
@@ -178,7 +178,7 @@ def test_errors_of_local_estimation_from_few_batches():
     layer = splits.ParticleLayer(optical_thickness=2.0, asymmetry=0.5, bottom_albedo=None)
     runs = [
         splits.goniophotometer(
-            layer, NM, 40.0, 4000, seed, estimator="next_event", polar_deg=[0.0, 60.0],
+            layer, NM, 40.0, rays=4000, seed=seed, estimator="next_event", polar_deg=[0.0, 60.0],
             azimuth_deg=[0.0, 180.0],
         )
         for seed in range(60)
@@ -196,12 +196,12 @@ def test_bins_and_local_estimation_agree_on_polarization():
         bottom_albedo=None, phase_function="rayleigh", polarized=True,
     )  # fmt: skip
     bins = splits.goniophotometer(layer, NM, 50.0, estimator="bins", n_bins=(40, 36), rays=500_000)
-    bins = bins.isel(polar=bins.polar.values < 75.0)
+    bins = bins.isel(polar_deg=bins.polar_deg.values < 75.0)
     local = splits.goniophotometer(
         layer, NM, 50.0, estimator="next_event", seed=2, relative_stderr=0.014,
-        polar_deg=bins.polar.values, azimuth_deg=[0.0, 30.0, 90.0, 150.0, 180.0, 270.0],
+        polar_deg=bins.polar_deg.values, azimuth_deg=[0.0, 30.0, 90.0, 150.0, 180.0, 270.0],
     )  # fmt: skip
-    bins = bins.sel(azimuth=local.azimuth)
+    bins = bins.sel(azimuth_deg=local.azimuth_deg)
     for name in ("brdf", "brdf_q", "brdf_u", "brdf_v", "btdf", "btdf_q", "btdf_u", "btdf_v"):
         difference = (bins[name] - local[name]).values
         # The errors of bins, which use separate rays, dominate.
@@ -258,7 +258,7 @@ def test_rare_events_have_nonzero_errors():
         splits.ParticleLayer(
             optical_thickness=1e-3, single_scattering_albedo=0.0, bottom_albedo=0.0
         ),
-        NM, 0.0, 0.01,
+        NM, 0.0, max_stderr=0.01,
     )  # fmt: skip
     assert float(ds.absorptance_stderr[0]) > 0.0
 
@@ -292,9 +292,9 @@ def test_lobes_too_narrow_for_the_expansion_are_reported():
     ds = splits.goniophotometer(layer, NM, 0.0, target="btdf")
     assert ds.attrs["stop_reason"] == "max_degree"
     bins = splits.goniophotometer(layer, NM, 0.0, rays=400_000, estimator="bins", n_bins=(60, 8))
-    top = bins.btdf.isel(wavelength=0, polar=0).mean("azimuth")
-    difference = abs(float(ds.btdf.isel(wavelength=0, polar=0)[0] - top))
-    assert difference < 3.0 * float(ds.btdf_stderr.isel(wavelength=0, polar=0)[0])
+    top = bins.btdf.isel(wavelength=0, polar_deg=0).mean("azimuth_deg")
+    difference = abs(float(ds.btdf.isel(wavelength=0, polar_deg=0)[0] - top))
+    assert difference < 3.0 * float(ds.btdf_stderr.isel(wavelength=0, polar_deg=0)[0])
 
 
 REFERENCE = Path(__file__).with_name("reference")
@@ -322,7 +322,9 @@ def compare_with_reference(max_stderr: float) -> tuple[np.ndarray, int]:
     z, n_exact = [], 0
     for number, (_, row) in enumerate(table.iterrows()):
         incidence = float(np.degrees(np.arccos(row.mu0)))
-        ds = splits.spectrophotometer(make_layer(row), [550.0], incidence, max_stderr, number)
+        ds = splits.spectrophotometer(
+            make_layer(row), [550.0], incidence, max_stderr=max_stderr, seed=number
+        )
         assert ds.attrs["stop_reason"] == "converged"
         transmitted_fraction = 1.0 - (row.lambert_bottom if row.n == 1.0 else 0.0)
         for name, exact in (
@@ -358,7 +360,7 @@ def test_slab_agrees_with_van_de_hulst():
         refractive_index=1.0,
         bottom_albedo=None,
     )
-    ds = splits.spectrophotometer(slab, [550.0], 0.0, 2e-4)
+    ds = splits.spectrophotometer(slab, [550.0], 0.0, max_stderr=2e-4)
     # The error of a printed table is half a unit of its last digit.
     z = [
         (float(ds[name][0]) - exact) / math.hypot(float(ds[f"{name}_stderr"][0]), 5e-6)

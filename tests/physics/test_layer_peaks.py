@@ -92,7 +92,14 @@ def judge_seeds(layer: splits.ParticleLayer, rays: int) -> None:
     """Fail if the scatter of seeds or their medians disagree with the exact result."""
     runs = [
         splits.goniophotometer(
-            layer, NM, 0.0, rays, seed, estimator="next_event", polar_deg=POLAR, azimuth_deg=[0.0]
+            layer,
+            NM,
+            0.0,
+            rays=rays,
+            seed=seed,
+            estimator="next_event",
+            polar_deg=POLAR,
+            azimuth_deg=[0.0],
         )
         for seed in range(SEEDS)
     ]
@@ -153,7 +160,8 @@ def test_results_are_independent_of_the_peak_threshold(settings, monkeypatch):
         monkeypatch.setattr(phase_function, "PEAK_BASE_PER_SR", limits[1])
         runs.append(
             splits.goniophotometer(
-                layer, NM, 40.0, 100_000, seed, estimator="next_event", polar_deg=[0.0, 45.0, 82.0],
+                layer, NM, 40.0, rays=100_000, seed=seed, estimator="next_event",
+                polar_deg=[0.0, 45.0, 82.0],
                 azimuth_deg=[0.0, 120.0],
             )
         )  # fmt: skip
@@ -170,13 +178,20 @@ def test_narrow_peaks_agree_with_bins(asymmetry):
     """Next-event estimates are averaged over bins, which have equal steps of the cosine."""
     layer, n_polar, first, last = make_cloud(asymmetry, 10.0), 600, 2, 10
     bins = splits.goniophotometer(
-        layer, NM, 0.0, 400_000, 1, estimator="bins", n_bins=(n_polar, 1)
-    ).isel(polar=slice(first, last))
+        layer, NM, 0.0, rays=400_000, seed=1, estimator="bins", n_bins=(n_polar, 1)
+    ).isel(polar_deg=slice(first, last))
     nodes, weights = np.polynomial.legendre.leggauss(3)
     cosine = 1.0 - (np.arange(first, last)[:, np.newaxis] + 0.5 * (nodes + 1.0)) / n_polar
     polar = np.degrees(np.arccos(cosine.ravel()))
     local = splits.goniophotometer(
-        layer, NM, 0.0, 40_000, 2, estimator="next_event", azimuth_deg=[0.0], polar_deg=polar
+        layer,
+        NM,
+        0.0,
+        rays=40_000,
+        seed=2,
+        estimator="next_event",
+        azimuth_deg=[0.0],
+        polar_deg=polar,
     )
     # By projected solid angle.
     weights = weights * cosine / (weights * cosine).sum(axis=1, keepdims=True)

@@ -204,7 +204,7 @@ def test_elements_have_the_bounds_of_sums_of_pure_matrices(name):
 def test_six_elements_are_those_of_single_scattering(name):
     """Means of the elements over all directions, from other rays."""
     medium, wavelength = MEDIA[name]
-    ds = splits.single_scattering(medium, [wavelength], 2, rays=200_000, stokes=True)
+    ds = splits.single_scattering(medium, [wavelength], moments=2, rays=200_000, stokes=True)
     ds = ds.squeeze("wavelength")
     # Each angle stands for the linear function of the cosine that is 1 there, as in that dataset.
     width = np.abs(np.diff(np.cos(np.radians(ds.angle_deg.values))))

@@ -70,7 +70,9 @@ def test_deep_snow_follows_the_weak_absorption_limit(area):
     diffracted = 0.5 * (1.0 + NATURAL_GRAIN_SHAPE.asymmetry_parameter)
     absorbed = 2.0 * NATURAL_GRAIN_SHAPE.absorption_enhancement * gamma / (ice_density(-1.0) * area)
     expected = np.exp(-4.0 * np.sqrt(absorbed / (3.0 * (1.0 - diffracted))))
-    spectrum = splits.spectrophotometer(deep, wavelengths, "diffuse", 0.0015, solver="monte_carlo")
+    spectrum = splits.spectrophotometer(
+        deep, wavelengths, "diffuse", max_stderr=0.0015, solver="monte_carlo"
+    )
     difference = spectrum.reflectance.values - expected
     assert (np.abs(difference) < 3.0 * spectrum.reflectance_stderr.values + 0.004).all(), difference
 
@@ -99,7 +101,11 @@ def test_semi_infinite_albedo_is_independent_of_density(incidence):
     """All lengths scale with the distance between grains, and no boundary below sets a scale."""
     spectra = [
         splits.spectrophotometer(
-            make_snow(density_kg_m3=density), [1300.0], incidence, 0.002, solver="monte_carlo"
+            make_snow(density_kg_m3=density),
+            [1300.0],
+            incidence,
+            max_stderr=0.002,
+            solver="monte_carlo",
         )
         for density in DENSITIES
     ]
@@ -122,7 +128,7 @@ def test_dense_snow_agrees_with_discrete_ordinates():
         for incidence in (75.0, "diffuse"):
             expected = solve_discrete_ordinates(optics, incidence, ground=ground)
             spectrum = splits.spectrophotometer(
-                layer, wavelengths, incidence, 0.0015, number, solver="monte_carlo"
+                layer, wavelengths, incidence, max_stderr=0.0015, seed=number, solver="monte_carlo"
             )
             for name in ("reflectance", "transmittance"):
                 error = np.hypot(expected[f"{name}_stderr"], spectrum[f"{name}_stderr"])
@@ -144,7 +150,7 @@ def test_mean_path_in_ice_of_dense_snow(density):
         }
         layer = make_snow(density_kg_m3=density, depth_m=depth, refractive_index=tables)
         run = splits.spectrophotometer(
-            layer, [1000.0], light, 1e-6, max_rays=rays, solver="monte_carlo"
+            layer, [1000.0], light, max_stderr=1e-6, max_rays=rays, solver="monte_carlo"
         )
         return run.absorptance.item() / alpha, run.absorptance_stderr.item() / alpha
 
@@ -188,8 +194,8 @@ def test_packed_natural_snow_is_reciprocal(density):
     }  # fmt: skip
     z = []
     for one, other, azimuth in pairs:
-        forward = runs[one].sel(polar=other, azimuth=azimuth)
-        reverse = runs[other].sel(polar=one, azimuth=azimuth)
+        forward = runs[one].sel(polar_deg=other, azimuth_deg=azimuth)
+        reverse = runs[other].sel(polar_deg=one, azimuth_deg=azimuth)
         error = math.hypot(float(forward.brdf_stderr), float(reverse.brdf_stderr))
         z.append(float(forward.brdf - reverse.brdf) / error)
     judge_z(z, "reciprocity", bound_added=True)
@@ -203,7 +209,12 @@ def test_actinic_flux_of_white_snow_equals_mean_path(density):
     white = {"ice": 1.31, "water": 1.33}
     layer = make_snow(density_kg_m3=density, depth_m=0.02, refractive_index=white)
     halves = splits.irradiance_profile(
-        layer, [1000.0], [0.01], "diffuse", 0.01, solver="monte_carlo"
+        layer,
+        [1000.0],
+        "diffuse",
+        depth_m=[0.01],
+        max_stderr=0.01,
+        solver="monte_carlo",
     ).isel(wavelength=0)
     flux, stderr = halves.actinic_flux.mean().item(), halves.actinic_flux_stderr.mean().item()
     optics = splits.single_scattering(

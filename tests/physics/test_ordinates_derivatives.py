@@ -351,7 +351,7 @@ def test_impurities_agree_with_paths():
     names = ["impurities_ng_g.black_carbon", "ground"]
     paths, ordinates = (
         splits.spectrophotometer(
-            snow, [450.0, 850.0, 1250.0], 30, 0.002, solver=solver, jacobian=names
+            snow, [450.0, 850.0, 1250.0], 30, max_stderr=0.002, solver=solver, jacobian=names
         )
         for solver in ("monte_carlo", "discrete_ordinates")
     )

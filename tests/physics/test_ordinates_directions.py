@@ -90,9 +90,9 @@ def test_directions_agree_with_paths(name, incidence, error):
 def test_directions_agree_with_bins(name):
     """Bins have no error of polynomials, also in the forward peak of wet pores."""
     bins = {"estimator": "bins", "n_bins": (30, 72)}
-    paths = splits.goniophotometer(MEDIA[name], [600.0], 53.0, 2_000_000, seed=3, **bins)
-    paths = paths.sortby("polar")
-    directions = {"polar_deg": paths.polar.values, "azimuth_deg": paths.azimuth.values}
+    paths = splits.goniophotometer(MEDIA[name], [600.0], 53.0, rays=2_000_000, seed=3, **bins)
+    paths = paths.sortby("polar_deg")
+    directions = {"polar_deg": paths.polar_deg.values, "azimuth_deg": paths.azimuth_deg.values}
     solved = splits.goniophotometer(MEDIA[name], [600.0], 53.0, **directions, **SOLVED)
     z = [
         ((solved[side] - paths[side]) / np.hypot(solved[f"{side}_stderr"], paths[f"{side}_stderr"]))
@@ -148,7 +148,7 @@ def test_distributions_integrate_to_totals_of_spectrophotometer(depth_m, water):
         **SOLVED,
     )  # fmt: skip
     reflected, transmitted = (
-        2.0 * np.pi * solved[name].mean("azimuth").values @ (weights * cosines)
+        2.0 * np.pi * solved[name].mean("azimuth_deg").values @ (weights * cosines)
         for name in ("brdf", "btdf")
     )
     spectrum = splits.spectrophotometer(*arguments, max_stderr=1e-4, **SOLVED)
@@ -163,7 +163,7 @@ def test_distributions_integrate_to_totals_of_spectrophotometer(depth_m, water):
         np.testing.assert_allclose(solved[name], spectrum[name], atol=1e-4)
     # π times the BRDF over the reflectance, so that its mean is the share of scattered light.
     share = 1.0 - (solved.specular_reflectance / solved.reflectance).values
-    anisotropy = 2.0 * solved.anisotropy_factor.mean("azimuth").values @ (weights * cosines)
+    anisotropy = 2.0 * solved.anisotropy_factor.mean("azimuth_deg").values @ (weights * cosines)
     assert (np.abs(anisotropy - share) <= 3e-3 + 1.1 * error / solved.reflectance).all()
 
 
@@ -174,7 +174,7 @@ def test_factors_under_diffuse_light_are_totals_of_a_beam():
     inverted = splits.Stack(stack.layers[::-1])
     for name, medium in (("reflectance", stack), ("transmittance", inverted)):
         beam = splits.spectrophotometer(medium, WAVELENGTHS, 53.0, **SOLVED)
-        factor = solved[f"{name}_factor"].sel(polar=53.0)
+        factor = solved[f"{name}_factor"].sel(polar_deg=53.0)
         np.testing.assert_allclose(factor, beam[name].values[:, None] * np.ones(2), atol=1e-3)
 
 
@@ -194,7 +194,7 @@ def test_target_limits_the_error_of_its_side(incidence):
 def test_dataset_has_the_form_of_simulations(tmp_path):
     solved = splits.goniophotometer(make_snow(ground=None), WAVELENGTHS, 30.0, **FEW, **SOLVED)
     assert solved.attrs["solver"] == "discrete_ordinates" and solved.attrs["rays"] == 0
-    assert solved.brdf.dims == ("wavelength", "polar", "azimuth")
+    assert solved.brdf.dims == ("wavelength", "polar_deg", "azimuth_deg")
     paths = {"brdf", "btdf", "reflectance_factor", "anisotropy_factor", *BEAM_TOTALS}
     assert set(solved) == paths | {f"{name}_stderr" for name in paths}
     splits.save(solved, tmp_path / "brdf.nc")

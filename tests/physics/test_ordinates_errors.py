@@ -36,7 +36,13 @@ def make_snow(**changes):
 
 def solve(medium, wavelengths, incidence, error, **keywords):
     return splits.spectrophotometer(
-        medium, wavelengths, incidence, error, solver="discrete_ordinates", threads=1, **keywords
+        medium,
+        wavelengths,
+        incidence,
+        max_stderr=error,
+        solver="discrete_ordinates",
+        threads=1,
+        **keywords,
     )
 
 

@@ -220,7 +220,9 @@ def test_errors_of_optics_propagate_to_discrete_ordinates():
     names = ("reflectance", "transmittance", "absorptance")
     results = []
     for seed in range(20):
-        optics = correct_dense_packing(single_scattering(snow, [500.0, 1800.0], 16, 2048, seed))
+        optics = correct_dense_packing(
+            single_scattering(snow, [500.0, 1800.0], moments=16, rays=2048, seed=seed)
+        )
         result = solve_discrete_ordinates(optics, 30.0, 16)
         values = [[result[f"{n}{end}"].values for n in names] for end in ("", "_stderr")]
         thickness = (optics[f"optical_thickness{end}"].values for end in ("", "_stderr"))

@@ -147,7 +147,15 @@ def compare_profiles(seeds, error):
         total = thickness[np.isfinite(thickness)].sum() or 0.1
         depths = np.unique([*boundaries, *generator.uniform(0.02, 0.98, 2) * total])
         paths, solved = (
-            splits.irradiance_profile(pack, WAVELENGTHS, depths, incidence, error, seed, **solver)
+            splits.irradiance_profile(
+                pack,
+                WAVELENGTHS,
+                incidence,
+                depth_m=depths,
+                max_stderr=error,
+                seed=seed,
+                **solver,
+            )
             for solver in (TRACED, SOLVED)
         )
         for name in QUANTITIES:
@@ -173,8 +181,11 @@ def test_actinic_flux_agrees_with_paths():
     snow = splits.Snow.natural(
         specific_surface_area_m2_kg=20.0, depth_m=0.03, impurities_ng_g={"black_carbon": 300.0}
     )
-    arguments = (snow, [400.0, 700.0, 1030.0], [0.005, 0.015], 30.0, 0.004)
-    paths, solved = (splits.irradiance_profile(*arguments, **solver) for solver in (TRACED, SOLVED))
+    keywords = {"depth_m": [0.005, 0.015], "max_stderr": 0.004}
+    paths, solved = (
+        splits.irradiance_profile(snow, [400.0, 700.0, 1030.0], 30.0, **keywords, **solver)
+        for solver in (TRACED, SOLVED)
+    )
     stderr = np.hypot(paths.actinic_flux_stderr, solved.actinic_flux_stderr)
     judge_z((solved.actinic_flux - paths.actinic_flux) / stderr, independent=3, bound_added=True)
 
@@ -187,7 +198,7 @@ def test_isotropic_light_has_the_path_lengths_of_equilibrium(water):
         specific_surface_area_m2_kg=20.0, depth_m=0.02, ground=1.0, liquid_water_content=water,
         refractive_index=index,
     )  # fmt: skip
-    solved = splits.irradiance_profile(snow, [586.0], [0.01], "diffuse", **SOLVED)
+    solved = splits.irradiance_profile(snow, [586.0], "diffuse", depth_m=[0.01], **SOLVED)
     np.testing.assert_allclose(solved.downward_irradiance.sel(depth=0.0), 1.0, atol=1e-6)
     in_grains = 1.31**2 * snow.extinction_per_m / snow.attenuation_per_m
     in_pores = snow.pore_fraction * (1.0 - snow.saturation + snow.saturation * 1.33**2)
@@ -200,7 +211,7 @@ def test_light_is_conserved(seed):
     depths = np.cumsum([layer.depth_m for layer in pack.layers])[:-1]
     first = 0.5 * (depths[0] if depths.size else min(pack.depth_m, 0.1))
     depths = [first, *depths]
-    solved = splits.irradiance_profile(pack, WAVELENGTHS, depths, 40.0, **SOLVED)
+    solved = splits.irradiance_profile(pack, WAVELENGTHS, 40.0, depth_m=depths, **SOLVED)
     spectrum = splits.spectrophotometer(pack, WAVELENGTHS, 40.0, **SOLVED)
     net = solved.downward_irradiance - solved.upward_irradiance
     below = net.isel(depth=-1) * (not pack.is_semi_infinite)
@@ -219,8 +230,8 @@ def test_light_is_conserved(seed):
 
 def test_intervals_do_not_depend_on_further_depths():
     pack = make_random_snowpack(np.random.default_rng(3), is_wet=False)
-    few = splits.irradiance_profile(pack, WAVELENGTHS, [0.02], **SOLVED)
-    many = splits.irradiance_profile(pack, WAVELENGTHS, [0.005, 0.01, 0.02], **SOLVED)
+    few = splits.irradiance_profile(pack, WAVELENGTHS, depth_m=[0.02], **SOLVED)
+    many = splits.irradiance_profile(pack, WAVELENGTHS, depth_m=[0.005, 0.01, 0.02], **SOLVED)
     np.testing.assert_allclose(few.absorptance[:, 0], many.absorptance[:, :3].sum("interval"))
     np.testing.assert_allclose(
         few.downward_irradiance.sel(depth=0.02), many.downward_irradiance.sel(depth=0.02)
@@ -229,7 +240,7 @@ def test_intervals_do_not_depend_on_further_depths():
 
 def test_dataset_has_the_form_of_simulations(tmp_path):
     snow = splits.Snow.natural(specific_surface_area_m2_kg=20.0)
-    solved = splits.irradiance_profile(snow, WAVELENGTHS, [0.01, 0.05], **SOLVED)
+    solved = splits.irradiance_profile(snow, WAVELENGTHS, depth_m=[0.01, 0.05], **SOLVED)
     assert solved.attrs["rays"] == 0 and solved.attrs["solver"] == "discrete_ordinates"
     assert (solved.actinic_flux.isel(interval=-1) == 0.0).all()
     assert solved.absorptance_batches.dims == ("batch", "wavelength", "interval")
@@ -242,7 +253,13 @@ def test_radiation_profile_is_the_mean_of_irradiance_profiles():
     snow = splits.Snow.natural(specific_surface_area_m2_kg=20.0, liquid_water_content=0.02)
     sky = splits.sky("midlatitude_winter")
     solved = splits.radiation_profile(
-        snow, sky, [0.02], WAVELENGTHS[:4], 0.01, total_w_m2=400.0, **SOLVED
+        snow,
+        sky,
+        WAVELENGTHS[:4],
+        depth_m=[0.02],
+        max_stderr=0.01,
+        total_w_m2=400.0,
+        **SOLVED,
     )
     assert solved.attrs["solver"] == "discrete_ordinates" and solved.attrs["rays"] == 0
     net = solved.downward_irradiance - solved.upward_irradiance
@@ -252,14 +269,15 @@ def test_radiation_profile_is_the_mean_of_irradiance_profiles():
 
 def test_refusals_state_the_reason():
     with pytest.raises(ValueError, match=r"(?s)solver.*no equation of"):
-        splits.irradiance_profile(splits.Snow(depth_m=0.1), [600.0], [0.05], **SOLVED)
+        splits.irradiance_profile(splits.Snow(depth_m=0.1), [600.0], depth_m=[0.05], **SOLVED)
     clear = splits.Snow.natural(
         specific_surface_area_m2_kg=20.0, depth_m=0.1, refractive_index={"ice": "1.31+0j"}
     )
     with pytest.raises(ValueError, match=r"(?s)solver.*absorb nothing at 600 nm"):
-        splits.irradiance_profile(clear, [600.0], [0.05], **SOLVED)
+        splits.irradiance_profile(clear, [600.0], depth_m=[0.05], **SOLVED)
     with pytest.raises(ValueError, match=r"(?s)solver.*no equation of"):
         splits.radiation_profile(
-            splits.Snow(depth_m=0.1), "midlatitude_winter", [0.05], [600.0, 700.0], total_w_m2=1.0,
+            splits.Snow(depth_m=0.1), "midlatitude_winter", [600.0, 700.0], depth_m=[0.05],
+            total_w_m2=1.0,
             **SOLVED,
         )  # fmt: skip

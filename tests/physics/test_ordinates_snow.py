@@ -89,7 +89,9 @@ def compare_snowpacks(seeds: range, error: float, only_wet: bool = False) -> np.
         wavelengths = WET_WAVELENGTHS if only_wet else WAVELENGTHS
         incidence = "diffuse" if seed % 5 == 0 else float(generator.uniform(0.0, 80.0))
         paths, ordinates = (
-            splits.spectrophotometer(snowpack, wavelengths, incidence, error, seed, solver=solver)
+            splits.spectrophotometer(
+                snowpack, wavelengths, incidence, max_stderr=error, seed=seed, solver=solver
+            )
             for solver in ("monte_carlo", "discrete_ordinates")
         )
         for name in ("reflectance", "transmittance"):
@@ -196,10 +198,10 @@ def compare_media(seeds, error: float, wet=lambda seed: False, interpretation=PO
     for seed in seeds:
         medium, incidence = make_random_medium(seed, wet(seed), interpretation)
         solved = splits.spectrophotometer(
-            medium, MEDIA_WAVELENGTHS, incidence, 2.0 * error, **SOLVED
+            medium, MEDIA_WAVELENGTHS, incidence, max_stderr=2.0 * error, **SOLVED
         )
         paths = splits.spectrophotometer(
-            medium, MEDIA_WAVELENGTHS, incidence, error, seed, **TRACED
+            medium, MEDIA_WAVELENGTHS, incidence, max_stderr=error, seed=seed, **TRACED
         )
         for name in ("reflectance", "transmittance"):
             stderr = np.hypot(solved[f"{name}_stderr"], paths[f"{name}_stderr"]).values
@@ -235,8 +237,11 @@ def test_profiles_and_directions_of_point_grains_agree_with_paths():
         interpretation={"set": POINTS, "mean_free_path": "pore_only"}, saturation=0.2, depth_m=0.03
     )
     for medium in (snow, wet):
-        arguments = (medium, MEDIA_WAVELENGTHS[1:4], [0.01, 0.02], 30.0, 0.002)
-        paths, solved = (splits.irradiance_profile(*arguments, **how) for how in (TRACED, SOLVED))
+        keywords = {"depth_m": [0.01, 0.02], "max_stderr": 0.002}
+        paths, solved = (
+            splits.irradiance_profile(medium, MEDIA_WAVELENGTHS[1:4], 30.0, **keywords, **how)
+            for how in (TRACED, SOLVED)
+        )
         for name in ("downward_irradiance", "upward_irradiance", "absorptance_of_material"):
             stderr = np.hypot(paths[f"{name}_stderr"], solved[f"{name}_stderr"])
             z = ((solved[name] - paths[name]) / stderr).where(solved[name] > 0.01).values
@@ -261,7 +266,7 @@ def test_layers_of_different_grains_are_solved_together():
     sand = splits.Sand(depth_m=0.01, interpretation=POINTS)
     half = splits.Sand(depth_m=0.005, interpretation=POINTS)
     one, two = (
-        splits.spectrophotometer(splits.Stack(layers), [1000.0], 40.0, 0.01, **SOLVED)
+        splits.spectrophotometer(splits.Stack(layers), [1000.0], 40.0, max_stderr=0.01, **SOLVED)
         for layers in ([natural, sand], [natural, half, half])
     )
     np.testing.assert_allclose(one.reflectance, two.reflectance, atol=1e-9)
@@ -277,7 +282,9 @@ def test_dry_layers_of_a_wet_stack_keep_their_optics():
         splits.Snow(interpretation=POINTS, saturation=water, depth_m=0.01) for water in (0.1, 0.0)
     )
     one, two = (
-        splits.spectrophotometer(splits.Stack([top, below]), [1300.0], 40.0, 0.01, **SOLVED)
+        splits.spectrophotometer(
+            splits.Stack([top, below]), [1300.0], 40.0, max_stderr=0.01, **SOLVED
+        )
         for below in (wet, dry)
     )
     np.testing.assert_allclose(one.reflectance, two.reflectance, atol=2e-5)
@@ -294,7 +301,7 @@ def test_media_without_absorption_lose_no_light(water):
     for medium in (snow, splits.Stack([snow, splits.Snow.natural(
         specific_surface_area_m2_kg=20.0, depth_m=0.02, refractive_index=index,
     )])):  # fmt: skip
-        solved = splits.spectrophotometer(medium, [600.0], 40.0, 0.02, **SOLVED)
+        solved = splits.spectrophotometer(medium, [600.0], 40.0, max_stderr=0.02, **SOLVED)
         # The tables of natural snow have single precision.
         assert abs(float(solved.absorptance.item())) < 2e-6
 
@@ -332,7 +339,7 @@ def test_refusals_of_derivatives_and_profiles_name_the_layer():
     with pytest.raises(ValueError, match="can vary only in natural snow"):
         splits.spectrophotometer(sand, [1000.0], jacobian=["porosity"], **SOLVED)
     with pytest.raises(ValueError, match=r"layers\[0\] has grains of several materials"):
-        splits.irradiance_profile(sand, [1000.0], [0.001], **SOLVED)
+        splits.irradiance_profile(sand, [1000.0], depth_m=[0.001], **SOLVED)
 
 
 @pytest.mark.parametrize("interpretation", [POINTS, FINITE])

@@ -32,7 +32,9 @@ PROFILES = ("downward_irradiance", "upward_irradiance", "absorptance", "actinic_
 def measure(medium, incidence, seed, **settings):
     """Return R, T and A and their standard errors, shape (2, 3, wavelengths)."""
     wavelengths = settings.pop("wavelengths", [550.0])
-    ds = splits.spectrophotometer(medium, wavelengths, incidence, 0.002, seed, **settings)
+    ds = splits.spectrophotometer(
+        medium, wavelengths, incidence, max_stderr=0.002, seed=seed, **settings
+    )
     names = ("reflectance", "transmittance", "absorptance")
     return np.array([[ds[name] for name in names], [ds[f"{name}_stderr"] for name in names]])
 
@@ -87,12 +89,14 @@ def test_subdivided_infinite_layer_equals_the_layer(albedo):
     depths, view = [0.2, 0.7, 1.5], {"polar_deg": [0.0, 40.0], "azimuth_deg": [0.0, 120.0]}
     values = []
     for seed, medium in enumerate((layer, stack)):
-        profile = splits.irradiance_profile(medium, 550.0, depths, 30.0, 0.005, seed=seed)
+        profile = splits.irradiance_profile(
+            medium, 550.0, 30.0, depth_m=depths, max_stderr=0.005, seed=seed
+        )
         next_event = {"estimator": "next_event", "rays": 20_000, "seed": seed}
         radiance = splits.goniophotometer(medium, 550.0, 30.0, **view, **next_event)
         flux = [profile[name].values.ravel() for name in PROFILES]
         flux_stderr = [profile[f"{name}_stderr"].values.ravel() for name in PROFILES]
-        scattered = radiance.isel(azimuth=slice(1, None))
+        scattered = radiance.isel(azimuth_deg=slice(1, None))
         brdf = [scattered.brdf.values.ravel()], [scattered.brdf_stderr.values.ravel()]
         values.append([np.concatenate(flux + brdf[0]), np.concatenate(flux_stderr + brdf[1])])
     judge_z(compute_z(*values), albedo, independent=3, bound_added=True)
@@ -269,12 +273,12 @@ def test_next_event_estimates_of_stacks_agree_with_bins(polarized):
         ]
     )  # fmt: skip
     bins = splits.goniophotometer(stack, [550.0], 30.0, estimator="bins", n_bins=(30, 8))
-    bins = bins.isel(polar=bins.polar.values < 75.0)
+    bins = bins.isel(polar_deg=bins.polar_deg.values < 75.0)
     local = splits.goniophotometer(
         stack, [550.0], 30.0, seed=2, estimator="next_event", relative_stderr=0.01,
-        polar_deg=bins.polar.values, azimuth_deg=bins.azimuth.values[:4],
+        polar_deg=bins.polar_deg.values, azimuth_deg=bins.azimuth_deg.values[:4],
     )  # fmt: skip
-    bins = bins.sel(azimuth=local.azimuth)
+    bins = bins.sel(azimuth_deg=local.azimuth_deg)
     for name in names:
         difference = (bins[name] - local[name]).values
         judge_z(difference / np.hypot(bins[f"{name}_stderr"], local[f"{name}_stderr"]).values, name)
@@ -289,7 +293,9 @@ def test_polarized_subdivided_layers_agree_with_single_layers():
     single = splits.ParticleLayer(**settings, bottom_albedo=None)
     z = compute_z(measure(single, 50.0, 50), measure(subdivide(settings, 3), 50.0, 51))
     judge_z(z, independent=1)
-    profile = splits.irradiance_profile(subdivide(settings, 2), [550.0], [0.5], 50.0, 0.004)
+    profile = splits.irradiance_profile(
+        subdivide(settings, 2), [550.0], 50.0, depth_m=[0.5], max_stderr=0.004
+    )
     error = np.hypot(profile.upward_irradiance_stderr[0, 0], 0.002)
     reflectance = measure(single, 50.0, 50)[0, 0]
     judge_z((profile.upward_irradiance.values[0, 0] - reflectance) / error.values, independent=1)
@@ -407,7 +413,11 @@ def test_snowpacks_agree_with_discrete_ordinates():
         for incidence in (20.0, 60.0):
             expected = solve_discrete_ordinates(optics, incidence, ground=ground)
             spectrum = splits.spectrophotometer(
-                snowpack, SPECTRUM, incidence, 0.001, 100 + 10 * number + round(incidence)
+                snowpack,
+                SPECTRUM,
+                incidence,
+                max_stderr=0.001,
+                seed=100 + 10 * number + round(incidence),
             )
             for name in ("reflectance", "absorptance"):
                 error = np.hypot(expected[f"{name}_stderr"], spectrum[f"{name}_stderr"])
@@ -424,7 +434,9 @@ HUGE = {"grain_size_um": (1000, 2000), "saturation": 0.0, "depth_m": 0.02}
 
 
 def measure_snow(medium, incidence=30.0, seed=1, **settings):
-    ds = splits.spectrophotometer(medium, TWO_WAVELENGTHS, incidence, 0.004, seed, **settings)
+    ds = splits.spectrophotometer(
+        medium, TWO_WAVELENGTHS, incidence, max_stderr=0.004, seed=seed, **settings
+    )
     names = ("reflectance", "transmittance", "absorptance")
     values = np.stack([ds[name].values for name in names])
     assert np.isfinite(values).all() and ds.reflectance.values.max() <= 1.0

@@ -60,8 +60,10 @@ def compute_degree(
     rays: int = 300_000,
 ) -> Degree:
     """Return the degree between two polar angles, for light incident at Brewster's angle."""
-    ds = measure_bins(medium, wavelength_nm, rays).sel(azimuth=azimuth, polar=slice(*polar_deg))
-    weight = np.cos(np.radians(ds.polar))
+    ds = measure_bins(medium, wavelength_nm, rays).sel(
+        azimuth_deg=azimuth, polar_deg=slice(*polar_deg)
+    )
+    weight = np.cos(np.radians(ds.polar_deg))
     intensity = float((weight * ds.brdf).sum())
     degree = -float((weight * ds.brdf_q).sum()) / intensity
     error = weight * ds.brdf * ds.brdf_dolp_stderr
@@ -147,7 +149,7 @@ def test_depolarization_by_single_grains_exceeds_that_of_hexagons():
     """Liou & Lahore (1974): 0.29 computed and 0.35 measured for random hexagonal crystals."""
     for facetness in (SMOOTH, ROUGH):
         ds = splits.single_scattering(
-            make_snow(facetness=facetness), [633.0], 2, rays=scale_sample_size(1_000_000),
+            make_snow(facetness=facetness), [633.0], moments=2, rays=scale_sample_size(1_000_000),
             stokes=True,
         ).squeeze("wavelength")  # fmt: skip
         # The mean of directions within 10 degrees of the backward one.

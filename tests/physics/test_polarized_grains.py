@@ -25,7 +25,9 @@ STOKES = ("", "_q", "_u", "_v")
 @pytest.mark.long
 def test_matrix_of_smooth_spheres_is_that_of_geometric_optics():
     clear = replace(SPHERES, refractive_index={"ice": 1.31})
-    ds = splits.single_scattering(clear, NM, 2, rays=2_000_000, stokes=True).squeeze("wavelength")
+    ds = splits.single_scattering(clear, NM, moments=2, rays=2_000_000, stokes=True).squeeze(
+        "wavelength"
+    )
     exact = compute_sphere_matrix(1.31, ds.angle_deg.values)
     for name, expected in zip(ELEMENTS, exact, strict=True):
         if name == "P34":
@@ -54,13 +56,15 @@ def test_moments_and_matrix_of_a_dataset_are_of_the_same_light(medium, exact):
     """Polarization changes g of smooth spheres of n = 1.31 from 0.7816 to 0.7850."""
     if exact is not None:
         medium = replace(medium, refractive_index={"ice": 1.31})
-    ds = splits.single_scattering(medium, NM, 2, rays=400_000, stokes=True).squeeze("wavelength")
+    ds = splits.single_scattering(medium, NM, moments=2, rays=400_000, stokes=True).squeeze(
+        "wavelength"
+    )
     g, stderr = float(ds.asymmetry_parameter), float(ds.asymmetry_parameter_stderr)
     # The rays of the matrix are as many, but others.
     assert abs(compute_asymmetry(ds) - g) < 4.0 * np.sqrt(2.0) * stderr
     if exact is not None:
         assert abs(g - exact) < 4.0 * stderr + 5e-5
-        scalar = splits.single_scattering(medium, NM, 2, rays=400_000)
+        scalar = splits.single_scattering(medium, NM, moments=2, rays=400_000)
         assert abs(scalar.asymmetry_parameter.item() - 0.7816) < 4.0 * stderr + 5e-5
 
 
@@ -71,7 +75,9 @@ def test_moments_and_matrix_of_a_dataset_are_of_the_same_light(medium, exact):
 )
 def test_matrices_of_grains_have_their_symmetries(medium):
     """At 0° and 180°, by symmetry about the direction; bounds of elements; normalization."""
-    ds = splits.single_scattering(medium, NM, 2, rays=400_000, stokes=True).squeeze("wavelength")
+    ds = splits.single_scattering(medium, NM, moments=2, rays=400_000, stokes=True).squeeze(
+        "wavelength"
+    )
     cosines = np.cos(np.radians(ds.angle_deg.values[::-1]))
     assert 0.5 * np.trapezoid(ds.P11.values[::-1], cosines) == pytest.approx(1.0, abs=1e-9)
     z = []
@@ -88,7 +94,7 @@ def test_matrices_of_grains_have_their_symmetries(medium):
 def make_pair(medium: splits.Snow | splits.Sand) -> tuple:
     """Return a dilute pack of optical thickness 1, and the layer of particles of its matrix."""
     ds = splits.single_scattering(
-        medium, NM, 2, rays=scale_sample_size(4_000_000), stokes=True
+        medium, NM, moments=2, rays=scale_sample_size(4_000_000), stokes=True
     ).squeeze("wavelength")
     layer = splits.ParticleLayer(
         optical_thickness=1.0, refractive_index=1.0, bottom_albedo=None, scattering_matrix=ds,

@@ -30,7 +30,8 @@ def test_pore_medium_with_index_of_water_equals_water(medium):
         saturation=0.1, depth_m=0.005, pores={"second": 0.2}, refractive_index={"second": water}
     )
     actual, expected = (
-        splits.spectrophotometer(m, wavelength, 30.0, 0.01, kernel="scalar") for m in (named, plain)
+        splits.spectrophotometer(m, wavelength, 30.0, max_stderr=0.01, kernel="scalar")
+        for m in (named, plain)
     )
     # Both runs use the same random numbers; weights are added up in single precision.
     np.testing.assert_allclose(actual.reflectance, expected.reflectance, rtol=1e-7)
@@ -44,7 +45,7 @@ def test_empty_slab_absorbs_by_pore_fractions(incidence):
     snow = splits.Snow(
         density_kg_m3=1e-8, depth_m=0.1, **MIXED_PORES | {"refractive_index": {"ice": 1.31} | index}
     )
-    ds = splits.spectrophotometer(snow, 500.0, incidence, 0.001)
+    ds = splits.spectrophotometer(snow, 500.0, incidence, max_stderr=0.001)
     k = np.array([5e-8, 1e-7, 4e-7, 2e-6])
     path_length = 0.1 / np.cos(np.radians(incidence))
     expected = np.array([0.4, 0.2, 0.3, 0.1]) @ np.exp(-4.0 * np.pi * k / 500e-9 * path_length)
@@ -55,7 +56,7 @@ def test_empty_slab_absorbs_by_pore_fractions(incidence):
 def test_index_matched_grains_leave_absorption_by_pore_fractions():
     equal_index = dict.fromkeys(("ice", "water", "brine", "oil", "air"), 1.0 + 4e-7j)
     snow = splits.Snow(depth_m=0.05, **MIXED_PORES | {"refractive_index": equal_index})
-    ds = splits.irradiance_profile(snow, 500.0, [0.02], 0.0, 0.003)
+    ds = splits.irradiance_profile(snow, 500.0, 0.0, depth_m=[0.02], max_stderr=0.003)
     transmittance = np.exp(-4.0 * np.pi * 4e-7 / 500e-9 * 0.05)
     # Roulette starts below a weight of 0.6, which no ray reaches.
     assert abs(float(ds.downward_irradiance[0, -1]) - transmittance) < 1e-5
@@ -71,7 +72,9 @@ def test_index_matched_grains_leave_absorption_by_pore_fractions():
 @pytest.mark.parametrize("medium", [splits.Snow, splits.Sand])
 def test_profile_conserves_energy(medium):
     sample = medium(depth_m=0.005, ground=0.5, **MIXED_PORES)
-    ds = splits.irradiance_profile(sample, [500.0, 900.0], [0.001, 0.003], 40.0, 0.01)
+    ds = splits.irradiance_profile(
+        sample, [500.0, 900.0], 40.0, depth_m=[0.001, 0.003], max_stderr=0.01
+    )
     net = ds.downward_irradiance - ds.upward_irradiance
     absorbed = ds.absorptance.sum("interval")
     total = ds.upward_irradiance.isel(depth=0) + net.isel(depth=-1) + absorbed
@@ -86,7 +89,9 @@ def test_kernels_agree_on_air_of_any_index():
     z = []
     for incidence in (0.0, 60.0):
         one, two = (
-            splits.spectrophotometer(snow, WAVELENGTHS, incidence, 0.004, seed, kernel=kernel)
+            splits.spectrophotometer(
+                snow, WAVELENGTHS, incidence, max_stderr=0.004, seed=seed, kernel=kernel
+            )
             for seed, kernel in enumerate(("vectorized", "scalar"))
         )
         (a, da), (b, db) = get_fluxes(one), get_fluxes(two)
@@ -101,8 +106,8 @@ def test_subdivision_does_not_change_the_spectrum():
     )
     z = []
     for incidence in (0.0, 60.0):
-        one = splits.spectrophotometer(undivided, WAVELENGTHS, incidence, 0.004, seed=1)
-        two = splits.spectrophotometer(subdivided, WAVELENGTHS, incidence, 0.004, seed=2)
+        one = splits.spectrophotometer(undivided, WAVELENGTHS, incidence, max_stderr=0.004, seed=1)
+        two = splits.spectrophotometer(subdivided, WAVELENGTHS, incidence, max_stderr=0.004, seed=2)
         (a, da), (b, db) = get_fluxes(one), get_fluxes(two)
         z.append((a - b) / np.hypot(da, db))
     judge_z(np.array(z), independent=2, bound_added=True)
@@ -116,7 +121,7 @@ def test_layers_may_have_different_pore_media():
     named = {"saturation": 0.1, "pores": {"x": 0.2}, "refractive_index": {"x": water}}
     pair = [
         splits.spectrophotometer(
-            splits.Stack([top, lower]), wavelength, 30.0, 0.01, kernel="scalar"
+            splits.Stack([top, lower]), wavelength, 30.0, max_stderr=0.01, kernel="scalar"
         )
         for top in (splits.Snow(depth_m=0.003, **named), lower)
     ]
@@ -173,7 +178,7 @@ def test_path_lengths_are_proportional_to_volume_fractions(water_content):
         specific_surface_area_m2_kg=20, density_kg_m3=400, depth_m=0.08,
         liquid_water_content=water_content, refractive_index=equal_index,
     )  # fmt: skip
-    ds = splits.irradiance_profile(snow, 500.0, [0.02, 0.06], 0.0, 0.0015)
+    ds = splits.irradiance_profile(snow, 500.0, 0.0, depth_m=[0.02, 0.06], max_stderr=0.0015)
     absorbed = ds.absorptance_of_material.isel(interval=1).squeeze()
     error = ds.absorptance_of_material_stderr.isel(interval=1).squeeze()
     expected = {

@@ -30,7 +30,9 @@ def make_snow(radius, soot=0.0):
 def simulate_measurement(medium, seed, w=W, noise=0.02):
     """Return a noisy spectrum of a medium and the standard deviation of its noise."""
     random = np.random.default_rng(seed)
-    truth = splits.spectrophotometer(medium, w, 0.0, 0.003, seed + 100).reflectance.values
+    truth = splits.spectrophotometer(
+        medium, w, 0.0, max_stderr=0.003, seed=seed + 100
+    ).reflectance.values
     return (w, truth + noise * random.standard_normal(w.size)), np.full(w.size, noise)
 
 

@@ -114,7 +114,7 @@ def test_specific_surface_area_follows_from_a_return(table):
     assert found.constrained == {AREA: True, "scale": True}
     assert found.stderr[AREA] < 0.25 * 18.0
     dataset = found.dataset
-    assert dataset.measured.dims == dataset.fitted.dims == ("wavelength", "delay")
+    assert dataset.measured.dims == dataset.fitted.dims == ("wavelength", "delay_s")
     assert dataset.attrs["pulse_s"] == PULSE_S
     np.testing.assert_array_equal(dataset.measured.values.ravel(), rates)
     np.testing.assert_allclose(dataset.delay_bounds.values[:, 1], SHORT_BINS[1:])
@@ -253,7 +253,7 @@ def test_returns_of_the_instrument_are_accepted(table):
         (light, "measured = 'both sides, over side, .*delay': must be"),
         (light.sel(side="transmitted"), "measured = 'transmitted, over delay'"),
         (reflected.drop_vars("delay_bounds"), "measured = 'a dataset': must be with return_rate"),
-        (reflected.isel(delay=[0, 2]), "measured.delay = 'with gaps'"),
+        (reflected.isel(delay_s=[0, 2]), "measured.delay_s = 'with gaps'"),
         (reflected.return_rate, "measured = 'DataArray': .*a dataset: light.sel"),
         (in_ns, "measured = 'in ns-1': must be in s-1"),
     ):
@@ -263,17 +263,17 @@ def test_returns_of_the_instrument_are_accepted(table):
 
 def test_tables_may_be_parts_but_have_no_gaps(table):
     arguments = ([0.0, 4e-10], [1e9]), [AREA], 1e8
-    part = table.sel({AREA: [15.0, 22.0]}).isel(delay=slice(30)).transpose(..., AREA)
+    part = table.sel({AREA: [15.0, 22.0]}).isel(delay_s=slice(30)).transpose(..., AREA)
     whole, found = (
         splits.retrieve_return(arguments[0], one, {AREA: (15.0, 22.0)}, arguments[2]).dataset
         for one in (table, part)
     )
     np.testing.assert_allclose(found.measured, whole.measured)
     for wrong, message in (
-        (table.isel(delay=[0, 1, 5]), "table.delay = 'with gaps'"),
+        (table.isel(delay_s=[0, 1, 5]), "table.delay_s = 'with gaps'"),
         (table.isel(wavelength=0), "without an axis wavelength"),
         (table.drop_vars("delay_bounds"), "table.delay_bounds = None"),
-        (table.where(table.delay > 1e-10), "table = 'gaps in return_rate'"),
+        (table.where(table.delay_s > 1e-10), "table = 'gaps in return_rate'"),
     ):
         with pytest.raises(ValueError, match=message):
             splits.retrieve_return(arguments[0], wrong, *arguments[1:])

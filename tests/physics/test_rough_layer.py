@@ -54,14 +54,16 @@ def test_rough_surface_conserves_energy(incidence, polarized):
         optical_thickness=2.0, single_scattering_albedo=1.0, bottom_albedo=1.0,
         surface=make_gaussian_surface(2.0), polarized=polarized,
     )  # fmt: skip
-    ds = splits.spectrophotometer(layer, NM, incidence, 0.5)
+    ds = splits.spectrophotometer(layer, NM, incidence, max_stderr=0.5)
     assert float(ds.reflectance[0]) == pytest.approx(1.0, abs=1e-10)
 
 
 def test_rough_surface_without_contrast_has_no_effect():
     plain = {"optical_thickness": 2.0, "refractive_index": 1.0, "bottom_albedo": 0.0}
     rough, smooth = (
-        splits.spectrophotometer(splits.ParticleLayer(**plain, surface=s), NM, 50.0, 0.002, seed)
+        splits.spectrophotometer(
+            splits.ParticleLayer(**plain, surface=s), NM, 50.0, max_stderr=0.002, seed=seed
+        )
         for seed, s in ((1, make_gaussian_surface(0.3, length_m=1e-3)), (2, None))
     )
     difference = float(rough.reflectance[0] - smooth.reflectance[0])
@@ -75,7 +77,7 @@ def test_small_roughness_approaches_the_flat_surface(incidence):
     plain = {"optical_thickness": 3.0, "single_scattering_albedo": 0.9}
     rough, smooth = (
         splits.spectrophotometer(
-            splits.ParticleLayer(**plain, surface=s), NM, incidence, 0.002, seed
+            splits.ParticleLayer(**plain, surface=s), NM, incidence, max_stderr=0.002, seed=seed
         )
         for seed, s in ((1, make_gaussian_surface(1e-4)), (2, None))
     )
@@ -124,9 +126,9 @@ def test_small_slopes_reflect_by_geometric_optics():
         surface=make_gaussian_surface(rms, waves=400),
     )  # fmt: skip
     ds = splits.goniophotometer(layer, NM, 0.0, rays=rays, estimator="bins", n_bins=(rings, 8))
-    cosine = np.cos(np.radians(ds.polar.values))
+    cosine = np.cos(np.radians(ds.polar_deg.values))
     # Fractions of rays in rings of equal solid angle, from the zenith.
-    power = ds.brdf.isel(wavelength=0).mean("azimuth").values * cosine * 2.0 * math.pi / rings
+    power = ds.brdf.isel(wavelength=0).mean("azimuth_deg").values * cosine * 2.0 * math.pi / rings
     edges = np.append(cosine + 0.5 / rings, 0.0)
     cdf = -np.expm1(-(1.0 - edges) / (1.0 + edges) / rms**2)
     judge_p({"rings": compute_p_of_counts(rays * power, np.diff(cdf) / cdf[-1])})
@@ -137,7 +139,13 @@ def test_focal_length_of_crossed_waves():
     # n/((n − 1) A k²).
     waves = [(1.0, 0.1, 0.0, 0.0), (1.0, 0.0, 0.1, 0.0)]
     water = splits.ParticleLayer(refractive_index=1.34)
-    ds = lens(water, np.arange(380.0, 410.0, 2.0), 0.2, half_width_m=5.0, waves=waves)
+    ds = lens(
+        water,
+        screen_depth_m=np.arange(380.0, 410.0, 2.0),
+        radius_m=0.2,
+        half_width_m=5.0,
+        waves=waves,
+    )
     # The ring is smallest between screens, where its square is fitted by a parabola.
     size = ds.contraction.values
     near = slice(size.argmin() - 1, size.argmin() + 2)
@@ -149,7 +157,7 @@ def test_focal_length_of_crossed_waves():
 def test_sign_and_phase_of_waves_are_equivalent():
     water = splits.ParticleLayer(refractive_index=1.5)
     one, other = (
-        lens(water, [5.0, 20.0, 60.0], 1.0, half_width_m=4.0, waves=[wave])
+        lens(water, screen_depth_m=[5.0, 20.0, 60.0], radius_m=1.0, half_width_m=4.0, waves=[wave])
         for wave in ((3.0, 0.5, 0.0, 0.0), (-3.0, 0.5, 0.0, math.pi))
     )
     assert np.array_equal(one.detected_fraction, other.detected_fraction)
@@ -209,7 +217,9 @@ def make_layer(fraction=1.0, surface=None, **settings):
 
 def measure(medium, incidence, seed, max_stderr=0.002, **settings):
     """Return R, T and A and their standard errors, shape (2, 3)."""
-    ds = splits.spectrophotometer(medium, [550.0], incidence, max_stderr, seed, **settings)
+    ds = splits.spectrophotometer(
+        medium, [550.0], incidence, max_stderr=max_stderr, seed=seed, **settings
+    )
     names = ("reflectance", "transmittance", "absorptance")
     return np.array([[ds[n][0] for n in names], [ds[f"{n}_stderr"][0] for n in names]])
 
@@ -351,7 +361,7 @@ def test_beam_spread_equals_that_of_the_layer():
 @pytest.mark.parametrize(
     "instrument",
     [
-        lambda stack: splits.irradiance_profile(stack, [550.0], [0.1]),
+        lambda stack: splits.irradiance_profile(stack, [550.0], depth_m=[0.1]),
         lambda stack: splits.single_scattering(stack, [550.0]),
         lambda stack: splits.surface_map(stack, half_width_m=0.1),
         lambda stack: splits.goniophotometer(stack, [550.0], estimator="next_event"),

@@ -242,7 +242,7 @@ INTERPRETATIONS = ("whole_pores", "narrow_pores", "film")
 def measure(interpretation, seed, error=0.003, **settings):
     """Return a spectrum of sand at three wavelengths."""
     sand = splits.Sand(interpretation={"water": interpretation}, **settings)
-    return splits.spectrophotometer(sand, [600.0, 860.0, 1450.0], 40, error, seed)
+    return splits.spectrophotometer(sand, [600.0, 860.0, 1450.0], 40, max_stderr=error, seed=seed)
 
 
 @NEEDS_JIT

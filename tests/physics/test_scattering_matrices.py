@@ -63,7 +63,7 @@ def compare_with_benchmark(case: tuple[str, float], table: pd.DataFrame, rays: i
     flux = np.cos(np.radians(incidence))
     z = []
     for side, rows in table.groupby("side"):
-        at = ds.sel(polar=rows.polar_deg.to_xarray(), azimuth=rows.azimuth_deg.to_xarray())
+        at = ds.sel(polar_deg=rows.polar_deg.to_xarray(), azimuth_deg=rows.azimuth_deg.to_xarray())
         function = "brdf" if side == "reflected" else "btdf"
         z.append(pd.DataFrame(index=rows.index))
         for name, suffix in STOKES.items():

@@ -58,7 +58,7 @@ def test_truncated_medium_agrees_with_complete_medium(truncate_always, monkeypat
     monkeypatch.setattr(deep_medium, "MIN_DEPTH_MFP", math.inf)
     for seed, incidence in ((2, 0.0), (3, "diffuse")):
         run, reference = (
-            splits.spectrophotometer(traced, WAVELENGTHS, incidence, 0.0015, seed)
+            splits.spectrophotometer(traced, WAVELENGTHS, incidence, max_stderr=0.0015, seed=seed)
             for traced in (truncated.path_sharing.media[0], medium)
         )
         transmittance = run.transmittance.values
@@ -204,7 +204,7 @@ def test_pooled_optics_of_types_equal_the_mixture():
         GrainOpticsRequest(1, 50 * GRAIN_RAYS_PER_CHUNK, "equilibrium", RUN),
     )
     mixed = splits.single_scattering(
-        sand, light, 1, 50 * GRAIN_RAYS_PER_CHUNK, 2, wet_pores="equilibrium"
+        sand, light, moments=1, rays=50 * GRAIN_RAYS_PER_CHUNK, seed=2, wet_pores="equilibrium"
     )
     z = []
     for name in ("single_scattering_albedo", "asymmetry_parameter", *WEIGHTED_MEANS):
@@ -217,7 +217,7 @@ def test_pooled_optics_of_types_equal_the_mixture():
 @NEEDS_JIT
 def test_semi_infinite_conservative_medium_reflects_all_light():
     snow = splits.Snow(**FINE, saturation=0.2, refractive_index=CLEAR, depth_m=math.inf)
-    ds = splits.spectrophotometer(snow, [500.0], 30.0, 0.01)
+    ds = splits.spectrophotometer(snow, [500.0], 30.0, max_stderr=0.01)
     assert ds.reflectance.item() == pytest.approx(1.0, abs=1e-5)
     assert ds.attrs["stop_reason"] == "converged"
 

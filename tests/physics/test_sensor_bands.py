@@ -174,7 +174,9 @@ def test_errors_of_profiles_contain_the_distance_of_wavelengths():
     def measure(step, shift):
         inner = np.arange(300.0 + step, 2490.0 - step, step) + shift
         wavelengths = [300.0, *inner, 2490.0]
-        return splits.radiation_profile(snow, sky, [0.01, 0.03], wavelengths, bands=bands, **QUIET)
+        return splits.radiation_profile(
+            snow, sky, wavelengths, depth_m=[0.01, 0.03], bands=bands, **QUIET
+        )
 
     reference = measure(2.0, 0.0)
     for step in (20.0, 40.0):

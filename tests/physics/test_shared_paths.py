@@ -363,7 +363,12 @@ def test_points_agree_with_single_runs(shared_run):
                     impurities_ng_g={"black_carbon": soot} if soot else {},
                 )
                 single = splits.spectrophotometer(
-                    snow, POINT_WAVELENGTHS, incidence, ERROR / 3, seed=77, solver="monte_carlo"
+                    snow,
+                    POINT_WAVELENGTHS,
+                    incidence,
+                    max_stderr=ERROR / 3,
+                    seed=77,
+                    solver="monte_carlo",
                 )
                 shared = dataset.sel(
                     {"specific_surface_area_m2_kg": area, "impurities_ng_g.black_carbon": soot}
@@ -385,7 +390,7 @@ def test_single_point_equals_the_instrument(shared_run):
     points, rays = simulate_points(config, ACCURACY, 5, 2, lambda line: None)
     medium = splits.Snow.natural(specific_surface_area_m2_kg=20, density_kg_m3=300, depth_m=0.05)
     reference = splits.spectrophotometer(
-        medium, POINT_WAVELENGTHS, 0.0, ERROR, seed=5, solver="monte_carlo"
+        medium, POINT_WAVELENGTHS, 0.0, max_stderr=ERROR, seed=5, solver="monte_carlo"
     )
     np.testing.assert_array_equal(points[1].reflectance, reference.reflectance)
     assert rays == sum(ds.attrs["rays"] for ds in points)

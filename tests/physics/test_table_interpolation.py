@@ -76,7 +76,7 @@ def solve(make, point, max_stderr):
     """Return the solution at a position."""
     medium = make(**{name: x for name, x in point.items() if name != "incidence_deg"})
     return splits.spectrophotometer(
-        medium, WAVELENGTHS, point.get("incidence_deg", 0.0), max_stderr,
+        medium, WAVELENGTHS, point.get("incidence_deg", 0.0), max_stderr=max_stderr,
         solver="discrete_ordinates", threads=1,
     )  # fmt: skip
 
@@ -155,7 +155,7 @@ def compare_views(name, n_points):
         )  # fmt: skip
         for polar, azimuth in itertools.product(*angles.values()):
             found = table.interp(**at, polar_deg=polar, azimuth_deg=azimuth)
-            solved = exact.sel(polar=polar, azimuth=azimuth)
+            solved = exact.sel(polar_deg=polar, azimuth_deg=azimuth)
             error = found.reflectance_factor_interpolation_error.values
             stderr = found.reflectance_factor_stderr.values
             other = np.hypot(np.sqrt(stderr**2 - error**2), np.pi * solved.brdf_stderr.values)
@@ -216,7 +216,7 @@ def test_the_square_root_is_not_the_coordinate_of_soot_near_zero():
     assert chosen[0].power < 1.0 and chosen[0].origin < 0.0
     assert len(set(chosen)) > 1
     exact = splits.spectrophotometer(
-        make_snow(soot=4.0), WAVELENGTHS, 0.0, 1e-4, solver="discrete_ordinates"
+        make_snow(soot=4.0), WAVELENGTHS, 0.0, max_stderr=1e-4, solver="discrete_ordinates"
     )
     found = table.interp(soot=4.0).reflectance
     np.testing.assert_allclose(found, exact.reflectance, atol=0.001)
@@ -227,7 +227,7 @@ def test_tables_without_comparisons_state_larger_errors():
     made = build(make_snow, {"soot": [0, 10, 50, 500]}, WAVELENGTHS, 0.002)
     without = made.drop_vars([name for name in made.variables if ALONG in str(name)])
     exact = splits.spectrophotometer(
-        make_snow(soot=3.0), WAVELENGTHS, 0.0, 1e-4, solver="discrete_ordinates"
+        make_snow(soot=3.0), WAVELENGTHS, 0.0, max_stderr=1e-4, solver="discrete_ordinates"
     )
     errors = []
     for dataset in (made, without, made.isel(soot=[0, 2, 3])):
@@ -255,7 +255,7 @@ def test_little_soot_is_retrieved_without_bias(soot):
     grid = {"optical_radius_um": [50, 100, 200, 400], "soot": [0, 50, 500]}
     table = splits.Table(build(make_snow, grid, wavelengths, 5e-4))
     exact = splits.spectrophotometer(
-        make_snow(soot=soot, optical_radius_um=140.0), wavelengths, 0.0, 1e-4,
+        make_snow(soot=soot, optical_radius_um=140.0), wavelengths, 0.0, max_stderr=1e-4,
         solver="discrete_ordinates",
     ).reflectance.values  # fmt: skip
     z = []

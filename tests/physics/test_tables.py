@@ -156,7 +156,13 @@ def test_paths_scale_with_grain_size(scale, max_rms, saturation):
     for seed in range(1 if max_rms == 0.0 else 20):
         small, large = (
             splits.spectrophotometer(
-                snow(x), [600.0], 30.0, 0.02, seed, kernel="vectorized", solver="monte_carlo"
+                snow(x),
+                [600.0],
+                30.0,
+                max_stderr=0.02,
+                seed=seed,
+                kernel="vectorized",
+                solver="monte_carlo",
             )
             for x in (1.0, scale)
         )

@@ -252,8 +252,8 @@ def test_pulses_are_convolved():
         result = result.squeeze().sel(side="reflected")
         light = result.return_rate * np.diff(edges)
         total = light.sum()
-        mean = (light * result.delay).sum() / total
-        spread = np.sqrt((light * (result.delay - mean) ** 2).sum() / total)
+        mean = (light * result.delay_s).sum() / total
+        spread = np.sqrt((light * (result.delay_s - mean) ** 2).sum() / total)
         np.testing.assert_allclose(total, instant.fraction, rtol=1e-3)
         np.testing.assert_allclose(mean, instant.mean_delay, atol=3e-12)
         np.testing.assert_allclose(spread**2, instant.delay_spread**2 + variance, rtol=3e-3)
@@ -261,7 +261,7 @@ def test_pulses_are_convolved():
 
 def test_intervals_of_depth_add_up():
     snow = make_snow(depth_m=0.05)
-    result = splits.time_of_flight(snow, 532.0, rays=20_000, depths_m=[0.005, 0.02]).squeeze()
+    result = splits.time_of_flight(snow, 532.0, rays=20_000, depth_m=[0.005, 0.02]).squeeze()
     reflected = result.sel(side="reflected")
     np.testing.assert_allclose(result.fraction_by_depth.sum(), reflected.fraction)
     delay = (result.fraction_by_depth * result.mean_delay_by_depth).sum() / reflected.fraction
@@ -325,7 +325,7 @@ def test_infinite_media_equal_thick_ones(make_medium, end_s):
 
 def test_infinite_media_may_have_depths():
     snow = make_snow(depth_m=math.inf)
-    result = splits.time_of_flight(snow, 532.0, rays=10, delay_s=[0, 1e-10], depths_m=[0.01, 0.3])
+    result = splits.time_of_flight(snow, 532.0, rays=10, delay_s=[0, 1e-10], depth_m=[0.01, 0.3])
     np.testing.assert_allclose(
         result.fraction_by_depth.sum(), result.fraction.sel(side="reflected")
     )
@@ -415,9 +415,11 @@ def test_exits_are_tallied_by_radius_and_pixel():
 @pytest.mark.parametrize("incidence", [0.0, 60.0])
 def test_profile_and_map_integrate_to_the_reflectance(incidence):
     # Instruments number their random streams alike, so their seeds differ.
-    ds = splits.beam_spread(SNOW, [600.0, 1300.0], incidence, 150_000, half_width_m=0.05, seed=1)
+    ds = splits.beam_spread(
+        SNOW, [600.0, 1300.0], incidence, rays=150_000, half_width_m=0.05, seed=1
+    )
     total = splits.spectrophotometer(SNOW, [600.0, 1300.0], incidence, max_stderr=0.0015, seed=2)
-    unscattered = splits.goniophotometer(SNOW, [600.0, 1300.0], incidence, 50_000, seed=3)
+    unscattered = splits.goniophotometer(SNOW, [600.0, 1300.0], incidence, rays=50_000, seed=3)
     edges = 10.0 ** (np.log10(ds.radius.values[0]) + (np.arange(73) - 0.5) / 8.0)
     inside = (ds.profile * np.pi * np.diff(edges**2)).sum("radius")
     assert inside.values == pytest.approx(ds.fraction.values, rel=1e-3)
@@ -441,8 +443,8 @@ def test_profile_and_map_integrate_to_the_reflectance(incidence):
 @pytest.mark.long
 @NEEDS_JIT
 def test_oblique_beam_spreads_forward():
-    normal = splits.beam_spread(SNOW, [600.0], 0.0, 100_000, half_width_m=0.01)
-    oblique = splits.beam_spread(SNOW, [600.0], 70.0, 100_000, half_width_m=0.01)
+    normal = splits.beam_spread(SNOW, [600.0], 0.0, rays=100_000, half_width_m=0.01)
+    oblique = splits.beam_spread(SNOW, [600.0], 70.0, rays=100_000, half_width_m=0.01)
 
     def compute_asymmetry(ds):
         """Return the difference between the halves of the map in units of its error."""
@@ -469,7 +471,7 @@ def test_radii_scale_with_density_and_depth():
     dense = splits.Snow(density_kg_m3=0.02, depth_m=100.0, **common)
     thin = splits.Snow(density_kg_m3=0.01, depth_m=200.0, **common)
     near, far = (
-        splits.beam_spread(snow, [600.0], 30.0, 100_000, seed=seed)
+        splits.beam_spread(snow, [600.0], 30.0, rays=100_000, seed=seed)
         for seed, snow in enumerate((dense, thin))
     )
     z = []
@@ -484,7 +486,7 @@ def test_radii_scale_with_density_and_depth():
 @pytest.mark.long
 def test_stated_errors_agree_with_scatter():
     runs = [
-        splits.beam_spread(SNOW, [900.0], 45.0, 10_000, seed=s, half_width_m=0.01)
+        splits.beam_spread(SNOW, [900.0], 45.0, rays=10_000, seed=s, half_width_m=0.01)
         for s in range(200)
     ]
     for name in ("mean_radius", "quantile_radius", "fraction"):
@@ -495,7 +497,7 @@ def test_stated_errors_agree_with_scatter():
 @pytest.mark.long
 @NEEDS_JIT
 def test_radius_is_zero_without_exiting_light():
-    ds = splits.beam_spread(splits.Snow(), [1450.0], 0.0, 8192)
+    ds = splits.beam_spread(splits.Snow(), [1450.0], 0.0, rays=8192)
     transmitted = ds.sel(side="transmitted")
     assert not transmitted.mean_radius.values.any() and not transmitted.quantile_radius.values.any()
     assert all(np.isfinite(ds[name]).all() for name in ds.data_vars)
@@ -512,7 +514,7 @@ def test_map_without_light_is_finite():
 @pytest.mark.long
 @NEEDS_JIT
 def test_results_are_independent_of_threads():
-    runs = [splits.beam_spread(SNOW, [600.0], 30.0, 20_000, threads=n) for n in (1, 2, 4)]
+    runs = [splits.beam_spread(SNOW, [600.0], 30.0, rays=20_000, threads=n) for n in (1, 2, 4)]
     for run in runs[1:]:
         assert all(np.array_equal(runs[0][name], run[name]) for name in run.data_vars)
 

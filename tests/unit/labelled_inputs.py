@@ -224,7 +224,7 @@ FOREIGN_WAVELENGTHS = MEASURED_ARRAY.assign_coords(wavelength=W + 5000.0)
 OTHER_SUN = MEASURED_ARRAY.assign_coords(incidence_deg=60.0)
 IMAGE = MEASURED_ARRAY.expand_dims(y=[1, 2], x=[5, 6]).copy()
 NOISE = named(np.linspace(0.05, 0.1, W.size).tolist(), W.tolist())
-LIGHT = xr.DataArray(RATES, {"delay": [0.5, 1.5, 2.5]}, ("delay",), name="light")
+LIGHT = xr.DataArray(RATES, {"delay_s": [0.5, 1.5, 2.5]}, ("delay_s",), name="light")
 
 
 def make_cases(folder: Path) -> dict[str, Any]:
@@ -426,7 +426,7 @@ def make_cases(folder: Path) -> dict[str, Any]:
                     labelled(RETURN, RETURN.assign_coords(wavelength=[1064.0]),
                              RETURN.assign_attrs(acceptance_deg=5.0),
                              RETURN.assign_attrs(pulse_s=1e-3)),
-                    labelled(LIGHT, LIGHT.assign_coords(delay=[1.5, 2.5, 3.5]),
+                    labelled(LIGHT, LIGHT.assign_coords(delay_s=[1.5, 2.5, 3.5]),
                              LIGHT.assign_coords(wavelength=1064.0)).map(
                         lambda one: (DELAYS, one)),
                     Variants((DELAYS, RATES), descending=[(DELAYS[::-1], RATES[::-1])]),

@@ -57,11 +57,11 @@ def test_season_is_resumed_and_only_changed_blocks_are_simulated(project):
     first = splits.load(results / "data/season.nc")
     packs = splits.SnowPacks(rows, ground=0.3)
     bands = {"near": (800, 1800)}
-    expected = splits.albedo(packs, "clear", [400, 800, 1200, 1800], 0.05, bands=bands)
+    expected = splits.albedo(packs, "clear", [400, 800, 1200, 1800], max_stderr=0.05, bands=bands)
     for name in ("albedo", "albedo_stderr", "band_albedo"):
         np.testing.assert_allclose(first[name], expected[name], rtol=1e-9)
     assert first.quality_flag.equals(expected.quality_flag)
-    spectra = splits.spectrophotometer(packs, [500, 1030], "sun", 0.05)
+    spectra = splits.spectrophotometer(packs, [500, 1030], "sun", max_stderr=0.05)
     found = splits.load(results / "data/spectra.nc")
     np.testing.assert_allclose(found.reflectance, spectra.reflectance, rtol=1e-9)
     assert np.isnan(first.albedo[[NIGHT, GAP]]).all() and first.attrs["snow_packs_good"] == 118

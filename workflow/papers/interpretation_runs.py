@@ -129,8 +129,8 @@ class InterpretationRun:
             snow,
             wavelengths,
             incidence,
-            error,
-            self.seed + run_number,
+            max_stderr=error,
+            seed=self.seed + run_number,
             solver=MONTE_CARLO,
             threads=1,
         )

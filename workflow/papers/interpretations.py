@@ -412,7 +412,7 @@ def rank_interpretations(
     return sorted(combinations, key=lambda item: (-item.n_stages, item.min_misfit)), stated
 
 
-def expand_overlaps(choices: Mapping[str, str]) -> dict[str, str]:
+def expand_overlaps(choices: Mapping[str, str]) -> dict[str, Any]:
     """Return choices with ``overlaps`` replaced by the two fields that it sets."""
     rest = {name: choice for name, choice in choices.items() if name != OVERLAPS_KEY}
     values = OVERLAP_CHOICES[choices[OVERLAPS_KEY]] if OVERLAPS_KEY in choices else ()

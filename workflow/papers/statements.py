@@ -12,7 +12,7 @@ import xarray as xr
 from splits.core.uncertainty import compute_band_error, make_band_weights
 from splits.core.validation import invalid, join_names
 
-DIRECTION_DIMS = {"wavelength", "polar", "azimuth", "screen_depth"}
+DIRECTION_DIMS = {"wavelength", "polar_deg", "azimuth_deg", "screen_depth"}
 """Dimensions of an instrument's results; those of its grid are the others."""
 
 

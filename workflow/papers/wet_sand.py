@@ -69,7 +69,7 @@ def compare_with_measured(
     Parameters
     ----------
     dataset : xarray.Dataset
-        BRDF over ``polar`` and ``azimuth`` (degrees), ``wavelength`` (nm) and a grid, and
+        BRDF over ``polar_deg`` and ``azimuth_deg`` (degrees), ``wavelength`` (nm) and a grid, and
         reflectance.  Axes without a column in the table are models.
     measured : pandas.DataFrame
         With `MEASURED_COLUMNS` and one column for each other axis, with values of the grid.
@@ -91,7 +91,7 @@ def compare_with_measured(
         raise invalid("dataset", dataset.attrs.get("title", "a dataset"), "with a BRDF")
     _check_columns(dataset, measured)
     parameters = [c for c in measured.columns if c not in MEASURED_COLUMNS]
-    fixed_dims = ("wavelength", "polar", "azimuth", *parameters)
+    fixed_dims = ("wavelength", "polar_deg", "azimuth_deg", *parameters)
     models = [str(d) for d in dataset.brdf.dims if d not in fixed_dims]
     _check_directions(dataset, measured)
     factor, nadir, isotropic = _select_directions(dataset, measured, parameters)
@@ -124,13 +124,13 @@ def _select_directions(
     factor = np.pi * dataset[["brdf", "brdf_stderr"]]
     factor = factor.rename(brdf="modelled", brdf_stderr="stderr").sel(fixed)
     # The azimuth 360° is added for interpolation.
-    last = factor.isel(azimuth=[0]).assign_coords(azimuth=[360.0])
+    last = factor.isel(azimuth_deg=[0]).assign_coords(azimuth_deg=[360.0])
     angles = {
-        name: xr.DataArray(measured[f"{name}_deg"].to_numpy(dtype=float), dims="row")
-        for name in ("polar", "azimuth")
+        name: xr.DataArray(measured[name].to_numpy(dtype=float), dims="row")
+        for name in ("polar_deg", "azimuth_deg")
     }
-    directions = xr.concat([factor, last], "azimuth").interp(angles)
-    nadir = factor.isel(polar=0).mean("azimuth")
+    directions = xr.concat([factor, last], "azimuth_deg").interp(angles)
+    nadir = factor.isel(polar_deg=0).mean("azimuth_deg")
     return directions, nadir, dataset.reflectance.sel(fixed)
 
 
@@ -204,7 +204,7 @@ def _check_columns(dataset: xr.Dataset, measured: pd.DataFrame) -> None:
 
 def _check_directions(dataset: xr.Dataset, measured: pd.DataFrame) -> None:
     """Reject directions outside a dataset, and a dataset without the nadir."""
-    polar, azimuth = dataset.polar.values, dataset.azimuth.values
+    polar, azimuth = dataset.polar_deg.values, dataset.azimuth_deg.values
     if polar[0] != 0.0 or azimuth[0] != 0.0:
         raise invalid("polar_deg", [float(polar[0]), float(azimuth[0])], "from 0 on, as azimuths")
     for name, last in (("polar_deg", polar[-1]), ("azimuth_deg", 360.0)):

@@ -20,7 +20,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numba
 import numpy as np
@@ -36,11 +36,12 @@ from splits.core.arrays import (
     find_labels,
     match_labels,
 )
-from splits.core.inputs import check_wavelengths
+from splits.core.declarations import Quantity
+from splits.core.inputs import Numbers, check_wavelengths, declare_numbers
 from splits.core.keywords import declare_function
 from splits.core.optional import import_optional
 from splits.core.uncertainty import Variable, make_variable
-from splits.core.validation import InvalidValue, check_range, invalid
+from splits.core.validation import InvalidValue, invalid
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.materials import make_refractive_index, parse_refractive_index
 from splits.materials.library import MATERIALS
@@ -267,16 +268,14 @@ class GammaSizes:
     tolerance: float
 
     @classmethod
-    def from_input(cls, radius: Any, variance: Any, tolerance: float) -> GammaSizes:
+    def from_input(
+        cls, radius: float | None, variance: float | None, tolerance: float
+    ) -> GammaSizes:
         """Return sizes from the arguments of a user."""
-        for key, value in (("effective_radius_um", radius), ("effective_variance", variance)):
-            if value is None:
-                raise invalid(key, None, "given, as the other one is")
-        return cls(
-            check_range("effective_radius_um", radius, *RADIUS_RANGE_UM, "um"),
-            check_range("effective_variance", variance, *VARIANCE_RANGE),
-            tolerance,
-        )
+        if radius is None or variance is None:
+            key = "effective_radius_um" if radius is None else "effective_variance"
+            raise invalid(key, None, "given, as the other one is")
+        return cls(radius, variance, tolerance)
 
     @property
     def relative_limits(self) -> tuple[float, float]:
@@ -366,17 +365,35 @@ MEANS = {
 """Names of the variables over wavelength, and their labels."""
 
 
+EffectiveRadius = Annotated[
+    float | None,
+    Quantity(
+        "effective radius of the spheres", "um", low=RADIUS_RANGE_UM[0], high=RADIUS_RANGE_UM[1]
+    ),
+]
+EffectiveVariance = Annotated[
+    float | None,
+    Quantity("effective variance of the spheres", low=VARIANCE_RANGE[0], high=VARIANCE_RANGE[1]),
+]
+MatrixAngles = Annotated[
+    Numbers, declare_numbers("scattering angle", "degree", "degrees", 0.0, 180.0)
+]
+QuadratureTolerance = Annotated[
+    float, Quantity("change of the means at which the quadrature ends", low=1e-6, high=0.1)
+]
+
+
 @declare_function
 def compute_mie_matrix(
     wavelength_nm: Any,
     index: Any,
-    effective_radius_um: float | None = None,
-    effective_variance: float | None = None,
+    effective_radius_um: EffectiveRadius = None,
+    effective_variance: EffectiveVariance = None,
     *,
     radius_um: Any = None,
     number_density: Any = None,
-    angle_deg: Any = None,
-    tolerance: float = 3e-3,
+    angle_deg: MatrixAngles | None = None,
+    tolerance: QuadratureTolerance = 3e-3,
 ) -> xr.Dataset:
     """Compute the scattering matrix of homogeneous spheres by Mie theory.
 
@@ -449,7 +466,6 @@ def compute_mie_matrix(
     """
     wavelengths = check_wavelengths("wavelength_nm", wavelength_nm)
     indices = _read_index(index, wavelengths, find_labels(wavelength_nm))
-    tolerance = check_range("tolerance", tolerance, 1e-6, 0.1)
     by_moments = (effective_radius_um, effective_variance) != (None, None)
     if by_moments == (radius_um is not None or number_density is not None):
         given = "both" if by_moments else "none"
@@ -464,7 +480,7 @@ def compute_mie_matrix(
     if max_size > MAX_SIZE_PARAMETER:
         allowed = f"at most {MAX_SIZE_PARAMETER:g} for the largest sphere"
         raise invalid("size parameter", max_size, allowed, "geometric optics is for larger spheres")
-    angles = _read_angles(angle_deg, max_size)
+    angles = _choose_angles(max_size) if angle_deg is None else np.asarray(angle_deg)
     functions = AngularFunctions(angles, max_size)
     sums, radii = zip(
         *(
@@ -524,12 +540,8 @@ def _read_index_array(index: Any) -> np.ndarray:
     return values
 
 
-def _read_angles(angle_deg: Any, max_size: float) -> np.ndarray:
+def _choose_angles(max_size: float) -> np.ndarray:
     """Return scattering angles (degrees) for spheres of a largest size parameter."""
-    if angle_deg is not None:
-        angles = as_1d_array("angle_deg", angle_deg, "numbers in degrees")
-        check_increasing("angle_deg", angles)
-        return check_array_range("angle_deg", angles, 0.0, 180.0, "degrees")
     # Structures of backscattering are as narrow as the peak of diffraction.
     forward = choose_resolving_angles(int(np.ceil(2.0 * max_size)))
     forward = forward[forward < 90.0]

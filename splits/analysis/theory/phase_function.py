@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import xarray as xr
 
-from splits.core.arrays import as_1d_array, check_array_range, check_no_gaps
+from splits.core.arrays import check_no_gaps
+from splits.core.declarations import Quantity
+from splits.core.inputs import ScatteringAngles
 from splits.core.keywords import declare_function
 from splits.core.uncertainty import compute_jackknife_stderr, make_variable
-from splits.core.validation import check_range, invalid, join_names
+from splits.core.validation import invalid, join_names
 from splits.io.netcdf import to_netcdf_attributes
 
 ALBEDO, ASYMMETRY, MOMENT = "single_scattering_albedo", "asymmetry_parameter", "legendre_moment"
 DEFAULT_ANGLES_DEG = tuple(np.linspace(0.0, 180.0, 361).tolist())
 
 
+SphereRadius = Annotated[
+    float | None,
+    Quantity("radius of spheres with the projected area of the grains", "um", low=0.1, high=1e6),
+]
+
+
 @declare_function
-def with_diffraction(optics: xr.Dataset, radius_um: float | None = None) -> xr.Dataset:
+def with_diffraction(optics: xr.Dataset, radius_um: SphereRadius = None) -> xr.Dataset:
     """Return single-scattering properties that include diffraction by the grains.
 
     A large grain diffracts as much light as it intercepts.  Diffraction doubles the extinction by
@@ -61,7 +69,6 @@ def with_diffraction(optics: xr.Dataset, radius_um: float | None = None) -> xr.D
         if medium_radius is None:
             raise invalid("radius_um", None, "given for a medium that has no optical radius")
         radius_um = float(medium_radius)
-    radius_um = check_range("radius_um", radius_um, 0.1, 1e6)
     grains = float(optics.attrs["extinction_by_grains_per_m"])
     peak = compute_diffraction_moments(radius_um, optics.wavelength.values, optics.order.values)
     extinction = optics.extinction.values
@@ -121,7 +128,9 @@ def compute_diffraction_moments(
 
 
 @declare_function
-def phase_function(optics: xr.Dataset, angle_deg: Any = DEFAULT_ANGLES_DEG) -> xr.Dataset:
+def phase_function(
+    optics: xr.Dataset, angle_deg: ScatteringAngles = DEFAULT_ANGLES_DEG
+) -> xr.Dataset:
     """Return the phase function by scattering angle.
 
     It is smoothed by the narrowest nonnegative peak that the number of moments represents, since
@@ -148,7 +157,7 @@ def phase_function(optics: xr.Dataset, angle_deg: Any = DEFAULT_ANGLES_DEG) -> x
         For another kind of dataset, or angles outside the range.
     """
     optics = check_moments(optics)
-    angles = check_array_range("angle_deg", as_1d_array("angle_deg", angle_deg), 0.0, 180.0)
+    angles = np.asarray(angle_deg)
     terms = _make_legendre_terms(np.cos(np.radians(angles)), int(optics.order[-1]))
     value = optics[MOMENT].values @ terms
     noise = compute_jackknife_stderr(optics[f"{MOMENT}_jackknife"].values @ terms)

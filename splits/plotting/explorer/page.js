@@ -206,7 +206,7 @@ function amountOf(table, name) {
 
 // Reflectance factors over polar angle and azimuth for the selected grains and incidence.
 function factors(table, nm) {
-  const d = table.directions, rows = d.polar.length, columns = d.azimuth.length, size = rows * columns;
+  const d = table.directions, rows = d.polar_deg.length, columns = d.azimuth_deg.length, size = rows * columns;
   const near = d.wavelength.reduce((best, one, i) => (Math.abs(one - nm) < Math.abs(d.wavelength[best] - nm) ? i : best), 0);
   const out = new Float64Array(size);
   for (const [i, a] of between(d.optical_radius_um, Math.log, amountOf(table, "optical_radius_um"))) {
@@ -232,7 +232,7 @@ function hemisphere(table, nm) {
   const d = table.directions, found = factors(table, nm), { value, rows, columns } = found;
   const low = Math.min(...value), high = Math.max(...value), canvas = show("hemisphere");
   const half = canvas.width / 2, radius = half - 4, paper = canvas.getContext("2d"), image = paper.createImageData(canvas.width, canvas.height);
-  const last = d.polar[rows - 1];
+  const last = d.polar_deg[rows - 1];
   for (let v = 0; v < canvas.height; v++) {
     for (let u = 0; u < canvas.width; u++) {
       const x = (u + 0.5 - half) / radius, y = (v + 0.5 - half) / radius, r = Math.hypot(x, y);

@@ -156,7 +156,7 @@ def _serialize_interpolation(axis: AxisInterpolation, names: Sequence[str]) -> d
 MAX_POLAR_DEG = 80.0
 POLAR_STEP_DEG = 5.0
 """Largest polar angle of directions on the page, and its step (degrees)."""
-_DIRECTION_DIMS = ("optical_radius_um", "incidence_deg", "wavelength", "polar", "azimuth")
+_DIRECTION_DIMS = ("optical_radius_um", "incidence_deg", "wavelength", "polar_deg", "azimuth_deg")
 
 
 def _serialize_directions(dataset: xr.Dataset, axes: Sequence[str]) -> dict[str, Any]:
@@ -173,19 +173,21 @@ def _serialize_directions(dataset: xr.Dataset, axes: Sequence[str]) -> dict[str,
         np.arange(0.0, MAX_POLAR_DEG + 1.0, POLAR_STEP_DEG),
         np.arange(0.0, 181.0, 10.0),
     )
-    if not (np.isin(polar, dataset.polar).all() and np.isin(azimuth, dataset.azimuth).all()):
+    if not (
+        np.isin(polar, dataset.polar_deg).all() and np.isin(azimuth, dataset.azimuth_deg).all()
+    ):
         allowed = (
             f"every {POLAR_STEP_DEG:g}° to {MAX_POLAR_DEG:g}°, and every 10° of azimuth to 180°"
         )
         raise invalid("explorer", "angles of directions", allowed)
     factor = dataset.reflectance_factor.transpose(*_DIRECTION_DIMS).sel(
-        polar=polar, azimuth=azimuth
+        polar_deg=polar, azimuth_deg=azimuth
     )
     if not (factor > 0.0).all():
         raise invalid("explorer", f"{float(factor.min()):g}", "above 0 in all directions")
     nodes = {name: factor[name].values.astype(float) for name in _DIRECTION_DIMS}
     stderr = dataset.reflectance_factor_stderr.transpose(*_DIRECTION_DIMS).sel(
-        polar=polar, azimuth=azimuth
+        polar_deg=polar, azimuth_deg=azimuth
     )
     interpolation_error = np.concatenate(
         [

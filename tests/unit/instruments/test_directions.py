@@ -177,8 +177,11 @@ def list_pairs(basis):
 def evaluate_brdf(polar, azimuth):
     values = np.cos(np.radians(polar))[:, np.newaxis] + 0.01 * np.arange(len(azimuth))
     stderr = np.full(values.shape, 0.1)
-    data = {"brdf": (("polar", "azimuth"), values), "brdf_stderr": (("polar", "azimuth"), stderr)}
-    return xr.Dataset(data, {"polar": polar, "azimuth": azimuth})
+    data = {
+        "brdf": (("polar_deg", "azimuth_deg"), values),
+        "brdf_stderr": (("polar_deg", "azimuth_deg"), stderr),
+    }
+    return xr.Dataset(data, {"polar_deg": polar, "azimuth_deg": azimuth})
 
 
 def test_principal_plane_runs_from_backward_to_forward():
@@ -188,7 +191,7 @@ def test_principal_plane_runs_from_backward_to_forward():
     cosine = np.cos(np.radians([60.0, 30.0, 0.0, 30.0, 60.0]))
     assert plane.brdf.values == pytest.approx(cosine + np.array([0.02, 0.02, 0.0, 0.0, 0.0]))
     with pytest.raises(ValueError, match=r"azimuth_deg = .*with 0 and 180 degrees"):
-        select_principal_plane(dataset.isel(azimuth=[0, 1]))
+        select_principal_plane(dataset.isel(azimuth_deg=[0, 1]))
 
 
 def test_merged_bins_are_weighted_means():
@@ -199,7 +202,7 @@ def test_merged_bins_are_weighted_means():
     assert merged.brdf.shape == (2, 4)
     first = (weight * dataset.brdf.values)[:3][:, [11, 0, 1]].sum() / (3.0 * weight[:3].sum())
     assert float(merged.brdf[0, 0]) == pytest.approx(first)
-    assert merged.azimuth.values.tolist() == [0.0, 90.0, 180.0, 270.0]
+    assert merged.azimuth_deg.values.tolist() == [0.0, 90.0, 180.0, 270.0]
     assert (merged.brdf_stderr < 0.1).all()
     with pytest.raises(ValueError, match="factor = 2: must be odd"):
         merge_angular_bins(dataset, 2)
@@ -328,7 +331,13 @@ WATER = splits.ParticleLayer(refractive_index=1.34, depth_m=100.0, surface=WAVES
 
 
 def test_a_flat_surface_does_not_focus():
-    ds = splits.lens(WATER, [1.0, 10.0], 2.0, centre_on="origin", waves=[(0.0, 1.0, 0.0, 0.0)])
+    ds = splits.lens(
+        WATER,
+        screen_depth_m=[1.0, 10.0],
+        radius_m=2.0,
+        centre_on="origin",
+        waves=[(0.0, 1.0, 0.0, 0.0)],
+    )
     assert ds.contraction.values == pytest.approx(1.0, abs=1e-12)
     assert ds.concentration.values == pytest.approx(1.0, abs=1e-12)
     assert ds.detected_fraction.values == pytest.approx(1.0)
@@ -336,7 +345,14 @@ def test_a_flat_surface_does_not_focus():
 
 def test_crests_focus_and_troughs_defocus():
     crest, trough = (
-        splits.lens(WATER, [20.0], 0.5, centre_on=centre, half_width_m=50.0, realizations=20)
+        splits.lens(
+            WATER,
+            screen_depth_m=[20.0],
+            radius_m=0.5,
+            centre_on=centre,
+            half_width_m=50.0,
+            realizations=20,
+        )
         for centre in ("crest", "trough")
     )
     for ds, sign in ((crest, 1.0), (trough, -1.0)):
@@ -345,12 +361,12 @@ def test_crests_focus_and_troughs_defocus():
 
 
 def test_one_realization_has_no_standard_error():
-    ds = splits.lens(WATER, [5.0], 0.5, centre_on="origin", rays=12)
+    ds = splits.lens(WATER, screen_depth_m=[5.0], radius_m=0.5, centre_on="origin", rays=12)
     assert "contraction_stderr" not in ds and ds.attrs["rays"] == 12
 
 
 def test_surface_maps_have_the_expected_slopes():
-    ds = splits.surface_map(WATER, 200.0, points=81, realizations=200, seed=3)
+    ds = splits.surface_map(WATER, half_width_m=200.0, points=81, realizations=200, seed=3)
     assert ds.height.shape == (81, 81)
     expected = WATER.surface.rms_slope()
     squares = ds.rms_slope.values**2
@@ -375,12 +391,12 @@ def test_invalid_lens_arguments_are_rejected(arguments, message):
     depths, radius, *options = arguments
     settings = {"half_width_m": 5.0, **(options[0] if options else {})}
     with pytest.raises(ValueError, match=message):
-        splits.lens(WATER, depths, radius, **settings)
+        splits.lens(WATER, screen_depth_m=depths, radius_m=radius, **settings)
 
 
 def test_smooth_layers_are_rejected():
-    for call in (lambda m: splits.lens(m, [1.0], 1.0, centre_on="origin"),
-                 lambda m: splits.surface_map(m, 1.0)):  # fmt: skip
+    for call in (lambda m: splits.lens(m, screen_depth_m=[1.0], radius_m=1.0, centre_on="origin"),
+                 lambda m: splits.surface_map(m, half_width_m=1.0)):  # fmt: skip
         with pytest.raises(ValueError, match="surface = None"):
             call(splits.ParticleLayer())
 

@@ -14,8 +14,8 @@ def make_runs():
     polar, azimuth = np.arange(0.0, 90.0, 2.5), np.array([0.0, 180.0])
     value = 0.3 + 0.1 * np.sin(np.radians(polar))[:, np.newaxis] * np.cos(np.radians(azimuth))
     shape = (1, *value.shape)
-    coordinates = {"incidence_deg": [0.0, 40.0], "wavelength": [600.0], "polar": polar,
-             "azimuth": azimuth}  # fmt: skip
+    coordinates = {"incidence_deg": [0.0, 40.0], "wavelength": [600.0], "polar_deg": polar,
+             "azimuth_deg": azimuth}  # fmt: skip
     values = np.stack([0.3 + 0.0 * value, value]).reshape(2, *shape)
     dataset = xr.Dataset(
         {

@@ -27,13 +27,13 @@ def make_dataset():
     varying = 0.1 * (1.0 + rise)
     models = np.stack([varying, np.full_like(varying, 0.1)])
     values = models[:, np.newaxis, np.newaxis] * np.ones((2, 2, 2, 1, 1))
-    dims = ("interpretation", "saturation", "wavelength", "polar", "azimuth")
+    dims = ("interpretation", "saturation", "wavelength", "polar_deg", "azimuth_deg")
     reflectance = np.full(values.shape[:3], 0.1 * np.pi)
     return xr.Dataset(
         {"brdf": (dims, values), "brdf_stderr": (dims, 0.01 * values),
          "reflectance": (dims[:3], reflectance)},
-        {"interpretation": MODELS, "saturation": SAMPLES, "wavelength": W, "polar": POLAR,
-         "azimuth": AZIMUTH},
+        {"interpretation": MODELS, "saturation": SAMPLES, "wavelength": W, "polar_deg": POLAR,
+         "azimuth_deg": AZIMUTH},
     )  # fmt: skip
 
 

@@ -69,12 +69,12 @@ def make_returns(grid):
     moments = {"mean_delay": 1e-10, "mean_delay_stderr": 1e-12}
     variables = {name: (dims, np.full(shape, value)) for name, value in moments.items()}
     for name, value in {"return_rate": 1e8, "return_rate_stderr": 1e6}.items():
-        variables[name] = ((*dims, "delay"), np.full((*shape, 5), value))
+        variables[name] = ((*dims, "delay_s"), np.full((*shape, 5), value))
     bounds = np.column_stack([delay[:-1], delay[1:]])
     return xr.Dataset(
         variables,
         {**grid, "side": ["reflected", "transmitted"], "wavelength": [532.0, 1064.0],
-         "delay": bounds.mean(axis=1), "delay_bounds": (("delay", "bounds"), bounds)},
+         "delay_s": bounds.mean(axis=1), "delay_bounds": (("delay_s", "bounds"), bounds)},
     )  # fmt: skip
 
 

@@ -53,8 +53,8 @@ def make_directions():
     """Return reflectance factors that depend on every axis and are interpolated exactly."""
     axes = {
         "optical_radius_um": np.array([60.0, 240.0, 960.0]), "incidence_deg": np.array([0.0, 60.0]),
-        "wavelength": np.array([450.0, 1030.0]), "polar": np.arange(0.0, 90.0, 2.5),
-        "azimuth": np.arange(0.0, 360.0, 5.0),
+        "wavelength": np.array([450.0, 1030.0]), "polar_deg": np.arange(0.0, 90.0, 2.5),
+        "azimuth_deg": np.arange(0.0, 360.0, 5.0),
     }  # fmt: skip
     size, beam, w, polar, azimuth = np.meshgrid(*axes.values(), indexing="ij", sparse=True)
     folded_azimuth = np.minimum(azimuth, 360.0 - azimuth)
@@ -159,7 +159,9 @@ def test_browser_shows_reflectance_factors(explorer_file, tmp_path, size, beam):
     actual = read_numbers(text, "factors").reshape(17, 19)
     # The initial wavelength, 620 nm, is nearer to 450 than to 1030.
     factors = make_directions().reflectance_factor.sel(wavelength=450.0)
-    factors = factors.sel(polar=np.arange(0.0, 81.0, 5.0), azimuth=np.arange(0.0, 181.0, 10.0))
+    factors = factors.sel(
+        polar_deg=np.arange(0.0, 81.0, 5.0), azimuth_deg=np.arange(0.0, 181.0, 10.0)
+    )
     log_factors = np.log(factors).assign_coords(
         optical_radius_um=np.log(factors.optical_radius_um),
         incidence_deg=-np.cos(np.radians(factors.incidence_deg)),
@@ -206,7 +208,7 @@ def test_directions_over_other_axes_are_rejected(tmp_path):
             make_directions().isel(incidence_deg=[0]),
             "at least two of directions",
         ),
-        (make_explorer_table(), make_directions().sel(polar=uneven), "every 5° to 80°"),
+        (make_explorer_table(), make_directions().sel(polar_deg=uneven), "every 5° to 80°"),
         (Table(renamed), make_directions(), "a table with incidence_deg"),
     ):
         with pytest.raises(InvalidValue, match=rf"^explorer = .*must be .*{message}"):

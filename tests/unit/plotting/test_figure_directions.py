@@ -25,7 +25,7 @@ def make_dataset(
     """Return forward-peaked BRDFs, and BTDFs of half their size."""
     coords = {
         **{k: np.array(v) for k, v in (grid or {}).items()},
-        "wavelength": np.array(wavelength), "polar": polar, "azimuth": azimuth,
+        "wavelength": np.array(wavelength), "polar_deg": polar, "azimuth_deg": azimuth,
     }  # fmt: skip
     shape = tuple(len(v) for v in coords.values())
     forward = np.sin(np.radians(polar))[:, np.newaxis] * np.cos(np.radians(azimuth))
@@ -164,7 +164,7 @@ def test_titles_of_lobes_do_not_overlap():
 
 def test_degree_of_polarization_is_undefined_without_light():
     dataset = make_dataset()
-    dataset["brdf"] = dataset.brdf.where(dataset.polar < 60.0, 0.0)
+    dataset["brdf"] = dataset.brdf.where(dataset.polar_deg < 60.0, 0.0)
     right = draw_polarization(dataset).axes[1]
     angle, degree = right.lines[0].get_data()
     np.testing.assert_allclose(degree[np.abs(angle) < 60.0], 0.2)
@@ -177,10 +177,10 @@ def test_polarized_incidence_has_the_degree_without_sign():
     dataset.attrs |= {"incident_stokes": [1.0, 0.0, 1.0, 0.0], "medium": "snow"}
     figure = draw_polarization(dataset)
     assert figure.axes[1].get_ylabel() == "degree of polarization"
-    plane = dataset.sel(azimuth=0.0, wavelength=600.0)
+    plane = dataset.sel(azimuth_deg=0.0, wavelength=600.0)
     angle, degree = figure.axes[1].lines[0].get_data()
     forward = angle > 1.0
-    expected = np.interp(angle[forward], plane.polar, plane.brdf_dolp)
+    expected = np.interp(angle[forward], plane.polar_deg, plane.brdf_dolp)
     np.testing.assert_allclose(degree[forward], expected)
     assert any(
         "Stokes vector (1, 0, 1, 0)" in text.get_text().replace("\xa0", " ")

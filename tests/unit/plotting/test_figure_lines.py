@@ -315,7 +315,7 @@ def test_panel_parameters_are_chosen_by_number_of_lines():
 def make_directions(n_points, azimuths=tuple(range(0, 360, 30)), **attributes):
     """Return a dataset of directions over a parameter of a grid."""
     coords = {"saturation": np.linspace(0.0, 1.0, n_points), "wavelength": [500.0]}
-    coords |= {"polar": [0.0, 30.0, 60.0], "azimuth": np.array(azimuths, dtype=float)}
+    coords |= {"polar_deg": [0.0, 30.0, 60.0], "azimuth_deg": np.array(azimuths, dtype=float)}
     shape = tuple(len(values) for values in coords.values())
     names = ("brdf", "brdf_stderr")
     return xr.Dataset(

@@ -50,8 +50,8 @@ def test_conditions_of_a_spectrum_are_those_of_the_medium():
 def test_directions_are_those_of_the_view(polar, azimuth):
     """Results of instruments name their angles polar and azimuth."""
     table = splits.Table(make_direction_dataset())
-    measured = xr.DataArray([0.8, 0.7], {"wavelength": [500.0, 900.0], "polar": polar,
-                                         "azimuth": azimuth}, ("wavelength",))  # fmt: skip
+    measured = xr.DataArray([0.8, 0.7], {"wavelength": [500.0, 900.0], "polar_deg": polar,
+                                         "azimuth_deg": azimuth}, ("wavelength",))  # fmt: skip
     view = {"incidence_deg": 20.0, "polar_deg": 20.0, "azimuth_deg": 90.0}
     with pytest.raises(InvalidValue, match=r"measured\.(polar|azimuth) = "):
         splits.retrieve(measured, table, [SIZE], 0.05, fixed=view, quantity="reflectance_factor")
@@ -90,7 +90,7 @@ def test_units_are_converted_or_refused():
     ],
 )  # fmt: skip
 def test_receiver_and_pulse_are_those_of_the_table(changes, keywords, message):
-    measured = RETURN.isel(delay=[0, 1]).assign_attrs(changes)
+    measured = RETURN.isel(delay_s=[0, 1]).assign_attrs(changes)
     with pytest.raises(InvalidValue, match=message):
         splits.retrieve_return(measured, RETURNS, [SIZE], 0.05, **keywords)
 

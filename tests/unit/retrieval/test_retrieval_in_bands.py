@@ -235,7 +235,7 @@ def test_reflectance_factors_are_weighted_by_irradiance():
     wavelengths = np.arange(450.0, 1151.0, 20.0)
     found = splits.hdrf(medium, sky, wavelengths, bands=BANDS, **directions, **ONE)
     plain = splits.hdrf(medium, sky, wavelengths, **directions, **ONE)
-    assert found.band_reflectance_factor.dims == ("band", "polar", "azimuth")
+    assert found.band_reflectance_factor.dims == ("band", "polar_deg", "azimuth_deg")
     assert found.reflectance_factor.equals(plain.reflectance_factor) and "band" not in plain
     for name, band in as_bands(BANDS).items():
         weights = sky.compute_weights(wavelengths, band)

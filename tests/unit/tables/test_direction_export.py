@@ -67,7 +67,10 @@ def test_isofit_tables_are_independent_of_axis_order(dataset):
 
 
 def test_eradiate_files_have_the_format(dataset, tmp_path):
-    opened = reopen(convert_to_eradiate(dataset, 500.0, 11, 24, **COARSE), tmp_path)
+    opened = reopen(
+        convert_to_eradiate(dataset, wavelength=500.0, n_cosines=11, n_azimuths=24, **COARSE),
+        tmp_path,
+    )
     assert opened.brdf.dims == ("cos_theta_o", "phi_d", "cos_theta_i")
     assert opened.brdf.dtype == np.float32
     for name in ("cos_theta_o", "cos_theta_i"):
@@ -79,7 +82,9 @@ def test_eradiate_files_have_the_format(dataset, tmp_path):
 
 
 def test_eradiate_brdf_is_the_analytic_one(dataset):
-    converted = convert_to_eradiate(dataset, 900.0, 11, 24, **COARSE)
+    converted = convert_to_eradiate(
+        dataset, wavelength=900.0, n_cosines=11, n_azimuths=24, **COARSE
+    )
     cosine_o, phi, cosine_i = xr.broadcast(*(converted[d] for d in converted.brdf.dims))
     last = np.cos(np.radians(75.0))
     polar, incidence = (np.degrees(np.arccos(np.maximum(c, last))) for c in (cosine_o, cosine_i))
@@ -94,16 +99,18 @@ def test_eradiate_brdf_is_the_analytic_one(dataset):
 
 def test_eradiate_brdf_distinguishes_sun_and_view(dataset):
     dataset["reflectance_factor"] = dataset.reflectance_factor * (1.0 + 0.01 * dataset.polar_deg)
-    converted = convert_to_eradiate(dataset, 500.0, 3, 2, **COARSE)
+    converted = convert_to_eradiate(dataset, wavelength=500.0, n_cosines=3, n_azimuths=2, **COARSE)
     view_from_above = converted.brdf.sel(cos_theta_o=1.0, cos_theta_i=0.5, phi_d=0.0)
     expected = evaluate_factor(100.0, 60.0, 0.0, 180.0, 500.0) / np.pi
     assert float(view_from_above) == pytest.approx(expected, rel=1e-5)
 
 
 def test_eradiate_wavelength_may_be_omitted_if_there_is_one(dataset):
-    expected = convert_to_eradiate(dataset, 500.0, 3, 2, **COARSE)
+    expected = convert_to_eradiate(dataset, wavelength=500.0, n_cosines=3, n_azimuths=2, **COARSE)
     single = dataset.isel(wavelength=[0])
-    xr.testing.assert_identical(convert_to_eradiate(single, None, 3, 2, **COARSE), expected)
+    xr.testing.assert_identical(
+        convert_to_eradiate(single, n_cosines=3, n_azimuths=2, **COARSE), expected
+    )
 
 
 def test_negative_interpolated_values_become_zero(dataset):
@@ -112,7 +119,12 @@ def test_negative_interpolated_values_become_zero(dataset):
     dataset["reflectance_factor"] = dataset.reflectance_factor * xr.DataArray(
         steep, dims="polar_deg"
     )
-    assert convert_to_eradiate(dataset, 500.0, 31, 2, **COARSE).brdf.min() == 0.0
+    assert (
+        convert_to_eradiate(
+            dataset, wavelength=500.0, n_cosines=31, n_azimuths=2, **COARSE
+        ).brdf.min()
+        == 0.0
+    )
 
 
 def test_eradiate_evaluates_the_converted_brdf(dataset):
@@ -121,7 +133,9 @@ def test_eradiate_evaluates_the_converted_brdf(dataset):
     eradiate.set_mode("mono_double")
     from eradiate.scenes.bsdfs import MQDiffuseBSDF
 
-    converted = convert_to_eradiate(dataset, 500.0, 21, 36, **COARSE)
+    converted = convert_to_eradiate(
+        dataset, wavelength=500.0, n_cosines=21, n_azimuths=36, **COARSE
+    )
     grid = MQDiffuseBSDF(data=converted)._eval_grid_impl(None)
     bsdf = mitsuba.load_dict({"type": "mqdiffuse", "grid": grid})
     sun = mitsuba.SurfaceInteraction3f()
@@ -159,7 +173,9 @@ def test_csv_files_have_the_axes_of_all_quantities(dataset, tmp_path):
 
 CONVERSIONS = {
     "isofit": lambda ds: convert_to_isofit(ds),
-    "eradiate": lambda ds: convert_to_eradiate(ds, 500.0, 3, 2, **COARSE),
+    "eradiate": lambda ds: convert_to_eradiate(
+        ds, wavelength=500.0, n_cosines=3, n_azimuths=2, **COARSE
+    ),
 }
 ZERO_TO_180 = "azimuth_deg = .*: must be from 0 to 180"
 INVALID_DATASETS = {
@@ -217,19 +233,19 @@ def test_unsuitable_tables_are_rejected(name, conversion):
             ),
             r"polar_deg = \[0.0, .*: must be from 0 to 40, as far as incidence_deg goes",
         ),
-        (lambda ds: convert_to_eradiate(ds, 500.0), "optical_radius_um = None: must be given"),
+        (lambda ds: convert_to_eradiate(ds, wavelength=500.0), "optical_radius_um = None: must be given"),
         (lambda ds: convert_to_eradiate(ds, **COARSE), "wavelength = None: must be one of"),
         (
-            lambda ds: convert_to_eradiate(ds, 700.0, **COARSE),
+            lambda ds: convert_to_eradiate(ds, wavelength=700.0, **COARSE),
             "wavelength = 700.0: must be one of the table's 2 wavelengths, from 500 to 900 nm",
         ),
-        (lambda ds: convert_to_eradiate(ds, 500.0, 1, **COARSE), "n_cosines = 1"),
+        (lambda ds: convert_to_eradiate(ds, wavelength=500.0, n_cosines=1, **COARSE), "n_cosines = 1"),
         (
-            lambda ds: convert_to_eradiate(ds.isel(polar_deg=[0, 1, 2]), 500.0, **COARSE),
+            lambda ds: convert_to_eradiate(ds.isel(polar_deg=[0, 1, 2]), wavelength=500.0, **COARSE),
             "polar_deg = .*must be from 0 to at least 60",
         ),
         (
-            lambda ds: convert_to_eradiate(ds.isel(incidence_deg=[1, 4]), 500.0, **COARSE),
+            lambda ds: convert_to_eradiate(ds.isel(incidence_deg=[1, 4]), wavelength=500.0, **COARSE),
             "incidence_deg = .*must be from 0 to at least 60",
         ),
     ],

@@ -203,7 +203,7 @@ def test_the_text_of_a_table_names_its_direction(table):
 BUILD_MISTAKES = {
     "grid.azimuth_deg = None: must be given (polar_deg needs it)": {"grid": {"polar_deg": [0.0]}},
     "grid.polar_deg": {"grid": VIEWS | {"polar_deg": [10.0, 95.0]}},
-    "grid.azimuth_deg = [0.0, 270.0]: must be 0 to 180": {
+    "grid.azimuth_deg = 270.0: must be in [0, 180] degrees (both sides of the plane of incidence": {
         "grid": VIEWS | {"azimuth_deg": [0.0, 270.0]}
     },
     "it needs polar_deg and azimuth_deg": {"quantities": ["reflectance_factor"]},
@@ -224,8 +224,8 @@ BUILD_MISTAKES = {
     },
     "incidence_deg = [35]: must be one angle in degrees, or diffuse "
     "(the grid takes the axis 'incidence_deg': [35])": {"incidence_deg": [35]},
-    "incidence_deg = [35]: must be left out, because grid.incidence_deg sets it": {
-        "incidence_deg": np.array([35]), "grid": {"incidence_deg": [35]}
+    "incidence_deg = 35.0: must be left out, because grid.incidence_deg sets it": {
+        "incidence_deg": np.array(35), "grid": {"incidence_deg": [35]}
     },
     "covariance = True": {"grid": VIEWS, "covariance": True},
     "angles with quantities under isotropic light": {

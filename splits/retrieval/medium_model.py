@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.core.arrays import check_named_numbers
+from splits.core.declarations import check_alternatives
 from splits.core.inputs import check_incidence
 from splits.core.progress import Progress, ProgressCallback
 from splits.core.validation import (
@@ -42,12 +43,12 @@ from splits.instruments.spectrophotometer import spectrophotometer
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.media.parameters import (
+    ALTERNATIVES,
     INCIDENCE_KEY,
     get_parameter,
     replace_parameter,
     replace_parameters,
 )
-from splits.media.snow import check_no_equivalents
 from splits.retrieval.forward_model import (
     ERROR_CORRELATION_NM,
     SCALE_RANGE,
@@ -536,7 +537,7 @@ def make_medium_state_vector(
         hint = 'such as {"optical_radius_um": (50, 1500)}; only a table has default ranges'
         raise invalid("free", ranges, "a mapping of names to (low, high)", hint)
     with key_prefix("free"):
-        check_no_equivalents({str(name): pair for name, pair in ranges.items()})
+        check_alternatives(ALTERNATIVES, {str(name): pair for name, pair in ranges.items()})
     allowed_ranges: dict[str, ParameterRange] = {SCALE: ParameterRange(*SCALE_RANGE, "identity")}
     for name, pair in ranges.items():
         if name == SCALE:

@@ -23,7 +23,8 @@ from splits.media.grain_statistics import (
 )
 from splits.media.interpretations import INTERPRETATION_CHOICES, merge_interpretations
 from splits.media.kinds import check_medium, read_named_medium
-from splits.media.snow import NATURAL_GRAIN_SHAPE, override_keywords
+from splits.media.parameters import override_keywords
+from splits.media.snow import NATURAL_GRAIN_SHAPE
 
 ORDER = "min <= mean <= max <= 1"
 INVALID_SNOWS = [

@@ -494,6 +494,9 @@ class other_constructor:
         @functools.wraps(self.complete)
         def construct(*values: Given.args, **keywords: Given.kwargs) -> Result:
             given: Any = {**dict(zip(signature.parameters, values, strict=False)), **keywords}
+            for name in given:
+                if name not in signature.parameters:
+                    raise unknown_key(name, list(signature.parameters))
             return owner(**self.complete(owner, given))  # type: ignore[call-arg]
 
         shown = [

@@ -72,8 +72,11 @@ HematiteRatio = Annotated[
 ]  # fmt: skip
 Magnetite = Annotated[
     float,
-    Quantity("mass of magnetite per mass of sand", low=0.0, high=1.0, label="magnetite by mass"),
-]
+    Quantity(
+        "mass of magnetite per mass of sand", low=0.0, high=1.0, label="magnetite by mass",
+        hint="the sum of all mass fractions is 1",
+    ),
+]  # fmt: skip
 Partition = Annotated[
     tuple[float, float, float],
     _declare_fractions(

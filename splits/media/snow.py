@@ -111,6 +111,7 @@ SnowDensity = Annotated[
     Quantity(
         "mass of ice per volume", "kg m-3", label="density",
         low=MIN_DENSITY_KG_M3, high=ice_density(-40.0), open_high=True,
+        hint=f"ice at -1 °C has {ice_density(-1.0):g}",
     ),
 ]  # fmt: skip
 SnowTemperature = Annotated[

@@ -55,6 +55,21 @@ UNIT_SYMBOLS = {
     "m2 kg-1": "m2/kg", "um": "µm", "m-1": "1/m",
 }  # fmt: skip
 """Units in messages, where they differ from those of UDUNITS."""
+AXIS_UNITS = {
+    **UNIT_SYMBOLS,
+    "degree": "°", "kg m-3": "kg m⁻³", "m2 kg-1": "m²/kg", "ml-1": "cells/ml",
+}  # fmt: skip
+"""Units of axes."""
+
+
+def invert_unit(unit: str) -> str:
+    """Return the inverse of a unit (UDUNITS), its positive powers first."""
+    if unit in ("1", "1e-9"):
+        return "1" if unit == "1" else f"({UNIT_SYMBOLS[unit]})-1"
+    powers = [re.fullmatch(r"([^-\d]+)(-?\d+)?", factor) for factor in unit.split()]
+    inverse = [(one[1], -int(one[2] or 1)) for one in powers if one]
+    inverse.sort(key=lambda one: -one[1])
+    return " ".join(name + (str(power) if power != 1 else "") for name, power in inverse)
 
 
 # --------------------------------------------------------------------------------------------------
@@ -78,12 +93,14 @@ class Quantity:
     hint : str
         Hint in messages.
     label : str
-        Label of an axis, by default the long name.
+        Label of an axis, without the unit; by default the words of the key.
     mean : int, optional
         Position of the mean in a distribution, whose values up to it are shifted together; −1 for
         a range, whose mean is that of its ends.
     parts : tuple of str
         Names of fractions that add up to 1.
+    kinds : callable, optional
+        Function that returns the known keys of a mapping of amounts by kind, an example first.
     first_step : float
         Smallest first step of finite differences.
     root_at : float, optional
@@ -107,6 +124,7 @@ class Quantity:
     label: str = ""
     mean: int | None = None
     parts: tuple[str, ...] = ()
+    kinds: Callable[[], Sequence[str]] | None = None
     first_step: float = 0.0
     root_at: float | None = None
     check: Callable[[str, Any], Any] | None = None
@@ -115,6 +133,21 @@ class Quantity:
     def __repr__(self) -> str:
         """Return the long name with its unit."""
         return f"{self.long_name} ({self.unit})" if self.unit != "1" else self.long_name
+
+    @property
+    def is_distribution(self) -> bool:
+        """Whether the input is a distribution, which is shifted as a whole."""
+        return self.mean is not None and self.mean >= 0
+
+    @property
+    def is_mapping(self) -> bool:
+        """Whether the input is a mapping, of which an experiment may change some keys."""
+        return (self.schema or {}).get("type") == "object"
+
+    def compute_mean(self, values: Sequence[float]) -> float:
+        """Return the mean of a range or a distribution."""
+        assert self.mean is not None
+        return values[self.mean] if self.mean >= 0 else 0.5 * (values[0] + values[-1])
 
     def check_number(self, key: str, value: Any) -> float:
         """Return a number after checking that it is in the range."""
@@ -454,6 +487,9 @@ class other_constructor:
         @functools.wraps(self.complete)
         def construct(*values: Given.args, **keywords: Given.kwargs) -> Result:
             given: Any = {**dict(zip(signature.parameters, values, strict=False)), **keywords}
+            for name in given:
+                if name not in signature.parameters:
+                    raise unknown_key(name, list(signature.parameters))
             return owner(**self.complete(owner, given))  # type: ignore[call-arg]
 
         shown = [

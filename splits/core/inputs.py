@@ -63,28 +63,29 @@ def check_mapping(allowed: str) -> Callable[[str, Any], Mapping[Any, Any]]:
 Facetness = Annotated[
     tuple[float, float, float, float],
     Quantity(
-        "facetness of the grains, mean", mean=2, first_step=0.04,
+        "facetness of the grains, mean", label="mean facetness", mean=2, first_step=0.04,
         check=check_truncated_normal(0.0), schema=describe_numbers(4),
     ),
 ]  # fmt: skip
 Sphericity = Annotated[
     tuple[float, float, float, float],
     Quantity(
-        "sphericity of the grains, mean", mean=2, first_step=0.04,
+        "sphericity of the grains, mean", label="mean sphericity", mean=2, first_step=0.04,
         check=check_truncated_normal(0.1), schema=describe_numbers(4),
     ),
 ]  # fmt: skip
 Saturation = Annotated[
     float,
     Quantity(
-        "volume of water per volume of pores", low=0.0, high=1.0, first_step=0.04, root_at=0.0
+        "volume of water per volume of pores", low=0.0, high=1.0, label="water saturation",
+        first_step=0.04, root_at=0.0,
     ),
-]
+]  # fmt: skip
 Depth = Annotated[
     float,
     Quantity(
         "thickness of the sample", "m", low=0.0, high=1e4, open_low=True, infinite=True,
-        hint=INFINITE_HINT,
+        hint=INFINITE_HINT, label="depth",
     ),
 ]  # fmt: skip
 Pores = Annotated[
@@ -108,11 +109,20 @@ RefractiveIndices = Annotated[
 
 DIFFUSE = "diffuse"
 """Isotropic light in place of a beam."""
+INCIDENT_STOKES = "incident_stokes"
+"""Attribute of datasets: I, Q, U and V of the incident light."""
+UNPOLARIZED_LIGHT = (1.0, 0.0, 0.0, 0.0)
+"""Stokes vector of the incident light, by default."""
 WAVELENGTH_RANGE_NM = (200.0, 100_000.0)
 FULL_TURN_DEG = 360.0
 MAX_DATASET_VALUES = 10_000_000
 """Largest number of values of a quantity over wavelength and direction: a run takes about thirty
 times their memory."""
+
+
+def get_incident_stokes(attributes: Mapping[Any, Any]) -> tuple[float, ...]:
+    """Return I, Q, U and V of the incident light, unpolarized without the attribute."""
+    return tuple(float(value) for value in attributes.get(INCIDENT_STOKES, UNPOLARIZED_LIGHT))
 
 
 def check_wavelengths(key: str, wavelength_nm: Any, *, is_sorted: bool = True) -> np.ndarray:
@@ -194,7 +204,7 @@ BeamAngle = Annotated[
 Incidence = Annotated[
     float | str,
     Quantity(
-        "angle of incidence", "degree", first_step=4.0, check=check_incidence,
+        "angle of incidence", "degree", label="incidence", first_step=4.0, check=check_incidence,
         schema={"anyOf": [ANGLE_SCHEMA, {"const": DIFFUSE}]},
     ),
 ]  # fmt: skip

@@ -19,8 +19,8 @@ from splits.core.optional import DISTRIBUTION_NAME
 PACKAGE_FOLDER = Path(__file__).parents[1]
 SIMULATION_SOURCES = (
     "kernels", "materials", "illumination", "media", "simulation", "discrete_ordinates",
-    "instruments", "core/uncertainty.py", "core/parameter_names.py", "tables/axes.py",
-    "tables/block.py", "tables/plan.py", "tables/return_table.py",
+    "instruments", "core/uncertainty.py", "core/declarations.py", "core/inputs.py",
+    "tables/axes.py", "tables/block.py", "tables/plan.py", "tables/return_table.py",
     "experiments/config/instruments.py", "experiments/config/media.py",
     "experiments/config/simulation.py", "experiments/run.py", "experiments/run_table.py",
 )  # fmt: skip
@@ -51,7 +51,7 @@ TABLE_SOURCES = (
 )  # fmt: skip
 """Files that determine how a table is made from its simulated parts."""
 FIGURE_SOURCES = (
-    "plotting/*.py", "plotting/*.mplstyle", "analysis/*.py", "core/parameter_names.py",
+    "plotting/*.py", "plotting/*.mplstyle", "analysis/*.py", "media/parameters.py",
 )  # fmt: skip
 """Files that determine figures."""
 STUDY_SOURCES = (

@@ -15,7 +15,6 @@ import xarray as xr
 
 from splits.analysis.measured import WAVELENGTH_COLUMN, read_spectra
 from splits.core.escaping import write_data_frame
-from splits.core.parameter_names import describe_parameter
 from splits.core.progress import LogCallback
 from splits.core.validation import (
     check_choice,
@@ -37,6 +36,7 @@ from splits.io.netcdf import load, make_provenance, to_netcdf_attributes
 from splits.materials.csv_table import read_numeric_csv
 from splits.media.kinds import MEDIUM_CLASSES, get_kind
 from splits.media.medium import Medium
+from splits.media.parameters import describe_parameter
 from splits.retrieval.result import RetrievalResult
 from splits.retrieval.retrieve import retrieve
 from splits.retrieval.retrieve_return import retrieve_return

@@ -22,7 +22,7 @@ from splits.core.validation import check_range, invalid, suggest_name
 from splits.materials.csv_table import read_numeric_csv, read_tabulated_function
 from splits.materials.refractive_index import check_wavelength_range
 
-ALGAE_NAMES = ("ice_algae", "snow_algae")
+ALGAE_NAMES = ("snow_algae", "ice_algae")
 """Types with absorption per cell (m²); that of other types is per mass (m²/kg)."""
 MASS_RATIO_PER_NG_G = 1e-9
 """Mass of impurity per mass of ice of 1 ng/g."""
@@ -38,7 +38,7 @@ Impurities = Annotated[
     Quantity(
         "mass of impurities per mass of ice", "1e-9",
         check=check_mapping("a mapping of amounts by kind, such as {'black_carbon': 100}"),
-        schema={"type": "object"},
+        schema={"type": "object"}, label="impurities", kinds=lambda: list_impurities(),
     ),
 ]  # fmt: skip
 AlgaeCells = Annotated[
@@ -47,6 +47,7 @@ AlgaeCells = Annotated[
         "number of algae cells per volume of meltwater", "ml-1",
         check=check_mapping("a mapping of amounts by kind, such as {'snow_algae': 100}"),
         schema={"type": "object", "additionalProperties": {"type": "number"}},
+        label="algae", kinds=lambda: ALGAE_NAMES,
     ),
 ]  # fmt: skip
 

@@ -12,22 +12,21 @@ from splits.core.keywords import declare_function
 from splits.core.optional import import_optional
 from splits.core.validation import check_choice, expand_path, format_limit, invalid, key_prefix
 from splits.media.formatting import NAMED_MEDIA, NAMED_MEDIA_FOLDER, suggest_medium
-from splits.media.medium import GranularMedium, Medium
+from splits.media.medium import Medium
+from splits.media.parameters import MEDIA, override_keywords
 from splits.media.particle_layer import ParticleLayer
 from splits.media.sand import Sand
-from splits.media.snow import Snow, override_keywords
+from splits.media.snow import Snow
 from splits.media.snow_packs import SnowPacks
 from splits.media.stack import Stack
 
 # --------------------------------------------------------------------------------------------------
 # Checks of media that users give to instruments.
 
-MEDIUM_NAMES: dict[type, tuple[str, ...]] = {
-    Medium: ("Snow", "Sand", "Stack", "ParticleLayer"),
-    GranularMedium: ("Snow", "Sand"),
-    ParticleLayer: ("ParticleLayer",),
-}
-"""Names of the media of each class, for messages."""
+
+def list_media_names(kind: type[Any] = Medium) -> list[str]:
+    """Return the names of the media of a class, for messages."""
+    return [one.__name__ for one in MEDIA if issubclass(one, kind)]
 
 
 def check_medium(
@@ -40,7 +39,7 @@ def check_medium(
     ----------
     medium : object
     kind : type
-        A key of `MEDIUM_NAMES`.
+        Base class of the allowed media.
     allow_semi_infinite : bool
         Whether infinite layers of grains are allowed; those of particles always are.
     key : str
@@ -61,7 +60,7 @@ def check_medium(
             )
             raise invalid("depth_m", math.inf, "finite", hint)
         return
-    names = MEDIUM_NAMES[kind]
+    names = list_media_names(kind)
     if isinstance(medium, SnowPacks):
         more = "" if kind is Medium else ", and its layers are media"
         hint = f"packs.make_stack(label) returns one of the snowpacks{more}"
@@ -75,16 +74,17 @@ def check_medium(
 # Kinds of media: construction of a medium from its kind and keywords.
 
 LAYERS_KEY = "layers"
-LAYER_CLASSES: dict[str, Any] = {
+MEDIUM_CLASSES: dict[str, Any] = {
     "snow": Snow,
     "natural_snow": Snow,
     "sand": Sand,
     "particle_layer": ParticleLayer,
+    "stack": Stack,
 }
-"""Media that a stack may hold."""
-MEDIUM_CLASSES: dict[str, Any] = {**LAYER_CLASSES, "stack": Stack}
-MEDIUM_FACTORIES: dict[str, Callable[..., Medium]] = LAYER_CLASSES | {"natural_snow": Snow.natural}
-"""Functions that make a layer from its keywords, by kind."""
+LAYER_KINDS = [kind for kind, one in MEDIUM_CLASSES.items() if one is not Stack]
+"""Kinds of the media that a stack may hold."""
+MEDIUM_FACTORIES: dict[str, Callable[..., Medium]] = MEDIUM_CLASSES | {"natural_snow": Snow.natural}
+"""Functions that make a medium from its keywords, by kind."""
 
 
 def get_kind(settings: Mapping[str, Any]) -> str:
@@ -103,12 +103,12 @@ def make_medium(kind: str, keywords: Mapping[str, Any]) -> Medium:
         For an unknown keyword.
     """
     check_choice("kind", kind, MEDIUM_CLASSES)
-    if kind != "stack":
+    if kind in LAYER_KINDS:
         return MEDIUM_FACTORIES[kind](**keywords)
     media = []
     for key, layer in iter_layers(LAYERS_KEY, keywords.get(LAYERS_KEY)):
         with key_prefix(key):
-            kind = check_choice("kind", get_kind(layer), LAYER_CLASSES)
+            kind = check_choice("kind", get_kind(layer), LAYER_KINDS)
             settings = {name: value for name, value in layer.items() if name != "kind"}
             if "bottom_albedo" in settings:
                 given, hint = settings["bottom_albedo"], "give ground to the stack"

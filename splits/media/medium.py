@@ -12,6 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import cached_property
+from numbers import Real
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
@@ -205,11 +206,6 @@ class HomogeneousLayer(Medium):
         return np.zeros((np.size(wavelength_nm), len(self.list_materials())))
 
 
-EXPANDED_INPUTS = (
-    "refractive_index", "interpretation", "ground", "pores",
-    "impurities_ng_g", "algae_cells_ml", "impurities_in",
-)  # fmt: skip
-"""Inputs that expand to several dataset attributes."""
 AIR, WATER = "air", "water"
 
 
@@ -352,11 +348,9 @@ class GranularMedium(HomogeneousLayer):
     def describe(self) -> dict[str, Any]:
         """Return the inputs of all media of grains as dataset attributes."""
         layer: Any = self
-        inputs = {
-            field.name: getattr(self, field.name)
-            for field in fields(layer)
-            if field.name not in EXPANDED_INPUTS
-        }
+        values = {field.name: getattr(self, field.name) for field in fields(layer)}
+        # Others expand to several attributes.
+        inputs: dict[str, Any] = {n: v for n, v in values.items() if isinstance(v, Real | tuple)}
         inputs |= {f"pores_{name}": fraction for name, fraction in self.pores.items()}
         for material, index in self.refractive_index.items():
             inputs[f"refractive_index_{material}"] = index.name

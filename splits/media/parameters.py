@@ -1,4 +1,4 @@
-"""Parameters of a medium by name: listing, reading and replacing.
+"""Parameters of a medium by name: meaning, listing, reading and replacing.
 
 A name denotes a numeric keyword (``depth_m``, ``liquid_water_content``); a distribution
 (``facetness``), which is shifted as a whole; an amount (``impurities_ng_g.black_carbon``); a
@@ -11,46 +11,107 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
+from functools import cache
 from numbers import Real
 from typing import Any, NamedTuple
 
-from splits.core.parameter_names import IMPURITY_KEYWORDS, describe_parameter
+from splits.core.declarations import Quantity, find_quantity, invert_unit, list_inputs
+from splits.core.inputs import Incidence
 from splits.core.validation import check_choice, check_range, invalid, suggest_name, unknown_key
-from splits.materials.impurities import ALGAE_NAMES, list_impurities
 from splits.media.ground import Ground
+from splits.media.particle_layer import ParticleLayer
+from splits.media.sand import Sand
 from splits.media.snow import (
     GRAIN_SIZE_RANGE_UM,
     LIQUID_WATER_KEY,
     OPTICAL_RADIUS_KEY,
     SURFACE_AREA_KEY,
+    Snow,
 )
 from splits.media.stack import Stack
 
-SHIFTABLE_DISTRIBUTIONS = {"facetness": 3, "sphericity": 3, "roundness": 1}
-"""Distributions, with the number of leading values that a shift moves.
+# --------------------------------------------------------------------------------------------------
+# Meaning of parameters, and of derived quantities that datasets hold as attributes.
 
-The last value is a standard deviation.
-"""
-FRACTION_PARAMETERS = {
-    "partition": ("pure", "mixed", "coated"),
-    "texture": ("clay", "silt", "sand"),
-}
-"""Fractions that add up to 1, by keyword."""
+MEDIA: tuple[Any, ...] = (Snow, Sand, Stack, ParticleLayer)
+ALTERNATIVES: dict[str, str] = {n: key for one in MEDIA for n, key in one.ALTERNATIVES.items()}
+"""Keyword replaced by each keyword that computes it."""
 INCIDENCE_KEY = "incidence_deg"
-_LAYER_PATTERN = re.compile(r"layers\.(\d+)\.(.+)")
-_DERIVATIVE_UNITS = {
-    "impurities_ng_g": "(ng/g)-1", "algae_cells_ml": "ml", "um": "um-1", "m": "m-1",
-    "degree": "degree-1", "degC": "degC-1", "kg m-3": "m3 kg-1", "m2 kg-1": "kg m-2",
-}  # fmt: skip
-"""Units of derivatives, by keyword or by unit of the parameter."""
-
-
-_UNRELATED = {
-    **dict.fromkeys(FRACTION_PARAMETERS, ()),
-    **dict.fromkeys((SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY), (*IMPURITY_KEYWORDS, "saturation")),
-    LIQUID_WATER_KEY: (*IMPURITY_KEYWORDS, "grain_size_um"),
+DERIVED_QUANTITIES = {
+    "absorption_enhancement_900nm_dry": Quantity("absorption enhancement of dry grains at 900 nm"),
+    "asymmetry_parameter_900nm_dry": Quantity("asymmetry parameter of dry grains at 900 nm"),
+    "extinction_per_m": Quantity("extinction coefficient", "m-1"),
+    "mean_grain_distance_m": Quantity("mean distance between grains along a ray", "m"),
 }
-"""Keywords on which parameters do not depend that are computed from other keywords."""
+_LAYER_PATTERN = re.compile(r"layers\.(\d+)\.(.+)")
+
+
+@cache
+def list_quantities() -> dict[str, Quantity]:
+    """Return the meaning of the inputs of all media, of the light and of derived quantities."""
+    quantities: dict[str, Quantity] = {}
+    for medium in MEDIA:
+        for name, one in list_inputs(medium).items():
+            quantities.setdefault(name, one.quantity)
+    incidence = find_quantity(Incidence)
+    assert incidence is not None
+    return {
+        **quantities, INCIDENCE_KEY: incidence, "medium": Quantity("sample", label="sample"),
+        **DERIVED_QUANTITIES,
+    }  # fmt: skip
+
+
+def get_quantity(key: str) -> Quantity:
+    """Return the meaning of a keyword; an unknown one, of a user's function, means its name."""
+    return list_quantities().get(key) or Quantity(key.replace("_", " "))
+
+
+def list_amounts() -> list[str]:
+    """Return the keywords that are mappings of amounts by kind."""
+    return [name for name, quantity in list_quantities().items() if quantity.kinds]
+
+
+def parse_layer_parameter(parameter: str) -> tuple[int, str] | None:
+    """Return the layer number and the keyword of a path such as layers.0.depth_m, or None."""
+    match = _LAYER_PATTERN.fullmatch(parameter)
+    return (int(match[1]), match[2]) if match and "." not in match[2] else None
+
+
+def parse_impurity_parameter(parameter: str) -> tuple[str, str] | None:
+    """Return keyword and type of a name such as impurities_ng_g.black_carbon, or None."""
+    key, _, kind = parameter.partition(".")
+    return (key, kind) if key in list_amounts() and re.fullmatch(r"\w+", kind) else None
+
+
+def describe_parameter(parameter: str) -> tuple[str, str]:
+    """Return the long name and units of a parameter, also for the path of one in a layer.
+
+    An unknown parameter, such as one of a user's function, gets its own name.
+    """
+    match = _LAYER_PATTERN.fullmatch(parameter)
+    if match:
+        long_name, units = describe_parameter(match[2])
+        return f"{long_name}, layer {match[1]}", units
+    key, _, kind = parameter.partition(".")
+    quantity = get_quantity(key)
+    suffix = f": {kind.replace('_', ' ')}" if kind else ""
+    return quantity.long_name + suffix, quantity.unit
+
+
+def get_derivative_unit(name: str) -> str:
+    """Return the unit of a derivative with respect to a parameter."""
+    return invert_unit(describe_parameter(name)[1])
+
+
+def override_keywords(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `base` updated by `overrides`; keywords equivalent to overrides are removed."""
+    overridden = {ALTERNATIVES.get(name, name) for name in overrides}
+    kept = {n: v for n, v in base.items() if ALTERNATIVES.get(n, n) not in overridden}
+    return {**kept, **overrides}
+
+
+# --------------------------------------------------------------------------------------------------
+# Values of parameters.
 
 
 class _ParameterLocation(NamedTuple):
@@ -71,18 +132,14 @@ def list_parameters(medium: Any) -> list[str]:
             for n in list_parameters(layer)
         ]
     values = {f.name: getattr(medium, f.name) for f in fields(medium)}
+    quantities = {n: one for n, one in list_quantities().items() if n in values}
     parameters = [n for n, v in values.items() if isinstance(v, Real) and not isinstance(v, bool)]
-    parameters += [name for name in SHIFTABLE_DISTRIBUTIONS if hasattr(medium, name)]
-    parameters += [n for n in getattr(medium, "OTHER_KEYWORDS", ()) if hasattr(medium, n)]
-    for key, components in FRACTION_PARAMETERS.items():
-        if hasattr(medium, key):
-            parameters += [f"{key}.{component}" for component in components]
+    parameters += [name for name, one in quantities.items() if one.is_distribution]
+    parameters += getattr(medium, "ALTERNATIVES", ())
+    parameters += [f"{name}.{part}" for name, one in quantities.items() for part in one.parts]
     if _has_constant_albedo(medium):
         parameters.append("ground")
-    examples = {"impurities_ng_g": "black_carbon", "algae_cells_ml": "snow_algae"}
-    return parameters + [
-        f"{key}.{component}" for key, component in examples.items() if hasattr(medium, key)
-    ]
+    return parameters + [f"{n}.{one.kinds()[0]}" for n, one in quantities.items() if one.kinds]
 
 
 def get_parameter(medium: Any, name: str, other_names: Sequence[str] = ()) -> float:
@@ -98,15 +155,16 @@ def get_parameter(medium: Any, name: str, other_names: Sequence[str] = ()) -> fl
     location = _locate_parameter(medium, name, other_names)
     owner = medium if location.layer is None else medium.layers[location.layer]
     key, value = location.key, getattr(owner, location.key)
-    if key in FRACTION_PARAMETERS:
-        value = value[FRACTION_PARAMETERS[key].index(location.component)]
+    quantity = get_quantity(key)
+    if quantity.parts:
+        value = value[quantity.parts.index(location.component)]
     elif location.component:
         amount = value.get(location.component, 0.0)
         value = amount["ng_g"] if isinstance(amount, Mapping) else amount
     elif key == "ground":
         value = value.albedo_values[0]
-    elif key in SHIFTABLE_DISTRIBUTIONS:
-        value = value[SHIFTABLE_DISTRIBUTIONS[key] - 1]
+    elif quantity.is_distribution:
+        value = quantity.compute_mean(value)
     return float(value)
 
 
@@ -141,7 +199,7 @@ def replace_parameters(medium: Any, values: Mapping[str, float]) -> Any:
         location = _locate_parameter(medium, name)
         layer, key = location.layer, location.key
         changes = pending.setdefault(layer, {})
-        if any(other not in _UNRELATED.get(key, (other,)) for other in changes):
+        if any(_is_related(key, other) for other in changes):
             layers[layer] = replace(layers[layer], **changes)
             changes.clear()
         changes |= _compute_change(layers[layer], location, float(value), changes)
@@ -158,11 +216,11 @@ def shift_parameter(medium: Any, name: str, shift: float) -> Any:
     return replace_parameter(medium, name, get_parameter(medium, name) + shift)
 
 
-def get_derivative_unit(name: str) -> str:
-    """Return the unit of a derivative with respect to a parameter."""
-    match = _LAYER_PATTERN.fullmatch(name)
-    key = (match[2] if match else name).partition(".")[0]
-    return _DERIVATIVE_UNITS.get(key) or _DERIVATIVE_UNITS.get(describe_parameter(key)[1], "1")
+def _is_related(key: str, changed: str) -> bool:
+    """Return whether a new value of a keyword depends on another one that has changed."""
+    replaced = ALTERNATIVES.get(key)
+    unrelated = {*list_amounts(), *ALTERNATIVES.values()} - {replaced}
+    return bool(get_quantity(key).parts) or (replaced is not None and changed not in unrelated)
 
 
 def _compute_change(
@@ -170,9 +228,10 @@ def _compute_change(
 ) -> dict[str, Any]:
     """Return new keywords of a medium for a value of a parameter, after other changes."""
     key = location.key
-    if key in FRACTION_PARAMETERS:
+    quantity = get_quantity(key)
+    if quantity.parts:
         name, fractions = f"{key}.{location.component}", getattr(owner, key)
-        index = FRACTION_PARAMETERS[key].index(location.component)
+        index = quantity.parts.index(location.component)
         value = check_range(name, value, 0.0, 1.0)
         # The other fractions keep their ratios.
         remainder = sum(fraction for i, fraction in enumerate(fractions) if i != index)
@@ -188,10 +247,10 @@ def _compute_change(
             {**amount, "ng_g": value} if isinstance(amount, Mapping) else value
         )
         return {key: amounts}
-    if key in SHIFTABLE_DISTRIBUTIONS:
-        old_values = getattr(owner, key)
-        n_shifted = SHIFTABLE_DISTRIBUTIONS[key]
-        shift = value - old_values[n_shifted - 1]
+    if quantity.mean is not None and quantity.is_distribution:
+        # The last value is a standard deviation.
+        old_values, n_shifted = getattr(owner, key), quantity.mean + 1
+        shift = value - old_values[quantity.mean]
         return {key: (*(x + shift for x in old_values[:n_shifted]), *old_values[n_shifted:])}
     if key in (SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY):
         (low, high), (smallest, largest) = GRAIN_SIZE_RANGE_UM, owner.grain_size_um
@@ -229,15 +288,15 @@ def _locate_parameter(
     elif match:
         raise invalid("parameter", name, "without layers: this medium is not a stack")
     key, _, component = own_name.partition(".")
-    if component and key in IMPURITY_KEYWORDS:
+    quantity = get_quantity(key)
+    if component and quantity.kinds:
         if not hasattr(owner, key):
             raise invalid("parameter", name, "of a medium with impurities: snow")
         if component not in getattr(owner, key):
-            kinds = ALGAE_NAMES if key == "algae_cells_ml" else list_impurities()
-            check_choice(f"parameter {key}", component, kinds)
+            check_choice(f"parameter {key}", component, quantity.kinds())
         return _ParameterLocation(layer, key, component)
-    if key in FRACTION_PARAMETERS and component and hasattr(owner, key):
-        check_choice(f"parameter {key}", component, FRACTION_PARAMETERS[key])
+    if quantity.parts and component and hasattr(owner, key):
+        check_choice(f"parameter {key}", component, quantity.parts)
         return _ParameterLocation(layer, key, component)
     known = list_parameters(owner)
     if own_name not in known:

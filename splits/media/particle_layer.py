@@ -413,7 +413,9 @@ Depolarization = Annotated[
 ]
 Polarized = Annotated[bool, Quantity("whether the Stokes vector is traced")]
 Opaque = Annotated[bool, Quantity("whether all light transmitted by the surface is absorbed")]
-LayerThickness = Annotated[float, Quantity("thickness of the sample", "m", low=1e-9, high=1e6)]
+LayerThickness = Annotated[
+    float, Quantity("thickness of the sample", "m", low=1e-9, high=1e6, label="depth")
+]
 
 
 @declare_class

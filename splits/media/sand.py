@@ -48,26 +48,41 @@ def _check_roundness(key: str, value: Any) -> tuple[float, float]:
     return mean, check_range(f"{key} (sd)", sd, 0.0, 1.0)
 
 
-def _declare_fractions(long_name: str, parts: tuple[str, ...]) -> Quantity:
+def _declare_fractions(long_name: str, parts: tuple[str, ...], label: str = "") -> Quantity:
     """Return the quantity of fractions that add up to 1."""
     return Quantity(
-        long_name, parts=parts, schema=describe_numbers(len(parts)),
+        long_name, parts=parts, label=label, schema=describe_numbers(len(parts)),
         check=lambda key, value: check_named_numbers(key, value, parts, (0.0, 1.0)),
     )  # fmt: skip
 
 
 IronOxide = Annotated[
-    float, Quantity("mass of hematite and goethite per mass of sand", low=0.0, high=1.0)
-]
+    float,
+    Quantity(
+        "mass of hematite and goethite per mass of sand", low=0.0, high=1.0,
+        label="hematite and goethite by mass",
+    ),
+]  # fmt: skip
 HematiteRatio = Annotated[
     float,
-    Quantity("mass of hematite per mass of iron oxide", low=0.0, high=1.0, first_step=0.04),
-]
-Magnetite = Annotated[float, Quantity("mass of magnetite per mass of sand", low=0.0, high=1.0)]
+    Quantity(
+        "mass of hematite per mass of iron oxide", low=0.0, high=1.0,
+        label="hematite / iron oxide", first_step=0.04,
+    ),
+]  # fmt: skip
+Magnetite = Annotated[
+    float,
+    Quantity(
+        "mass of magnetite per mass of sand", low=0.0, high=1.0, label="magnetite by mass",
+        hint="the sum of all mass fractions is 1",
+    ),
+]  # fmt: skip
 Partition = Annotated[
     tuple[float, float, float],
     _declare_fractions(
-        "mass fractions of pure, mixed and coated particles", ("pure", "mixed", "coated")
+        "mass fractions of pure, mixed and coated particles",
+        ("pure", "mixed", "coated"),
+        "pure / mixed / coated",
     ),
 ]
 Texture = Annotated[
@@ -82,6 +97,7 @@ Roundness = Annotated[
     tuple[float, float],
     Quantity(
         "roundness of the particles, mean and standard deviation", mean=0, first_step=0.04,
+        label="roundness (mean, sd)",
         check=_check_roundness, schema=describe_numbers(2),
     ),
 ]  # fmt: skip
@@ -92,7 +108,9 @@ CoatingThickness = Annotated[
         hint="coatings are treated as flat slabs, so they must be thin",
     ),
 ]  # fmt: skip
-SizeTail = Annotated[float, Quantity("mass fraction outside the outermost size limits")]
+SizeTail = Annotated[
+    float, Quantity("mass fraction outside the outermost size limits", label="tail by mass")
+]
 
 
 @declare_class

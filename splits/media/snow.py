@@ -18,7 +18,13 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 
 from splits.core.arrays import ContentEquality, check_named_numbers
-from splits.core.declarations import Quantity, alternative, declare_class, other_constructor
+from splits.core.declarations import (
+    Quantity,
+    alternative,
+    declare_class,
+    list_inputs,
+    other_constructor,
+)
 from splits.core.inputs import (
     Depth,
     Facetness,
@@ -77,41 +83,41 @@ def _check_grain_size(key: str, value: Any) -> tuple[float, ...]:
 GrainSize = Annotated[
     tuple[float, float],
     Quantity(
-        "major-axis diameter of the grains, smallest to largest", "um", mean=-1,
+        "major-axis diameter of the grains, smallest to largest", "um", label="grain size", mean=-1,
         check=_check_grain_size, schema=describe_numbers(2),
     ),
 ]  # fmt: skip
 SurfaceArea = Annotated[
     float,
     Quantity(
-        "specific surface area of the ice", "m2 kg-1",
+        "specific surface area of the ice", "m2 kg-1", label="specific surface area",
         low=MIN_SURFACE_AREA_M2_KG, high=MAX_SURFACE_AREA_M2_KG,
         hint="about 60 for fresh snow, 10 for old snow, 3 for melting snow",
     ),
 ]  # fmt: skip
 OpticalRadius = Annotated[
-    float, Quantity("radius of spheres of the same specific surface area", "um")
+    float,
+    Quantity("radius of spheres of the same specific surface area", "um", label="optical radius"),
 ]
 LiquidWater = Annotated[
-    float, Quantity("volume of water per volume of snow", first_step=0.04, root_at=0.0)
-]
+    float,
+    Quantity(
+        "volume of water per volume of snow", label="liquid water content",
+        first_step=0.04, root_at=0.0,
+    ),
+]  # fmt: skip
 SnowDensity = Annotated[
     float,
     Quantity(
-        "mass of ice per volume", "kg m-3",
+        "mass of ice per volume", "kg m-3", label="density",
         low=MIN_DENSITY_KG_M3, high=ice_density(-40.0), open_high=True,
+        hint=f"ice at -1 °C has {ice_density(-1.0):g}",
     ),
 ]  # fmt: skip
-SnowTemperature = Annotated[float, Quantity("temperature", "degC", low=-40.0, high=0.0)]
+SnowTemperature = Annotated[
+    float, Quantity("temperature", "degC", low=-40.0, high=0.0, label="temperature")
+]
 ImpurityLocation = Annotated[Literal["ice", "pores"], Quantity("location of the impurities")]
-
-
-def override_keywords(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Return `base` updated by `overrides`; keywords equivalent to overrides are removed."""
-    replaced = Snow.ALTERNATIVES
-    overridden = {replaced.get(name, name) for name in overrides}
-    remaining = {name: v for name, v in base.items() if replaced.get(name, name) not in overridden}
-    return {**remaining, **overrides}
 
 
 def to_shortest_keywords(snow: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
@@ -312,9 +318,8 @@ class Snow(ContentEquality, GranularMedium):
                 SURFACE_AREA_KEY, None, "given, or optical_radius_um",
                 "m2/kg: 40 and more for fresh snow, 10 for old snow, 3 for melting snow",
             )  # fmt: skip
-        temperature = check_range(
-            "temperature_c", given.get("temperature_c", -1.0), -40.0, 0.0, "°C"
-        )
+        declared = list_inputs(cls)["temperature_c"]
+        temperature = declared.check("temperature_c", given.get("temperature_c", declared.default))
         _check_density(complete["density_kg_m3"], MIN_NATURAL_DENSITY_KG_M3, temperature)
         interpretation = NATURAL_DEFAULTS["interpretation"], complete["interpretation"]
         if isinstance(interpretation[1], Mapping):

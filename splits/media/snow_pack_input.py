@@ -26,7 +26,6 @@ from splits.core.labels import (
     normalize_attributes,
     normalize_labels,
 )
-from splits.core.parameter_names import describe_parameter, parse_impurity_parameter
 from splits.core.validation import as_scalar, invalid, join_names, suggest_name, unknown_key
 from splits.materials.impurities import list_impurities
 from splits.materials.refractive_index import check_wavelength_range
@@ -38,6 +37,7 @@ from splits.media.ground import (
     Ground,
     is_ground_spectrum,
 )
+from splits.media.parameters import describe_parameter, parse_impurity_parameter
 from splits.media.snow import OPTICAL_RADIUS_KEY, SURFACE_AREA_KEY
 
 # --------------------------------------------------------------------------------------------------

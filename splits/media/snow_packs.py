@@ -11,6 +11,8 @@ import pandas as pd
 import xarray as xr
 
 from splits.core.arrays import align_to_labels
+from splits.core.declarations import find_quantity
+from splits.core.inputs import Depth
 from splits.core.keywords import declare_function
 from splits.core.labels import convert_times
 from splits.core.validation import (
@@ -27,12 +29,12 @@ from splits.materials.impurities import MAX_NG_G
 from splits.materials.library import interpolate_ice_density
 from splits.media.ground import OPEN
 from splits.media.snow import (
-    MAX_SURFACE_AREA_M2_KG,
     MIN_NATURAL_DENSITY_KG_M3,
-    MIN_SURFACE_AREA_M2_KG,
     OPTICAL_RADIUS_KEY,
     SURFACE_AREA_KEY,
     Snow,
+    SnowTemperature,
+    SurfaceArea,
 )
 from splits.media.snow_pack_input import (
     DEFAULTS,
@@ -63,14 +65,13 @@ LAYER_FLAGS = {"present": 0, "absent": 1}
 """Flags of layers."""
 HORIZON_DEG = 90.0
 """Zenith angle from which on the sun is below the horizon."""
+_DECLARED = {THICKNESS_KEY: Depth, SURFACE_AREA_KEY: SurfaceArea, TEMPERATURE_KEY: SnowTemperature}
 RANGES = {
-    THICKNESS_KEY: (0.0, 1e4),
     DENSITY_KEY: (MIN_NATURAL_DENSITY_KG_M3, np.inf),
-    SURFACE_AREA_KEY: (MIN_SURFACE_AREA_M2_KG, MAX_SURFACE_AREA_M2_KG),
-    TEMPERATURE_KEY: (-40.0, 0.0),
     WATER_KEY: (0.0, np.inf),
+    **{n: (one.low, one.high) for n, kind in _DECLARED.items() if (one := find_quantity(kind))},
 }
-"""Ranges of `splits.Snow.natural`; the density of ice and the porosity limit two further."""
+"""Ranges of `splits.Snow.natural`; the density of ice and the porosity limit the first two."""
 
 
 def make_dataset(given: SnowPackInput) -> xr.Dataset:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from splits.analysis.directions import merge_angular_bins, select_principal_plane
-from splits.core.parameter_names import get_incident_stokes
+from splits.core.inputs import get_incident_stokes
 from splits.core.validation import invalid
 from splits.io.netcdf import select_points
 from splits.plotting.directions import (

@@ -20,14 +20,12 @@ from matplotlib.font_manager import fontManager
 from matplotlib.text import Text
 
 from splits.core.atomic import atomic_write
+from splits.core.declarations import AXIS_UNITS
 from splits.core.escaping import escape_mathtext
-from splits.core.parameter_names import (
-    UNPOLARIZED_LIGHT,
-    get_incident_stokes,
-    parse_impurity_parameter,
-)
+from splits.core.inputs import UNPOLARIZED_LIGHT, get_incident_stokes
 from splits.core.validation import expand_path
 from splits.media.formatting import count_digits
+from splits.media.parameters import get_quantity, parse_impurity_parameter
 
 Colour = tuple[float, float, float] | str
 Dash = str | tuple[int, tuple[int, ...]]
@@ -41,33 +39,6 @@ SMALL_FONT_PT = 6.5
 """Size (points) of the smallest text; others are in `paper.mplstyle`."""
 DPI = 300
 
-PARAMETER_LABELS = {
-    "wavelength": "wavelength (nm)",
-    "grain_size_um": "grain size (µm)",
-    "facetness": "mean facetness",
-    "sphericity": "mean sphericity",
-    "saturation": "water saturation",
-    "liquid_water_content": "liquid water content",
-    "optical_radius_um": "optical radius (µm)",
-    "specific_surface_area_m2_kg": "specific surface area (m²/kg)",
-    "impurities_ng_g": "impurities (ng/g)",
-    "algae_cells_ml": "algae (cells/ml)",
-    "impurities_in": "impurities in",
-    "density_kg_m3": "density (kg m⁻³)",
-    "temperature_c": "temperature (°C)",
-    "depth_m": "depth (m)",
-    "incidence_deg": "incidence (°)",
-    "medium": "sample",
-    "iron_oxide": "hematite and goethite by mass",
-    "hematite_ratio": "hematite / iron oxide",
-    "magnetite": "magnetite by mass",
-    "partition": "pure / mixed / coated",
-    "roundness": "roundness (mean, sd)",
-    "size_tail": "tail by mass",
-    "interpretation": "interpretation",
-}
-"""Labels of parameters in figures."""
-
 VALUE_LABELS = {
     "bottom_albedo": {"None": "no bottom"},
     "surface": {"None": "smooth"},
@@ -79,8 +50,6 @@ VALUE_LABELS = {
 }
 """Labels of values of parameters in figures."""
 COMMON_VALUE_LABELS = {"None": "none", "True": "yes", "False": "no", "inf": "∞"}
-VALUE_SEPARATORS = {"texture": " / ", "partition": " / ", "roundness": ", "}
-"""Separators of the numbers of a value that is no range."""
 NOMINAL_PARAMETERS = (
     "medium",
     "refractive_index",
@@ -112,11 +81,15 @@ def format_parameter(parameter: str) -> str:
     number, _, key = rest.partition(".")
     if stack == "layers" and key:
         return f"layer {number}: {format_parameter(key)}"
-    impurity = parse_impurity_parameter(parameter)
-    if impurity:
-        unit = "ng/g" if impurity[0] == "impurities_ng_g" else "cells/ml"
-        return escape_mathtext(f"{impurity[1].replace('_', ' ')} ({unit})")
-    return PARAMETER_LABELS.get(parameter, escape_mathtext(parameter.replace("_", " ")))
+    if parameter == "wavelength":
+        return "wavelength (nm)"
+    key, kind = parse_impurity_parameter(parameter) or (parameter, "")
+    quantity = get_quantity(key)
+    label = escape_mathtext(kind.replace("_", " ")) or quantity.label
+    if not label:
+        return escape_mathtext(parameter.replace("_", " "))
+    unit = AXIS_UNITS.get(quantity.unit, quantity.unit)
+    return f"{label} ({unit})" if unit else label
 
 
 def format_value(value: object, parameter: str | None = None) -> str:
@@ -141,7 +114,9 @@ def format_value(value: object, parameter: str | None = None) -> str:
     if word:
         return word
     if re.fullmatch(f"-?{_NUMBER_PATTERN}(-{_NUMBER_PATTERN})*", text):
-        separator = VALUE_SEPARATORS.get(parameter, "–")
+        quantity = get_quantity(parameter)
+        # Fractions, or a mean and a standard deviation, are no range.
+        separator = " / " if quantity.parts else ", " if quantity.mean == 0 else "–"
         sign = "−" if text.startswith("-") else ""
         return sign + separator.join(map(_format_number, re.findall(_NUMBER_PATTERN, text)))
     if match := re.fullmatch(f"({_NUMBER_PATTERN})([+-])({_NUMBER_PATTERN})j", text):

@@ -17,13 +17,13 @@ from splits.core.arrays import as_float_array, find_labels, match_labels
 from splits.core.inputs import Threads
 from splits.core.keywords import declare_function
 from splits.core.labels import check_nanometres, convert_units
-from splits.core.parameter_names import describe_parameter
 from splits.core.uncertainty import make_variable
 from splits.core.validation import InvalidValue, check_choice, invalid, join_names
 from splits.illumination.bands import Bands, SpectralBand, check_bands
 from splits.io.netcdf import ANCILLARY_ATTRIBUTE, make_provenance, to_netcdf_attributes
 from splits.kernels.compiler.jit import entry_point
 from splits.kernels.interpolation import interpolate
+from splits.media.parameters import describe_parameter
 from splits.retrieval.forward_model import TableForwardModel, choose_quantity, get_table_ranges
 from splits.retrieval.measurement import MAX_REFLECTANCE, Measurement, check_conditions
 from splits.retrieval.state_vector import SCALE, StateVector

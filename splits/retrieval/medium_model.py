@@ -41,12 +41,12 @@ from splits.instruments.spectrophotometer import spectrophotometer
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.media.parameters import (
+    ALTERNATIVES,
     INCIDENCE_KEY,
     get_parameter,
     replace_parameter,
     replace_parameters,
 )
-from splits.media.snow import Snow
 from splits.retrieval.forward_model import (
     ERROR_CORRELATION_NM,
     SCALE_RANGE,
@@ -536,7 +536,7 @@ def make_medium_state_vector(
         hint = 'such as {"optical_radius_um": (50, 1500)}; only a table has default ranges'
         raise invalid("free", ranges, "a mapping of names to (low, high)", hint)
     with key_prefix("free"):
-        check_alternatives(Snow.ALTERNATIVES, {str(name): pair for name, pair in ranges.items()})
+        check_alternatives(ALTERNATIVES, {str(name): pair for name, pair in ranges.items()})
     allowed_ranges: dict[str, ParameterRange] = {SCALE: ParameterRange(*SCALE_RANGE, "identity")}
     for name, pair in ranges.items():
         if name == SCALE:

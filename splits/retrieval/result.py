@@ -10,9 +10,9 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import check_named_numbers
-from splits.core.parameter_names import describe_parameter
 from splits.core.uncertainty import make_variable
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
+from splits.media.parameters import describe_parameter
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.optimal_estimation import (
     N_DRAWS,

@@ -14,8 +14,7 @@ from splits.core.validation import check_choice, invalid
 from splits.illumination.bands import Bands
 from splits.instruments.solver import AUTO
 from splits.media.formatting import suggest_medium
-from splits.media.kinds import MEDIUM_NAMES
-from splits.media.medium import Medium
+from splits.media.kinds import list_media_names
 from splits.media.parameters import INCIDENCE_KEY
 from splits.retrieval.forward_model import (
     TableForwardModel,
@@ -185,7 +184,7 @@ def retrieve(
             hint = (
                 "splits.Table(splits.build_table(…)), open_table, or a snow, sand, layer or stack"
             )
-            suggestion = suggest_medium(model, MEDIUM_NAMES[Medium])
+            suggestion = suggest_medium(model, list_media_names())
             raise invalid("model", shown, "a Table, or a medium", suggestion or hint)
         check_choice("quantity", quantity or "reflectance", ["reflectance"])
         measurement = Measurement.from_input(measured, noise, bands)

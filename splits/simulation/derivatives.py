@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.core.parameter_names import IMPURITY_KEYWORDS
 from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
 from splits.core.validation import InvalidValue, invalid
 from splits.media.medium import Medium
@@ -23,6 +22,8 @@ from splits.media.parameters import (
     INCIDENCE_KEY,
     get_derivative_unit,
     get_parameter,
+    get_quantity,
+    list_amounts,
     replace_parameter,
     shift_parameter,
 )
@@ -117,7 +118,7 @@ def _choose_step(medium: Medium, name: str, wavelengths: np.ndarray) -> float:
     if name == INCIDENCE_KEY:
         return 0.0
     key = name.split(".")[-2:-1]
-    if not key or key[0] not in IMPURITY_KEYWORDS:
+    if not key or key[0] not in list_amounts():
         size = PARAMETER_STEP * abs(get_parameter(medium, name))
         for step in (size, -size):
             try:
@@ -182,21 +183,9 @@ def add_jacobian(
 
 FIRST_STEP_FRACTION = 0.25
 """First step relative to the value: larger steps have less noise, but more truncation error."""
-MIN_FIRST_STEP = {INCIDENCE_KEY: 4.0, **dict.fromkeys(
-    ("facetness", "sphericity", "roundness", "saturation", "liquid_water_content", "asymmetry",
-     "ground", "bottom_albedo", "hematite_ratio"), 0.04,
-), "single_scattering_albedo": 0.004}  # fmt: skip
-"""Smallest first steps of parameters with a natural scale."""
 FIRST_STEP_AT_ZERO = 0.01
-"""First step of any other parameter where the value is 0."""
+"""First step where the value is 0, of a parameter that does not declare a smallest step."""
 MAX_HALVINGS = 10
-SQUARE_ROOT_ENDPOINTS = {
-    "saturation": 0.0,
-    "liquid_water_content": 0.0,
-    "single_scattering_albedo": 1.0,
-}
-"""Ends of ranges near which reflectance depends on the square root of the distance: of the water in
-narrow pores, of absorption.  Differences are taken in that root."""
 MIN_CONVERGENCE_RATIO = 1.2
 """Smallest ratio of successive changes, as the step is halved, of a derivative that converges."""
 STENCIL_OFFSETS = tuple(
@@ -278,6 +267,9 @@ def compute_finite_difference(
 class _Coordinate(NamedTuple):
     """Coordinate in which differences are taken: the value, or the root of a distance.
 
+    Near the end of its range that a parameter declares, reflectance depends on the square root of
+    the distance: of the water in narrow pores, of absorption.
+
     Attributes
     ----------
     start : float
@@ -295,19 +287,18 @@ class _Coordinate(NamedTuple):
     @classmethod
     def for_parameter(cls, parameter: str, value: float) -> _Coordinate:
         """Return the coordinate for a parameter; at the endpoint it is the value itself."""
-        keyword = parameter.rpartition(".")[2]
-        endpoint = SQUARE_ROOT_ENDPOINTS.get(keyword)
+        endpoint = get_quantity(parameter.rpartition(".")[2]).root_at
         if endpoint is None or value == endpoint:
             return cls(value, 0.0, 0.0)
         return cls(abs(value - endpoint) ** 0.5, endpoint, 1.0 if endpoint == 0.0 else -1.0)
 
     def choose_first_step(self, parameter: str) -> float:
         """Return the first step of the coordinate."""
-        keyword = parameter.rpartition(".")[2]
+        smallest = get_quantity(parameter.rpartition(".")[2]).first_step
         size = self.start**2 if self.sign else abs(self.start)
         step = max(
             FIRST_STEP_FRACTION * size,
-            MIN_FIRST_STEP.get(keyword, 0.0 if size else FIRST_STEP_AT_ZERO),
+            smallest or (0.0 if size else FIRST_STEP_AT_ZERO),
         )
         return float((size + step) ** 0.5 - self.start if self.sign else step)
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from splits.core.arrays import as_1d_array
 from splits.core.declarations import Quantity
-from splits.core.inputs import Numbers, describe_numbers
-from splits.core.parameter_names import INCIDENT_STOKES
+from splits.core.inputs import INCIDENT_STOKES, Numbers, describe_numbers
 from splits.core.validation import as_scalar, invalid
 from splits.kernels.arithmetic import Vector
 from splits.kernels.rough_surface.realization import HeightFields

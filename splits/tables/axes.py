@@ -14,10 +14,10 @@ import xarray as xr
 from splits.core.arrays import as_1d_array, check_axis, check_no_gaps
 from splits.core.declarations import Quantity
 from splits.core.inputs import ANGLE_SCHEMA, DIFFUSE, check_incidence, check_polar_angles
-from splits.core.parameter_names import describe_parameter
 from splits.core.validation import as_scalar, format_key, has_surrogates, invalid, unknown_key
 from splits.io.netcdf import NETCDF_LOCK
 from splits.media.medium import Medium
+from splits.media.parameters import describe_parameter
 from splits.simulation.spectral_tally import SIDE_QUANTITIES
 
 INCIDENCE = "incidence_deg"

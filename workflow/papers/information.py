@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from splits.core.escaping import escape_mathtext
-from splits.core.parameter_names import describe_parameter
 from splits.core.uncertainty import make_variable
 from splits.core.validation import (
     check_choice,
@@ -23,6 +22,7 @@ from splits.core.validation import (
     unknown_key,
 )
 from splits.illumination.bands import SENSORS, as_bands
+from splits.media.parameters import describe_parameter
 from splits.plotting.style import (
     BAND_SIGMA,
     ONE_COLUMN_INCHES,

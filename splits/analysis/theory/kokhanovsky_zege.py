@@ -8,9 +8,9 @@ import numpy as np
 import snowoptics
 import xarray as xr
 
-from splits.core.parameter_names import parse_impurity_parameter
 from splits.core.validation import invalid
 from splits.materials.impurities import make_impurities
+from splits.media.parameters import parse_impurity_parameter
 from splits.media.snow import OPTICAL_RADIUS_KEY, SURFACE_AREA_KEY
 from splits.tables.axes import INCIDENCE
 from splits.tables.table import Table

@@ -10,13 +10,13 @@ from typing import Any
 from splits.core.validation import ConfigError, InvalidValue, check_choice, expand_path, invalid
 from splits.core.yaml import find_key, locate_message, read_yaml
 from splits.experiments.config.experiment import ExperimentConfig
-from splits.experiments.config.media import MERGED_KEYWORDS, SAMPLE_KEY
+from splits.experiments.config.media import SAMPLE_KEY, is_merged
 from splits.experiments.config.messages import suggest_mapping, validate_content
 from splits.experiments.config.sections import check_path
 from splits.experiments.config.settings import Settings
 from splits.experiments.config.simulation import SimulationConfig
 from splits.media.kinds import LAYERS_KEY, NAMED_MEDIA, get_kind, iter_layers, read_named_medium
-from splits.media.snow import Snow, override_keywords
+from splits.media.parameters import ALTERNATIVES, override_keywords
 
 MAX_MESSAGE_CHARS = 450
 """Largest number of characters of a message, without the name of its file."""
@@ -127,13 +127,12 @@ def _check_replaced(content: Mapping[str, Any]) -> None:
     sections = {key: content.get(key) for key in ("medium", "instrument")}
     for label, settings in samples.items() if isinstance(samples, Mapping) else ():
         sections[f"grid.{SAMPLE_KEY}.{label}"] = settings
-    equivalent = Snow.ALTERNATIVES
-    replacements = {equivalent.get(key, key): key for key in grid}
+    replacements = {ALTERNATIVES.get(key, key): key for key in grid}
     for section, settings in sections.items():
         for key, value in settings.items() if isinstance(settings, Mapping) else ():
-            parameter = replacements.get(equivalent.get(key, key))
+            parameter = replacements.get(ALTERNATIVES.get(key, key))
             # Layers are given completely while a grid varies some settings; mappings are merged.
-            if parameter and key not in (*MERGED_KEYWORDS, LAYERS_KEY, SAMPLE_KEY):
+            if parameter and not (is_merged(key) or key in (LAYERS_KEY, SAMPLE_KEY)):
                 hint = f"grid.{parameter} has its values"
                 raise invalid(f"{section}.{key}", value, "left out", hint)
 

@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import PurePath
 from typing import Any
 
 import numpy as np
 
-from splits.core.parameter_names import (
-    describe_parameter,
-    parse_impurity_parameter,
-    parse_layer_parameter,
-)
 from splits.core.spacing import GEOMSPACE_KEY, STEP_KEYS, expand_spacing
 from splits.core.validation import (
     check_number,
@@ -29,7 +24,13 @@ from splits.experiments.config.sections import MAX_LABEL_CHARS, check_text
 from splits.materials.csv_table import is_csv_path
 from splits.media.interpretations import merge_interpretations
 from splits.media.kinds import LAYERS_KEY, iter_layers
-from splits.media.snow import override_keywords
+from splits.media.parameters import (
+    describe_parameter,
+    get_quantity,
+    override_keywords,
+    parse_impurity_parameter,
+    parse_layer_parameter,
+)
 from splits.media.snow_pack_files import read_snow_packs
 from splits.media.snow_packs import SnowPacks
 
@@ -38,15 +39,6 @@ SAMPLE_KEY = "medium"
 PACKS_KIND = "snow_packs"
 """Kind of the medium of a file of snowpacks."""
 PACKS_PER_BLOCK, BLOCKS_PER_PART = 50, 10
-
-MERGED_KEYWORDS = (
-    "interpretation",
-    "refractive_index",
-    "pores",
-    "impurities_ng_g",
-    "algae_cells_ml",
-)
-"""Keywords that are mappings: values of a grid are merged into those of the medium."""
 
 
 def apply_paths(settings: dict[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
@@ -70,11 +62,16 @@ def apply_paths(settings: dict[str, Any], values: Mapping[str, Any]) -> dict[str
     return merged
 
 
+def is_merged(key: str) -> bool:
+    """Return whether values of a grid are merged into those of the medium: those of mappings."""
+    return key == "interpretation" or get_quantity(key).is_mapping
+
+
 def merge_values(key: str, given: list[Any]) -> Any:
     """Return the value of a keyword given in sequence: mappings are merged, others replaced."""
     if key == "interpretation":
         return merge_interpretations(given)
-    if key in MERGED_KEYWORDS and all(isinstance(value, Mapping) for value in given):
+    if is_merged(key) and all(isinstance(value, Mapping) for value in given):
         return {k: v for value in given for k, v in value.items()}
     return given[-1]
 
@@ -159,14 +156,6 @@ def list_table_paths(settings: Mapping[str, Any]) -> list[str]:
     return sorted(paths)
 
 
-MEAN_FUNCTIONS: dict[str, Callable[[Sequence[float]], float]] = {
-    "facetness": lambda given: given[2],
-    "grain_size_um": lambda given: 0.5 * (given[0] + given[1]),
-    "roundness": lambda given: given[0],
-    "sphericity": lambda given: given[2],
-}
-"""Functions that give the mean of a range or a distribution, by parameter."""
-
 Coordinate = tuple[str, np.ndarray, dict[str, str]]
 """Dimension, values and attributes of a coordinate of `xarray.Dataset`."""
 
@@ -191,9 +180,10 @@ def make_grid_coordinates(
             attributes = {"long_name": long_name if units == "1" else f"{long_name} ({units})"}
         coordinates[parameter] = (parameter, values, attributes)
         path = parse_layer_parameter(parameter)
-        mean = MEAN_FUNCTIONS.get(path[1] if path else parameter)
-        if mean and all(isinstance(value, (list, tuple)) for value in choices.values()):
-            means = np.array([float(mean(value)) for value in choices.values()])
+        quantity = get_quantity(path[1] if path else parameter)
+        are_lists = all(isinstance(value, (list, tuple)) for value in choices.values())
+        if quantity.mean is not None and are_lists:
+            means = np.array([float(quantity.compute_mean(one)) for one in choices.values()])
             attributes = {"long_name": f"mean of: {long_name}", "units": units}
             coordinates[f"{parameter}_mean"] = (parameter, means, attributes)
     return coordinates

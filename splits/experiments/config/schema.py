@@ -12,15 +12,15 @@ from pydantic import BaseModel
 
 from splits.core.atomic import atomic_write
 from splits.core.declarations import list_inputs
-from splits.core.parameter_names import IMPURITY_KEYWORDS
 from splits.core.spacing import GEOMSPACE_KEY, STEP_KEYS
 from splits.experiments.config.experiment import RESERVED_NAMES, ExperimentConfig
 from splits.experiments.config.instruments import DEFAULT_KIND, make_instrument_schemas
 from splits.experiments.config.media import PACKS_KIND, SAMPLE_KEY
 from splits.experiments.config.settings import OUTPUT_FOLDERS, Settings
 from splits.experiments.config.simulation import NAME_PATTERN
-from splits.media import Snow, Stack
+from splits.media import Snow
 from splits.media.kinds import LAYERS_KEY, MEDIUM_FACTORIES
+from splits.media.parameters import list_amounts
 from splits.media.snow_pack_files import read_snow_packs
 from splits.tables.axes import INCIDENCE
 
@@ -63,8 +63,7 @@ def make_schema(model: type[BaseModel]) -> dict[str, Any]:
 
 def _add_media(properties: dict[str, Any], definitions: dict[str, Any]) -> None:
     """Add the keywords of media, and the parameters of grids, to the schema of experiments."""
-    factories: dict[str, Callable[..., Any]] = {**MEDIUM_FACTORIES, "stack": Stack}
-    media = {kind: _make_medium(kind, factory) for kind, factory in factories.items()}
+    media = {kind: _make_medium(kind, factory) for kind, factory in MEDIUM_FACTORIES.items()}
     keywords = {key: True for medium in media.values() for key in medium["properties"]}
     media[PACKS_KIND] = _make_medium(PACKS_KIND, read_snow_packs)
     based = {"type": "object", "properties": keywords, "additionalProperties": False}
@@ -80,7 +79,7 @@ def _add_media(properties: dict[str, Any], definitions: dict[str, Any]) -> None:
     description = properties["medium"]["description"]
     properties["medium"] = {"$ref": "#/$defs/medium", "description": description}
     names = [*(key for key in keywords if key not in ("kind", "base")), INCIDENCE, SAMPLE_KEY]
-    paths = rf"^(({'|'.join(IMPURITY_KEYWORDS)})\.\w+|{LAYERS_KEY}\.\d+\.\w+)$"
+    paths = rf"^(({'|'.join(list_amounts())})\.\w+|{LAYERS_KEY}\.\d+\.\w+)$"
     given = {"type": ["array", "object"], "minItems": 1, "minProperties": 1}
     number, numbers = {"type": "number"}, {"type": "array", "items": {"type": "number"}}
     forms: list[dict[str, Any]] = [

@@ -26,7 +26,6 @@ from pydantic import (
 )
 
 from splits.core.inputs import check_incidence
-from splits.core.parameter_names import parse_impurity_parameter
 from splits.core.validation import (
     InvalidValue,
     UnknownKey,
@@ -43,11 +42,11 @@ from splits.experiments.config.instruments import (
 )
 from splits.experiments.config.media import (
     MAX_GRID_POINTS,
-    MERGED_KEYWORDS,
     PACKS_KIND,
     SAMPLE_KEY,
     apply_paths,
     identify_by_content,
+    is_merged,
     label_grid,
     list_table_paths,
     load_packs,
@@ -57,7 +56,7 @@ from splits.experiments.config.media import (
 from splits.experiments.config.sections import ConfigSection, MeasuredFile, Number, match_pattern
 from splits.media.kinds import LAYERS_KEY, MEDIUM_CLASSES, get_kind, make_medium
 from splits.media.medium import Medium
-from splits.media.snow import override_keywords
+from splits.media.parameters import override_keywords, parse_impurity_parameter
 from splits.media.snow_packs import SnowPacks
 from splits.retrieval.sand_fit import resolve_ranges
 from splits.tables.axes import INCIDENCE, ParameterGrid
@@ -280,7 +279,7 @@ class SimulationConfig(ConfigSection):
             values[key] = {**values.get(key, {}), kind: values.pop(parameter)}
         sample = {k: v for k, v in values.pop(SAMPLE_KEY, {}).items() if k != "kind"}
         settings = apply_paths(override_keywords(base, sample), values)
-        for key in MERGED_KEYWORDS:
+        for key in filter(is_merged, {**base, **sample, **values}):
             parts = [part[key] for part in (base, sample, values) if key in part]
             settings |= {key: merge_values(key, parts)} if parts else {}
         return settings

@@ -11,9 +11,10 @@ import numpy as np
 import xarray as xr
 
 from splits.core.atomic import atomic_write
+from splits.core.declarations import AXIS_UNITS
 from splits.core.escaping import escape_json
-from splits.core.parameter_names import parse_impurity_parameter
 from splits.core.validation import invalid
+from splits.media.parameters import get_quantity, parse_impurity_parameter
 from splits.tables.axis_interpolation import MEAN_SHARE, AxisInterpolation
 from splits.tables.interpolation import (
     apply_axis_transform,
@@ -99,7 +100,7 @@ def _serialize_table(label: str, entry: ExplorerTable) -> dict[str, Any]:
             {
                 "name": name,
                 "label": _make_axis_label(name, str(attributes.get("long_name", name))),
-                "unit": _UNIT_SYMBOLS.get(
+                "unit": AXIS_UNITS.get(
                     str(attributes.get("units", "1")), str(attributes.get("units", ""))
                 ),
                 "nodes": nodes.tolist(),
@@ -229,36 +230,18 @@ def _estimate_interpolation_error(values: np.ndarray, axis: int, nodes: np.ndarr
     return error
 
 
-_WATER_AXES = ("saturation", "liquid_water_content")
-"""Axes of water."""
-
-
 def _is_addition(name: str) -> bool:
     """Return whether the first node of an axis is clean or dry; directions are of such grains."""
-    return parse_impurity_parameter(name) is not None or name in _WATER_AXES
-
-
-_UNIT_SYMBOLS = {
-    "1": "", "degree": "°", "um": "µm", "m2 kg-1": "m²/kg", "kg m-3": "kg/m³", "1e-9": "ng/g",
-    "ml-1": "cells/ml",
-}  # fmt: skip
+    return parse_impurity_parameter(name) is not None or get_quantity(name).root_at == 0.0
 
 
 def _make_axis_label(name: str, long_name: str) -> str:
     """Return a short name of an axis."""
     impurity = parse_impurity_parameter(name)
-    return impurity[1].replace("_", " ") if impurity else _AXIS_LABELS.get(name, long_name)
-
-
-_AXIS_LABELS = {
-    "depth_m": "depth",
-    "ground": "albedo of the ground",
-    "hematite_ratio": "hematite in iron oxide",
-    "iron_oxide": "iron oxide by mass",
-    "liquid_water_content": "liquid water by volume",
-    "optical_radius_um": "optical radius",
-    "saturation": "water in pores",
-}
+    if impurity:
+        return impurity[1].replace("_", " ")
+    # Numbers on an axis of the ground are albedos.
+    return "albedo of the ground" if name == "ground" else get_quantity(name).label or long_name
 
 
 def _encode_float32(values: np.ndarray) -> str:

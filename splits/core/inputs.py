@@ -15,7 +15,7 @@ from splits.core.arrays import (
     check_named_numbers,
 )
 from splits.core.declarations import Quantity
-from splits.core.spacing import SPACING_SCHEMA, expand_spacing
+from splits.core.spacing import describe_spacing, expand_spacing
 from splits.core.validation import (
     check_range,
     invalid,
@@ -27,16 +27,22 @@ from splits.core.validation import (
 INFINITE_HINT = "or infinite: .inf in YAML, math.inf in Python"
 
 
-def describe_numbers(count: int) -> dict[str, Any]:
-    """Return the JSON schema of a list of numbers."""
-    return {"type": "array", "items": {"type": "number"}, "minItems": count, "maxItems": count}
+DISTRIBUTION = ("min", "max", "mean", "sd")
+"""Numbers that describe a truncated normal distribution."""
+
+
+def describe_numbers(*names: str, **limits: Any) -> dict[str, Any]:
+    """Return the JSON schema of a list of numbers with names, all with the same limits."""
+    numbers = [{"type": "number", **limits, "description": name} for name in names]
+    n = len(names)
+    return {"type": "array", "prefixItems": numbers, "minItems": n, "maxItems": n}
 
 
 def check_truncated_normal(low: float) -> Callable[[str, Any], tuple[float, ...]]:
     """Return the check of (min, max, mean, sd) of a truncated normal distribution in [low, 1]."""
 
     def check(key: str, value: Any) -> tuple[float, ...]:
-        *limits_and_mean, sd = check_named_numbers(key, value, ("min", "max", "mean", "sd"))
+        *limits_and_mean, sd = check_named_numbers(key, value, DISTRIBUTION)
         minimum, maximum, mean = snap_to_limits(limits_and_mean, low, 1.0).tolist()
         if not low <= minimum <= mean <= maximum <= 1.0:
             raise invalid(key, value, f"{low:g} <= min <= mean <= max <= 1 (min, max, mean, sd)")
@@ -64,14 +70,16 @@ Facetness = Annotated[
     tuple[float, float, float, float],
     Quantity(
         "facetness of the grains, mean", mean=2, first_step=0.04,
-        check=check_truncated_normal(0.0), schema=describe_numbers(4),
+        check=check_truncated_normal(0.0),
+        schema=describe_numbers(*DISTRIBUTION, minimum=0.0, maximum=1.0),
     ),
 ]  # fmt: skip
 Sphericity = Annotated[
     tuple[float, float, float, float],
     Quantity(
         "sphericity of the grains, mean", mean=2, first_step=0.04,
-        check=check_truncated_normal(0.1), schema=describe_numbers(4),
+        check=check_truncated_normal(0.1),
+        schema=describe_numbers(*DISTRIBUTION, minimum=0.0, maximum=1.0),
     ),
 ]  # fmt: skip
 Saturation = Annotated[
@@ -170,22 +178,15 @@ class Array(Protocol):
 
 Numbers = float | Sequence[float] | Array | Mapping[str, float]
 """Numbers as users give them."""
-NUMBERS_SCHEMA = {"type": "array", "items": {"type": "number"}, "minItems": 1}
+LIST_SCHEMA = {"type": "array", "items": {"type": "number"}, "minItems": 1}
+NUMBERS_SCHEMA = {"anyOf": [LIST_SCHEMA, {"type": "number"}]}
 ANGLE_SCHEMA = {"type": "number", "minimum": 0.0, "maximum": 89.9999}
 
 Wavelengths = Annotated[
     Numbers,
     Quantity(
-        "wavelengths in vacuum, increasing",
-        "nm",
-        check=check_wavelengths,
-        schema={
-            "anyOf": [
-                NUMBERS_SCHEMA,
-                SPACING_SCHEMA
-                | {"properties": {**SPACING_SCHEMA["properties"], "also": NUMBERS_SCHEMA}},
-            ]
-        },
+        "wavelengths in vacuum, increasing", "nm", check=check_wavelengths,
+        schema={"anyOf": [*NUMBERS_SCHEMA["anyOf"], *describe_spacing(also=LIST_SCHEMA)]},
     ),
 ]  # fmt: skip
 BeamAngle = Annotated[

@@ -51,7 +51,7 @@ def _check_roundness(key: str, value: Any) -> tuple[float, float]:
 def _declare_fractions(long_name: str, parts: tuple[str, ...]) -> Quantity:
     """Return the quantity of fractions that add up to 1."""
     return Quantity(
-        long_name, parts=parts, schema=describe_numbers(len(parts)),
+        long_name, parts=parts, schema=describe_numbers(*parts, minimum=0.0, maximum=1.0),
         check=lambda key, value: check_named_numbers(key, value, parts, (0.0, 1.0)),
     )  # fmt: skip
 
@@ -82,7 +82,8 @@ Roundness = Annotated[
     tuple[float, float],
     Quantity(
         "roundness of the particles, mean and standard deviation", mean=0, first_step=0.04,
-        check=_check_roundness, schema=describe_numbers(2),
+        check=_check_roundness,
+        schema=describe_numbers("mean", "sd", minimum=0.0, maximum=1.0),
     ),
 ]  # fmt: skip
 CoatingThickness = Annotated[

@@ -78,7 +78,10 @@ GrainSize = Annotated[
     tuple[float, float],
     Quantity(
         "major-axis diameter of the grains, smallest to largest", "um", mean=-1,
-        check=_check_grain_size, schema=describe_numbers(2),
+        check=_check_grain_size,
+        schema=describe_numbers(
+            "min", "max", minimum=GRAIN_SIZE_RANGE_UM[0], maximum=GRAIN_SIZE_RANGE_UM[1]
+        ),
     ),
 ]  # fmt: skip
 SurfaceArea = Annotated[

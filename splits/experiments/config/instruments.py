@@ -41,7 +41,13 @@ from splits.instruments.solver import choose_solver
 from splits.instruments.spectrophotometer import find_path_obstacle
 from splits.media.medium import Medium
 from splits.simulation.run_options import make_wavelength_coordinate
-from splits.tables.axes import VIEW_AXES, ParameterGrid, ViewGrid, check_quantities
+from splits.tables.axes import (
+    ALL_QUANTITIES,
+    VIEW_AXES,
+    ParameterGrid,
+    ViewGrid,
+    check_quantities,
+)
 from splits.tables.plan import choose_table_solver
 from splits.tables.return_table import build_return_table
 
@@ -127,7 +133,8 @@ PointErrorScales = Annotated[
     Quantity(
         "further factors of the target error, one for each point of the grid, of which the last "
         "parameter varies fastest",
-        check=_check_point_scales, schema={"type": "array", "items": {"type": "number"}},
+        check=_check_point_scales,
+        schema={"type": "array", "items": {"type": "number", "minimum": 0.01, "maximum": 100.0}},
     ),
 ]  # fmt: skip
 TableQuantities = Annotated[
@@ -136,7 +143,7 @@ TableQuantities = Annotated[
         "quantities in the table, by default reflectance, with directions also reflectance_factor "
         "and anisotropy_factor",
         check=lambda _, value: value,
-        schema={"type": "array", "items": {"type": "string"}},
+        schema={"type": "array", "items": {"enum": list(ALL_QUANTITIES)}},
     ),
 ]
 Covariance = Annotated[
@@ -344,10 +351,15 @@ def make_instrument_schemas() -> dict[str, dict[str, Any]]:
     """Return the JSON schemas of the sections by kind."""
     schemas = {}
     for kind in KINDS:
-        properties: dict[str, Any] = {"kind": {"const": kind}}
-        for name, one in list_section_inputs(kind).items():
-            properties[name] = one.adapter.json_schema()
+        inputs = list_section_inputs(kind)
+        required = [name for name, one in inputs.items() if one.default is Parameter.empty]
         schemas[kind] = {
-            "type": "object", "properties": properties, "additionalProperties": False,
-        }  # fmt: skip
+            "type": "object",
+            "properties": {
+                "kind": {"const": kind},
+                **{name: one.make_schema() for name, one in inputs.items()},
+            },
+            "required": required,
+            "additionalProperties": False,
+        }
     return schemas

@@ -178,15 +178,29 @@ class Array(Protocol):
 
 Numbers = float | Sequence[float] | Array | Mapping[str, float]
 """Numbers as users give them."""
-LIST_SCHEMA = {"type": "array", "items": {"type": "number"}, "minItems": 1}
-NUMBERS_SCHEMA = {"anyOf": [LIST_SCHEMA, {"type": "number"}]}
+
+
+def describe_array(**limits: float) -> dict[str, list[dict[str, Any]]]:
+    """Return the JSON schema of a list of numbers, or of a single one, with limits."""
+    number = {"type": "number", **limits}
+    return {"anyOf": [{"type": "array", "items": number, "minItems": 1}, number]}
+
+
+NUMBERS_SCHEMA = describe_array()
+LIST_SCHEMA = NUMBERS_SCHEMA["anyOf"][0]
+WAVELENGTHS_SCHEMA = describe_array(minimum=WAVELENGTH_RANGE_NM[0], maximum=WAVELENGTH_RANGE_NM[1])
 ANGLE_SCHEMA = {"type": "number", "minimum": 0.0, "maximum": 89.9999}
 
 Wavelengths = Annotated[
     Numbers,
     Quantity(
         "wavelengths in vacuum, increasing", "nm", check=check_wavelengths,
-        schema={"anyOf": [*NUMBERS_SCHEMA["anyOf"], *describe_spacing(also=LIST_SCHEMA)]},
+        schema={
+            "anyOf": [
+                *WAVELENGTHS_SCHEMA["anyOf"],
+                *describe_spacing(also=WAVELENGTHS_SCHEMA["anyOf"][0]),
+            ]
+        },
     ),
 ]  # fmt: skip
 BeamAngle = Annotated[
@@ -201,13 +215,16 @@ Incidence = Annotated[
 ]  # fmt: skip
 PolarAngles = Annotated[
     Numbers,
-    Quantity("angle from the normal", "degree", check=check_polar_angles, schema=NUMBERS_SCHEMA),
-]
+    Quantity(
+        "angle from the normal", "degree", check=check_polar_angles,
+        schema=describe_array(minimum=0.0, exclusiveMaximum=90.0),
+    ),
+]  # fmt: skip
 Azimuths = Annotated[
     Numbers,
     Quantity(
         "angle from the direction in which the beam travels", "degree", check=check_azimuths,
-        schema=NUMBERS_SCHEMA,
+        schema=describe_array(minimum=0.0, exclusiveMaximum=FULL_TURN_DEG),
     ),
 ]  # fmt: skip
 
@@ -226,7 +243,8 @@ def declare_numbers(
         numbers = as_1d_array(key, values, f"numbers in {plural}")
         return check_axis(key, numbers, low, high, unit, open_low=open_low)
 
-    return Quantity(long_name, unit, check=check, schema=NUMBERS_SCHEMA)
+    limits = {"exclusiveMinimum" if open_low else "minimum": low, "maximum": high}
+    return Quantity(long_name, unit, check=check, schema=describe_array(**limits))
 
 
 # --------------------------------------------------------------------------------------------------
@@ -241,7 +259,13 @@ Rays = Annotated[
 RayCount = Annotated[int, Quantity("number of rays, rounded up", low=1)]
 Seed = Annotated[int, Quantity("seed of the random numbers", low=0)]
 Threads = Annotated[int | None, Quantity("number of threads, by default of all CPUs", low=1)]
-Kernel = Annotated[Literal["auto", "vectorized", "scalar"], Quantity("kernel")]
+Kernel = Annotated[
+    Literal["auto", "vectorized", "scalar"],
+    Quantity(
+        "kernel: vectorized traces many rays at once in single precision, scalar one after the "
+        "other in double precision; auto chooses the former where it supports the medium"
+    ),
+]
 Solver = Annotated[
     Literal["auto", "discrete_ordinates", "monte_carlo"],
     Quantity(

@@ -158,13 +158,16 @@ MIN_NATURAL_DENSITY_KG_M3 = 10.0
 NATURAL_REFRACTIVE_INDICES = {"ice": "warren_brandt_2008_picard_2016", "water": "segelstein_1981"}
 
 NATURAL_DEFAULTS: dict[str, Any] = {
+    "grain_size_um": None,
     "facetness": (0.05, 0.05, 0.05, 0.0),
     "sphericity": (0.75, 0.75, 0.75, 0.0),
+    "saturation": 0.0,
+    "refractive_index": NATURAL_REFRACTIVE_INDICES,
     "interpretation": "radiative_transfer",
     "density_kg_m3": 300.0,
     "depth_m": math.inf,
 }
-"""Defaults of natural snow where they differ from those of `Snow`; it is dry, too."""
+"""Defaults of natural snow where they differ from those of `Snow`; its grains have none."""
 
 # --------------------------------------------------------------------------------------------------
 # Snow, after SPLITSnow and as in nature.
@@ -308,8 +311,11 @@ class Snow(ContentEquality, GranularMedium):
         163.6
         """
         given = {name: value for name, value in keywords.items() if value is not None}
-        dry = {} if {"saturation", LIQUID_WATER_KEY} & given.keys() else {"saturation": 0.0}
-        complete = {**NATURAL_DEFAULTS, **dry, **given}
+        defaults = {name: value for name, value in NATURAL_DEFAULTS.items() if value is not None}
+        if LIQUID_WATER_KEY in given:
+            # It determines the saturation.
+            del defaults["saturation"]
+        complete = {**defaults, **given}
         if {SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY, "grain_size_um"}.isdisjoint(complete):
             raise invalid(
                 SURFACE_AREA_KEY, None, "given, or optical_radius_um",

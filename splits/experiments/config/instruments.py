@@ -25,6 +25,7 @@ from splits.core.inputs import (
     Incidence,
     PolarAngles,
     RayCount,
+    Rays,
     Seed,
     Solver,
     Threads,
@@ -153,6 +154,10 @@ Covariance = Annotated[
 Parts = Annotated[
     int, Quantity("number of parts of the table, each simulated by one job", low=1, high=10_000)
 ]
+SectionSeed = Annotated[
+    int | None,
+    Quantity("seed of the random numbers, by default that of the main file", low=0),
+]
 TABLE_TYPES: dict[str, tuple[Any, Any]] = {
     "wavelength_nm": (Wavelengths, Parameter.empty),
     "incidence_deg": (Incidence, 0.0),
@@ -161,7 +166,7 @@ TABLE_TYPES: dict[str, tuple[Any, Any]] = {
     "quantities": (TableQuantities, None),
     "covariance": (Covariance, "leave_out"),
     "solver": (Solver, "auto"),
-    "seed": (Seed, 1),
+    "seed": (SectionSeed, None),
     "parts": (Parts, 8),
 }
 """Types and defaults of the inputs of a table."""
@@ -181,7 +186,9 @@ def list_section_inputs(kind: str) -> dict[str, Input]:
     more = {**TABLE_TYPES, **ERROR_TYPES} if kind == TABLE else {}
     inputs = {} if kind == TABLE else dict(list_inputs(FUNCTIONS[kind]))
     if {"max_stderr", "relative_stderr", "rays"} & inputs.keys() and "incidence_deg" in inputs:
-        more = ERROR_TYPES
+        more = ERROR_TYPES | ({"rays": (Rays, None)} if "rays" in inputs else {})
+    if "seed" in inputs:
+        more = {**more, "seed": (SectionSeed, None)}
     for name, (hint, default) in more.items():
         quantity = find_quantity(hint)
         assert quantity is not None

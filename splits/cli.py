@@ -126,7 +126,6 @@ def _check_targets(
 
 def _run_experiment(arguments: argparse.Namespace) -> None:
     """Run an experiment and write its dataset, figure and tables atomically."""
-    import_optional("pydantic", "experiments", "experiment files need")
     import_optional("yaml", "experiments", "experiment files need")
     from splits.analysis.measured import read_spectra
     from splits.core.atomic import check_writable
@@ -261,7 +260,6 @@ def _manage_cache(arguments: argparse.Namespace) -> None:
 
 def _write_schemas(arguments: argparse.Namespace) -> None:
     """Write the JSON schemas of experiment files and of the main file."""
-    import_optional("pydantic", "experiments", "schemas need")
     from splits.experiments.config.schema import write_schemas
 
     for path in write_schemas(arguments.folder):

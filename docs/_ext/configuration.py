@@ -1,26 +1,47 @@
-"""Sphinx directives for tables of configuration keys, generated from their models."""
+"""Sphinx directives for tables of configuration keys and of keywords, from their declarations."""
 
 from __future__ import annotations
 
 import json
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
+from inspect import Parameter, signature
 from typing import Any
 
+import numpy as np
 from docutils import nodes
+from numpydoc.docscrape import FunctionDoc
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
+import splits
+from splits.core.declarations import UNIT_SYMBOLS, Input, list_inputs
+from splits.core.keywords import INSTRUMENTS
 from splits.experiments.config.figure import INSTRUMENT_FIGURES, INSTRUMENT_QUANTITIES
-from splits.experiments.config.instruments import INSTRUMENT_KINDS
+from splits.experiments.config.instruments import (
+    FUNCTIONS,
+    KINDS,
+    Instrument,
+    list_section_inputs,
+)
+from splits.media.kinds import MEDIUM_FACTORIES
+
+MAX_NUMBERS = 6
+"""Longest sequence of numbers of which all are shown."""
 
 
-def table(head: list[str], rows: list[list[str]]) -> str:
+def table(head: list[str], rows: Iterable[Iterable[str]]) -> str:
     """Return a table in Markdown."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
+
+# --------------------------------------------------------------------------------------------------
+# Allowed values and defaults, as text.
 
 TYPES = {
     "integer": ("a whole number", "whole numbers"), "number": ("a number", "numbers"),
@@ -34,37 +55,110 @@ LIMITS = {
 }  # fmt: skip
 
 
-def allowed(schema: dict[str, Any], definitions: dict[str, Any]) -> str:
+def allowed(schema: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
     """Return the allowed values that a schema describes: their types and limits."""
     if "$ref" in schema:
         return allowed(definitions[schema["$ref"].rpartition("/")[2]], definitions)
     options = schema.get("anyOf") or schema.get("oneOf") or schema.get("allOf")
+    types = schema.get("type")
+    if isinstance(types, list):
+        options = [{**schema, "type": one} for one in types]
     if options:
-        others = [one for one in options if one.get("type") != "null"]
-        return " or ".join(dict.fromkeys(allowed(one, definitions) for one in others))
+        # A list may also be a single one of its values.
+        several = [one["items"] for one in options if one.get("items")]
+        others = [one for one in options if one.get("type") != "null" and one not in several]
+        texts = dict.fromkeys(
+            allowed(one, definitions)
+            .replace("a list of `", "one or several of `", 1)
+            .replace("a list of", "one or several", 1)
+            if one.get("items") in options
+            else allowed(one, definitions)
+            for one in others
+        )
+        return ("; or " if any(", " in text for text in texts) else " or ").join(texts)
     names = [f"`{name}`" for name in schema.get("enum", [schema.get("const")]) if name is not None]
     if names:
         return f"one of {', '.join(names)}" if len(names) > 1 else names[0]
-    kind = schema.get("type", "object")
-    if kind == "array":
-        items, count = schema.get("items"), ""
-        if "prefixItems" in schema:
-            items, count = schema["prefixItems"][0], f"{len(schema['prefixItems'])} "
-        described = allowed(items or {}, definitions)
-        if described.startswith("one of "):
-            return f"a list of {described.removeprefix('one of ')}"
-        described = described.partition(", ")[0]
-        plurals = dict(TYPES.values())
-        return f"a list of {count}{plurals.get(described, described.replace('a list', 'lists'))}"
-    if kind == "object" and schema.get("required") and "kind" not in schema["properties"]:
-        return f"a mapping with {', '.join(f'`{key}`' for key in schema['required'])}"
     # Limits of all integers and of labels are not stated.
     limits = [
-        f"{word} {schema[key]:g}"
+        f"{word} {show_number(schema[key])}"
         for key, word in LIMITS.items()
-        if key in schema and schema[key] != 2**63
+        if key in schema and schema[key] < 2**63 - 1
     ]
-    return ", ".join([TYPES[kind][0], *limits])
+    if types == "array":
+        return ", ".join([_describe_list(schema, definitions), *limits])
+    if types == "object" and schema.get("required") and "kind" not in schema["properties"]:
+        required = ", ".join(f"`{key}`" for key in schema["required"])
+        optional = [key for key in schema["properties"] if key not in schema["required"]]
+        # The keys of a model have a table of their own.
+        more = ", ".join(f"`{key}`" for key in optional if "title" not in schema)
+        return f"a mapping with {required}" + (f", possibly {more}" if more else "")
+    return ", ".join([TYPES[types][0], *limits]) if types else ""
+
+
+def _describe_list(schema: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
+    """Return the description of a list, with the names of its values if there are any."""
+    items, count, names = schema.get("items", {}), "", ""
+    if "prefixItems" in schema:
+        members = schema["prefixItems"]
+        items, count = members[0], f"{len(members)} "
+        if all("description" in one for one in members):
+            names = f" ({', '.join(one['description'] for one in members)})"
+    described = allowed(items, definitions)
+    if described.startswith("one of "):
+        return f"a list of {described.removeprefix('one of ')}"
+    described, comma, limits = described.partition(", ")
+    plurals = dict(TYPES.values())
+    plural = plurals.get(described) or re.sub(r"^a (list|mapping)", r"\1s", described)
+    return f"a list of {count}{plural}{names}{comma}{limits}" if plural else "a list"
+
+
+def show_number(value: float) -> str:
+    """Return a number with up to six digits."""
+    return re.sub(r"e([+-])0*", lambda sign: "e" + sign[1].strip("+"), f"{value:g}")
+
+
+def describe_allowed(one: Input) -> str:
+    """Return the allowed values of a declared input, an empty text if its schema has none."""
+    quantity, text = one.quantity, allowed(one.make_schema(), {})
+    if quantity.infinite:
+        text += f", at most {show_number(quantity.high)}" if quantity.high < math.inf else ""
+        text += ", or infinite"
+    return text
+
+
+def show_default(value: Any, *, as_yaml: bool = False) -> str:
+    """Return a default as text, as in a file or as in Python."""
+    is_empty = value is None or (isinstance(value, str | tuple | Mapping) and not value)
+    if value is Parameter.empty:
+        return "required"
+    if is_empty or "FACTORY" in type(value).__name__:
+        return "—"
+    if isinstance(value, float) and math.isinf(value):
+        return "infinite"
+    return f"`{_show(value, as_yaml)}`"
+
+
+def _show(value: Any, as_yaml: bool) -> str:
+    if isinstance(value, str):
+        return value if as_yaml else f'"{value}"'
+    if isinstance(value, bool):
+        return str(value).lower() if as_yaml else str(value)
+    if isinstance(value, float):
+        return show_number(value)
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key}: {_show(one, as_yaml)}" for key, one in value.items()) + "}"
+    if isinstance(value, tuple | list | np.ndarray):
+        values = value.tolist() if isinstance(value, np.ndarray) else value
+        shown = [_show(one, as_yaml) for one in values]
+        shown = shown if len(shown) <= MAX_NUMBERS else [*shown[:2], "…", shown[-1]]
+        opening, closing = "[]" if as_yaml else "()"
+        return f"{opening}{', '.join(shown)}{closing}"
+    return _show(value.as_input(), as_yaml) if hasattr(value, "as_input") else str(value)
+
+
+# --------------------------------------------------------------------------------------------------
+# Keys of files.
 
 
 def list_rows(model: type[BaseModel]) -> list[tuple[str, str, str, str]]:
@@ -75,7 +169,7 @@ def list_rows(model: type[BaseModel]) -> list[tuple[str, str, str, str]]:
         (
             f"`{key}`",
             meaning(field),
-            allowed(schema["properties"][key], definitions),
+            allowed(schema["properties"][key], definitions) or TYPES["object"][0],
             default(field),
         )
         for key, field in model.model_fields.items()
@@ -92,7 +186,7 @@ def default(field: FieldInfo) -> str:
     if field.is_required():
         return "—" if "by default" in str(field.description) else "required"
     value = field.get_default(call_default_factory=True)
-    if value is None or value in ("", (), {}) or isinstance(value, BaseModel):
+    if value is None or value in ("", (), {}) or isinstance(value, BaseModel | Instrument):
         return "—"
     return f"`{value if isinstance(value, str) else json.dumps(value)}`"
 
@@ -105,13 +199,13 @@ class Keys(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """Return the table."""
         module, name = self.arguments[0].rsplit(".", 1)
-        rows = [list(row) for row in list_rows(getattr(import_module(module), name))]
+        rows = list_rows(getattr(import_module(module), name))
         return self.parse_text_to_nodes(table(["key", "meaning", "allowed", "default"], rows))
 
 
-def describe(model: type[BaseModel]) -> str:
-    """Return the first paragraph of the docstring of a model."""
-    return " ".join(str(model.__doc__).split("\n\n")[0].split()).rstrip(".")
+def describe(function: Callable[..., Any]) -> str:
+    """Return the first paragraph of a docstring."""
+    return " ".join(str(function.__doc__).split("\n\n")[0].split()).rstrip(".")
 
 
 class Instruments(SphinxDirective):
@@ -120,26 +214,39 @@ class Instruments(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """Return the table."""
         rows = []
-        for kind, model in INSTRUMENT_KINDS.items():
-            columns = INSTRUMENT_FIGURES[kind], INSTRUMENT_QUANTITIES.get(kind, ())
+        for kind in KINDS:
+            columns = INSTRUMENT_FIGURES.get(kind, ()), INSTRUMENT_QUANTITIES.get(kind, ())
             cells = [", ".join(f"`{name}`" for name in column) or "—" for column in columns]
-            rows.append([f"`{kind}`", describe(model), *cells])
+            rows.append([f"`{kind}`", describe(FUNCTIONS.get(kind, splits.build_table)), *cells])
         head = ["`instrument.kind`", "description", "`figure.kind`", "`figure.quantity`"]
         return self.parse_text_to_nodes(table(head, rows))
 
 
-def list_union_keys(models: dict[str, type[BaseModel]]) -> list[list[str]]:
-    """Return a row for each key of the models of a union, with the kinds that have it."""
+def list_section_rows(kind: str) -> list[tuple[str, str, str, str]]:
+    """Return key, meaning, allowed values and default of each key of a kind of instrument."""
+    return [
+        (
+            f"`{key}`",
+            one.quantity.describe(),
+            describe_allowed(one) or "—",
+            show_default(one.default, as_yaml=True),
+        )
+        for key, one in list_section_inputs(kind).items()
+    ]
+
+
+def list_instrument_keys() -> list[list[str]]:
+    """Return a row for each key of instruments, with the kinds that have it."""
     kinds: dict[tuple[str, ...], list[str]] = {}
-    for kind, model in models.items():
-        for row in list_rows(model):
-            if row[0] != "`kind`":
-                kinds.setdefault(row, []).append(f"`{kind}`")
+    for kind in KINDS:
+        for row in list_section_rows(kind):
+            kinds.setdefault(row, []).append(f"`{kind}`")
+    keys = list(dict.fromkeys(key for key, *_ in kinds))
     rows = [
-        [key, meaning, "all" if len(owners) == len(models) else ", ".join(owners), *others]
+        [key, meaning, "all" if len(owners) == len(KINDS) else ", ".join(owners), *others]
         for (key, meaning, *others), owners in kinds.items()
     ]
-    return sorted(rows, key=lambda row: [one[0] for one in kinds].index(row[0]))
+    return sorted(rows, key=lambda row: keys.index(row[0]))
 
 
 class InstrumentKeys(SphinxDirective):
@@ -148,14 +255,109 @@ class InstrumentKeys(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """Return the table."""
         head = ["key", "meaning", "kinds", "allowed", "default"]
-        return self.parse_text_to_nodes(table(head, list_union_keys(INSTRUMENT_KINDS)))
+        return self.parse_text_to_nodes(table(head, list_instrument_keys()))
+
+
+# --------------------------------------------------------------------------------------------------
+# Keywords of functions and classes.
+
+
+def find_object(name: str) -> tuple[Any, Any]:
+    """Return an object for its full name, and the class or function that declares its inputs.
+
+    The inputs of another constructor of a class are those of the class.
+    """
+    module, parts = name.split("."), []
+    while True:
+        try:
+            found = owner = import_module(".".join(module))
+            break
+        except ModuleNotFoundError:
+            parts.insert(0, module.pop())
+    for part in parts:
+        owner, found = found, getattr(found, part)
+    return found, owner if isinstance(owner, type) else found
+
+
+def list_keywords(name: str) -> dict[str, tuple[str, str, str, str]]:
+    """Return meaning, unit, allowed values and default of each keyword of a function or class.
+
+    The docstring describes keywords that are not declared.
+    """
+    found, declaring = find_object(name)
+    declared: dict[str, Input] = list_inputs(declaring)
+    documented = {
+        own_name: parameter
+        for parameter in FunctionDoc(found)["Parameters"]
+        for own_name in parameter.name.split(", ")
+    }
+    rows = {}
+    for keyword, parameter in signature(found).parameters.items():
+        one, text = declared.get(keyword), documented.get(keyword)
+        shown = show_default(parameter.default)
+        if one:
+            unit = UNIT_SYMBOLS.get(one.quantity.unit, one.quantity.unit) or "—"
+            values = describe_allowed(one) or (text.type if text else "—")
+            rows[keyword] = one.quantity.long_name, unit, values, shown
+        elif text:
+            sentence = " ".join(text.desc).partition(". ")[0].rstrip(".")
+            rows[keyword] = " ".join(sentence.split()), "—", text.type or "—", shown
+    return rows
+
+
+def make_keyword_table(names: list[str], only: list[str] | None = None) -> str:
+    """Return the table of the keywords of the first object, with the defaults of all."""
+    columns = [list_keywords(name) for name in names]
+    heads = [f"`{name}`" for name in names] if len(names) > 1 else ["default"]
+    rows = [
+        [f"`{keyword}`", *cells[:-1], *(column[keyword][-1] for column in columns)]
+        for keyword, cells in columns[0].items()
+        if only is None or keyword in only
+    ]
+    return table(["keyword", "meaning", "unit", "allowed", *heads], rows)
+
+
+class Keywords(SphinxDirective):
+    """``{keywords} splits.NAME …``: keywords of the first object, with the defaults of each."""
+
+    required_arguments = 1
+    optional_arguments = 9
+    option_spec = {"only": str.split}  # noqa: RUF012
+
+    def run(self) -> list[nodes.Node]:
+        """Return the table."""
+        text = make_keyword_table(self.arguments, self.options.get("only"))
+        return self.parse_text_to_nodes(text)
+
+
+def list_public_names(subject: str) -> list[str]:
+    """Return the full names of all media, or of all instruments."""
+    factories = {**MEDIUM_FACTORIES, "stack": splits.Stack}
+    objects = factories if subject == "media" else INSTRUMENTS
+    return [f"splits.{one.__qualname__}" for one in objects.values()]
+
+
+class AllKeywords(SphinxDirective):
+    """``{all-keywords} media`` or ``instruments``: a section with a table for each."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        """Return the sections."""
+        sections = [
+            f"### `{name}`\n\n{describe(find_object(name)[0])}: {{py:obj}}`{name}`.\n\n"
+            + make_keyword_table([name])
+            for name in list_public_names(self.arguments[0])
+        ]
+        return self.parse_text_to_nodes("\n\n".join(sections), allow_section_headings=True)
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directives."""
     for name, directive in (
         ("config-keys", Keys), ("instrument-kinds", Instruments),
-        ("instrument-keys", InstrumentKeys),
+        ("instrument-keys", InstrumentKeys), ("keywords", Keywords),
+        ("all-keywords", AllKeywords),
     ):  # fmt: skip
         app.add_directive(name, directive)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

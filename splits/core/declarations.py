@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import inspect
+import json
 import math
 import re
 import sys
@@ -34,6 +35,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic_core import CoreSchema, core_schema
 
 from splits.core.validation import (
+    MAX_INT64,
     InvalidValue,
     check_flag,
     check_integer,
@@ -71,6 +73,9 @@ def invert_unit(unit: str) -> str:
     inverse.sort(key=lambda one: -one[1])
     return " ".join(name + (str(power) if power != 1 else "") for name, power in inverse)
 
+
+MAX_DEFAULT_CHARS = 80
+"""Largest length of a default in JSON schemas."""
 
 # --------------------------------------------------------------------------------------------------
 # Meaning of an input.
@@ -174,7 +179,7 @@ class Quantity:
         limits = {name: limit for name, limit in limits.items() if math.isfinite(limit)}
         by_kind: dict[Any, tuple[Callable[[str, Any], Any], CoreSchema]] = {
             float: (self.check_number, core_schema.float_schema(**limits)),
-            int: (self.check_integer, core_schema.int_schema(**limits)),
+            int: (self.check_integer, core_schema.int_schema(**{"le": MAX_INT64} | limits)),
             bool: (check_flag, core_schema.bool_schema()),
         }
         any_kind = (self.check, core_schema.any_schema())
@@ -193,8 +198,14 @@ class Quantity:
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
         """Return the JSON schema of the annotated type, with its meaning."""
         described = dict(self.schema or {}) if self.check else dict(handler(schema))
+        if self.check and self.schema and schema["type"] == "nullable":
+            described = {"anyOf": [*described.get("anyOf", [described]), {"type": "null"}]}
+        return described | {"description": self.describe()}
+
+    def describe(self) -> str:
+        """Return the long name with the unit as in messages."""
         unit = UNIT_SYMBOLS.get(self.unit, self.unit)
-        return described | {"description": f"{self.long_name} ({unit})" if unit else self.long_name}
+        return f"{self.long_name} ({unit})" if unit else self.long_name
 
 
 # --------------------------------------------------------------------------------------------------
@@ -221,6 +232,21 @@ class Input(NamedTuple):
     def has_default(self) -> bool:
         """Whether the input has a default, other than none at all."""
         return self.default is not inspect.Parameter.empty and self.default is not None
+
+    def make_schema(self) -> dict[str, Any]:
+        """Return the JSON schema, with the meaning and a default that is short enough to read."""
+        schema = self.adapter.json_schema() | {"description": self.quantity.describe()}
+        if "anyOf" in schema:
+            # Not a second time in the schema of a type that may also be None.
+            schema["anyOf"] = [
+                {key: value for key, value in one.items() if key != "description"}
+                for one in schema["anyOf"]
+            ]
+        with suppress(TypeError, ValueError):
+            text = json.dumps(self.default, allow_nan=False)
+            if text not in ("null", "{}") and len(text) <= MAX_DEFAULT_CHARS:
+                schema["default"] = json.loads(text)
+        return schema
 
     def check(self, key: str, value: Any) -> Any:
         """Return a value in its final form, or raise `InvalidValue` with the key."""

@@ -15,7 +15,7 @@ from splits.core.arrays import (
     check_named_numbers,
 )
 from splits.core.declarations import UNIT_SYMBOLS, Quantity
-from splits.core.spacing import SPACING_SCHEMA, expand_spacing
+from splits.core.spacing import describe_spacing, expand_spacing
 from splits.core.validation import (
     check_range,
     invalid,
@@ -27,16 +27,22 @@ from splits.core.validation import (
 INFINITE_HINT = "or infinite: .inf in YAML, math.inf in Python"
 
 
-def describe_numbers(count: int) -> dict[str, Any]:
-    """Return the JSON schema of a list of numbers."""
-    return {"type": "array", "items": {"type": "number"}, "minItems": count, "maxItems": count}
+DISTRIBUTION = ("min", "max", "mean", "sd")
+"""Numbers that describe a truncated normal distribution."""
+
+
+def describe_numbers(*names: str, **limits: Any) -> dict[str, Any]:
+    """Return the JSON schema of a list of numbers with names, all with the same limits."""
+    numbers = [{"type": "number", **limits, "description": name} for name in names]
+    n = len(names)
+    return {"type": "array", "prefixItems": numbers, "minItems": n, "maxItems": n}
 
 
 def check_truncated_normal(low: float) -> Callable[[str, Any], tuple[float, ...]]:
     """Return the check of (min, max, mean, sd) of a truncated normal distribution in [low, 1]."""
 
     def check(key: str, value: Any) -> tuple[float, ...]:
-        *limits_and_mean, sd = check_named_numbers(key, value, ("min", "max", "mean", "sd"))
+        *limits_and_mean, sd = check_named_numbers(key, value, DISTRIBUTION)
         minimum, maximum, mean = snap_to_limits(limits_and_mean, low, 1.0).tolist()
         if not low <= minimum <= mean <= maximum <= 1.0:
             raise invalid(key, value, f"{low:g} <= min <= mean <= max <= 1 (min, max, mean, sd)")
@@ -64,14 +70,16 @@ Facetness = Annotated[
     tuple[float, float, float, float],
     Quantity(
         "facetness of the grains, mean", label="mean facetness", mean=2, first_step=0.04,
-        check=check_truncated_normal(0.0), schema=describe_numbers(4),
+        check=check_truncated_normal(0.0),
+        schema=describe_numbers(*DISTRIBUTION, minimum=0.0, maximum=1.0),
     ),
 ]  # fmt: skip
 Sphericity = Annotated[
     tuple[float, float, float, float],
     Quantity(
         "sphericity of the grains, mean", label="mean sphericity", mean=2, first_step=0.04,
-        check=check_truncated_normal(0.1), schema=describe_numbers(4),
+        check=check_truncated_normal(0.1),
+        schema=describe_numbers(*DISTRIBUTION, minimum=0.0, maximum=1.0),
     ),
 ]  # fmt: skip
 Saturation = Annotated[
@@ -180,20 +188,27 @@ class Array(Protocol):
 
 Numbers = float | Sequence[float] | Array | Mapping[str, float]
 """Numbers as users give them."""
-NUMBERS_SCHEMA = {"type": "array", "items": {"type": "number"}, "minItems": 1}
+
+
+def describe_array(**limits: float) -> dict[str, list[dict[str, Any]]]:
+    """Return the JSON schema of a list of numbers, or of a single one, with limits."""
+    number = {"type": "number", **limits}
+    return {"anyOf": [{"type": "array", "items": number, "minItems": 1}, number]}
+
+
+NUMBERS_SCHEMA = describe_array()
+LIST_SCHEMA = NUMBERS_SCHEMA["anyOf"][0]
+WAVELENGTHS_SCHEMA = describe_array(minimum=WAVELENGTH_RANGE_NM[0], maximum=WAVELENGTH_RANGE_NM[1])
 ANGLE_SCHEMA = {"type": "number", "minimum": 0.0, "maximum": 89.9999}
 
 Wavelengths = Annotated[
     Numbers,
     Quantity(
-        "wavelengths in vacuum, increasing",
-        "nm",
-        check=check_wavelengths,
+        "wavelengths in vacuum, increasing", "nm", check=check_wavelengths,
         schema={
             "anyOf": [
-                NUMBERS_SCHEMA,
-                SPACING_SCHEMA
-                | {"properties": {**SPACING_SCHEMA["properties"], "also": NUMBERS_SCHEMA}},
+                *WAVELENGTHS_SCHEMA["anyOf"],
+                *describe_spacing(also=WAVELENGTHS_SCHEMA["anyOf"][0]),
             ]
         },
     ),
@@ -210,13 +225,16 @@ Incidence = Annotated[
 ]  # fmt: skip
 PolarAngles = Annotated[
     Numbers,
-    Quantity("angle from the normal", "degree", check=check_polar_angles, schema=NUMBERS_SCHEMA),
-]
+    Quantity(
+        "angle from the normal", "degree", check=check_polar_angles,
+        schema=describe_array(minimum=0.0, exclusiveMaximum=90.0),
+    ),
+]  # fmt: skip
 Azimuths = Annotated[
     Numbers,
     Quantity(
         "angle from the direction in which the beam travels", "degree", check=check_azimuths,
-        schema=NUMBERS_SCHEMA,
+        schema=describe_array(minimum=0.0, exclusiveMaximum=FULL_TURN_DEG),
     ),
 ]  # fmt: skip
 
@@ -247,7 +265,8 @@ def declare_numbers(
         numbers = as_1d_array(key, values, f"numbers in {plural}")
         return check_axis(key, numbers, low, high, symbol, open_low=open_low)
 
-    return Quantity(long_name, unit, check=check, schema=NUMBERS_SCHEMA)
+    limits = {"exclusiveMinimum" if open_low else "minimum": low, "maximum": high}
+    return Quantity(long_name, unit, check=check, schema=describe_array(**limits))
 
 
 # --------------------------------------------------------------------------------------------------
@@ -262,7 +281,13 @@ Rays = Annotated[
 RayCount = Annotated[int, Quantity("number of rays, rounded up", low=1)]
 Seed = Annotated[int, Quantity("seed of the random numbers", low=0)]
 Threads = Annotated[int | None, Quantity("number of threads, by default of all CPUs", low=1)]
-Kernel = Annotated[Literal["auto", "vectorized", "scalar"], Quantity("kernel")]
+Kernel = Annotated[
+    Literal["auto", "vectorized", "scalar"],
+    Quantity(
+        "kernel: vectorized traces many rays at once in single precision, scalar one after the "
+        "other in double precision; auto chooses the former where it supports the medium"
+    ),
+]
 Solver = Annotated[
     Literal["auto", "discrete_ordinates", "monte_carlo"],
     Quantity(

@@ -14,12 +14,24 @@ MAX_NUMBERS = 20_000
 """Largest length of a sequence of numbers, such as wavelengths."""
 STEP_KEYS = ("start", "stop", "step")
 GEOMSPACE_KEY = "geomspace"
-SPACING_SCHEMA = {
-    "type": "object",
-    "properties": {key: {"type": "number"} for key in STEP_KEYS},
-    "required": list(STEP_KEYS),
-}
-"""JSON schema of evenly spaced numbers."""
+
+
+def describe_spacing(**others: Any) -> list[dict[str, Any]]:
+    """Return the JSON schemas of evenly and of geometrically spaced numbers.
+
+    The former may have other keys, each with its schema.
+    """
+    number = {"type": "number"}
+    steps = dict.fromkeys(STEP_KEYS, number) | {"step": {"type": "number", "exclusiveMinimum": 0.0}}
+    terms = {"type": "array", "items": number, "minItems": 3, "maxItems": 3}
+    forms = [({**steps, **others}, list(STEP_KEYS)), ({GEOMSPACE_KEY: terms}, [GEOMSPACE_KEY])]
+    return [
+        {
+            "type": "object", "properties": properties, "required": required,
+            "additionalProperties": False,
+        }
+        for properties, required in forms
+    ]  # fmt: skip
 
 
 def make_even_spacing(key: str, start: float, stop: float, step: float) -> np.ndarray:

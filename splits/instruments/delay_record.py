@@ -16,8 +16,8 @@ from splits.core.arrays import (
     read_columns,
 )
 from splits.core.declarations import Quantity
-from splits.core.inputs import NUMBERS_SCHEMA, Numbers, check_depths
-from splits.core.spacing import SPACING_SCHEMA, expand_spacing
+from splits.core.inputs import LIST_SCHEMA, NUMBERS_SCHEMA, Numbers, check_depths
+from splits.core.spacing import describe_spacing, expand_spacing
 from splits.core.validation import as_scalar, check_range, invalid
 from splits.kernels.scene import NO_MAX_ORDER, WET_PORE, Layers
 from splits.kernels.tallies.distributions import Receiver
@@ -170,12 +170,10 @@ def _check_pulse(_: str, pulse: Any) -> Any:
 DelayEdges = Annotated[
     Numbers,
     Quantity(
-        "edges of the bins of delay",
-        "s",
-        check=check_delay_edges,
-        schema={"anyOf": [NUMBERS_SCHEMA, SPACING_SCHEMA]},
+        "edges of the bins of delay", "s", check=check_delay_edges,
+        schema={"anyOf": [{**LIST_SCHEMA, "minItems": 2}, *describe_spacing()]},
     ),
-]
+]  # fmt: skip
 RecordEnd = Annotated[
     float | None,
     Quantity(
@@ -189,8 +187,18 @@ PulseInput = Annotated[
         "full width at half maximum of a Gaussian pulse (s), or delay_s and power of any pulse; by "
         "default, the pulse is instantaneous",
         check=_check_pulse,
+        schema={
+            "anyOf": [
+                {"type": "number", "exclusiveMinimum": 0.0, "maximum": MAX_DELAY_S},
+                {
+                    "type": "object", "properties": {"delay_s": LIST_SCHEMA, "power": LIST_SCHEMA},
+                    "required": ["delay_s", "power"], "additionalProperties": False,
+                },
+                {"type": "null"},
+            ]
+        },
     ),
-]
+]  # fmt: skip
 AcceptanceAngle = Annotated[
     float | None,
     Quantity(

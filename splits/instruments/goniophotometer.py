@@ -209,7 +209,8 @@ BinNumbers = Annotated[
     tuple[int, int],
     Quantity(
         "numbers of angular bins from the horizon to the zenith, and in azimuth",
-        check=_check_n_bins, schema=describe_numbers(2),
+        check=_check_n_bins,
+        schema=describe_numbers("polar", "azimuth", type="integer", minimum=1, maximum=1000),
     ),
 ]  # fmt: skip
 

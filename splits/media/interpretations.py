@@ -254,16 +254,21 @@ class SandInterpretation(TransportInterpretation):
             )
 
 
+INTERPRETATION_SCHEMA = {"anyOf": [{"enum": list(INTERPRETATION_SETS)}, {"type": "object"}]}
 InterpretationInput = Annotated[
     Any,
     Quantity(
-        "interpretation of the papers", check=lambda _, value: Interpretation.from_input(value)
+        "interpretation of the papers",
+        check=lambda _, value: Interpretation.from_input(value),
+        schema=INTERPRETATION_SCHEMA,
     ),
 ]
 SandInterpretationInput = Annotated[
     Any,
     Quantity(
-        "interpretation of the papers", check=lambda _, value: SandInterpretation.from_input(value)
+        "interpretation of the papers",
+        check=lambda _, value: SandInterpretation.from_input(value),
+        schema=INTERPRETATION_SCHEMA,
     ),
 ]
 INTERPRETATION_CHOICES: dict[str, tuple[str, ...]] = {

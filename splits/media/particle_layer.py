@@ -390,6 +390,7 @@ Surface = Annotated[
     Quantity(
         "surface of the layer",
         check=lambda _, value: None if value is None else RoughSurface.from_input(value),
+        schema={"type": ["object", "array", "null"]},
     ),
 ]
 
@@ -399,12 +400,19 @@ def _check_phase_function(key: str, value: Any) -> Any:
 
 
 PHASE_FUNCTIONS = ("henyey_greenstein", "rayleigh")
-PhaseFunctionInput = Annotated[Any, Quantity("phase function", check=_check_phase_function)]
+PhaseFunctionInput = Annotated[
+    Any,
+    Quantity(
+        "phase function", check=_check_phase_function,
+        schema={"anyOf": [{"enum": list(PHASE_FUNCTIONS)}, {"type": "object"}]},
+    ),
+]  # fmt: skip
 ScatteringMatrixInput = Annotated[
     Any,
     Quantity(
         "scattering matrix",
         check=lambda _, value: None if value is None else ScatteringMatrix.from_input(value),
+        schema={"type": ["object", "string", "null"]},
     ),
 ]
 Depolarization = Annotated[

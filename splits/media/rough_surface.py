@@ -350,7 +350,10 @@ def _check_fields(_: str, given: Any) -> tuple[RandomHeightField, ...]:
     return tuple(height_fields)
 
 
-Fields = Annotated[Any, Quantity("random height fields", check=_check_fields)]
+Fields = Annotated[
+    Any,
+    Quantity("random height fields", check=_check_fields, schema={"type": ["object", "array"]}),
+]
 
 
 @declare_class

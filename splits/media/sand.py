@@ -51,7 +51,8 @@ def _check_roundness(key: str, value: Any) -> tuple[float, float]:
 def _declare_fractions(long_name: str, parts: tuple[str, ...], label: str = "") -> Quantity:
     """Return the quantity of fractions that add up to 1."""
     return Quantity(
-        long_name, parts=parts, label=label, schema=describe_numbers(len(parts)),
+        long_name, parts=parts, label=label,
+        schema=describe_numbers(*parts, minimum=0.0, maximum=1.0),
         check=lambda key, value: check_named_numbers(key, value, parts, (0.0, 1.0)),
     )  # fmt: skip
 
@@ -98,7 +99,8 @@ Roundness = Annotated[
     Quantity(
         "roundness of the particles, mean and standard deviation", mean=0, first_step=0.04,
         label="roundness (mean, sd)",
-        check=_check_roundness, schema=describe_numbers(2),
+        check=_check_roundness,
+        schema=describe_numbers("mean", "sd", minimum=0.0, maximum=1.0),
     ),
 ]  # fmt: skip
 CoatingThickness = Annotated[

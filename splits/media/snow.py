@@ -84,7 +84,10 @@ GrainSize = Annotated[
     tuple[float, float],
     Quantity(
         "major-axis diameter of the grains, smallest to largest", "um", label="grain size", mean=-1,
-        check=_check_grain_size, schema=describe_numbers(2),
+        check=_check_grain_size,
+        schema=describe_numbers(
+            "min", "max", minimum=GRAIN_SIZE_RANGE_UM[0], maximum=GRAIN_SIZE_RANGE_UM[1]
+        ),
     ),
 ]  # fmt: skip
 SurfaceArea = Annotated[
@@ -161,13 +164,16 @@ MIN_NATURAL_DENSITY_KG_M3 = 10.0
 NATURAL_REFRACTIVE_INDICES = {"ice": "warren_brandt_2008_picard_2016", "water": "segelstein_1981"}
 
 NATURAL_DEFAULTS: dict[str, Any] = {
+    "grain_size_um": None,
     "facetness": (0.05, 0.05, 0.05, 0.0),
     "sphericity": (0.75, 0.75, 0.75, 0.0),
+    "saturation": 0.0,
+    "refractive_index": NATURAL_REFRACTIVE_INDICES,
     "interpretation": "radiative_transfer",
     "density_kg_m3": 300.0,
     "depth_m": math.inf,
 }
-"""Defaults of natural snow where they differ from those of `Snow`; it is dry, too."""
+"""Defaults of natural snow where they differ from those of `Snow`; its grains have none."""
 
 # --------------------------------------------------------------------------------------------------
 # Snow, after SPLITSnow and as in nature.
@@ -311,8 +317,11 @@ class Snow(ContentEquality, GranularMedium):
         163.6
         """
         given = {name: value for name, value in keywords.items() if value is not None}
-        dry = {} if {"saturation", LIQUID_WATER_KEY} & given.keys() else {"saturation": 0.0}
-        complete = {**NATURAL_DEFAULTS, **dry, **given}
+        defaults = {name: value for name, value in NATURAL_DEFAULTS.items() if value is not None}
+        if LIQUID_WATER_KEY in given:
+            # It determines the saturation.
+            del defaults["saturation"]
+        complete = {**defaults, **given}
         if {SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY, "grain_size_um"}.isdisjoint(complete):
             raise invalid(
                 SURFACE_AREA_KEY, None, "given, or optical_radius_um",

@@ -85,7 +85,7 @@ IncidentStokes = Annotated[
         "whether polarization is traced, or the Stokes vector (I, Q, U, V) of the incident light; "
         "layers of particles need polarized: true",
         check=_normalize_stokes,
-        schema={"anyOf": [{"type": "boolean"}, describe_numbers(4)]},
+        schema={"anyOf": [{"type": "boolean"}, describe_numbers("I", "Q", "U", "V")]},
     ),
 ]
 

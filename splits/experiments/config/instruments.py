@@ -25,6 +25,7 @@ from splits.core.inputs import (
     Incidence,
     PolarAngles,
     RayCount,
+    Rays,
     Seed,
     Solver,
     Threads,
@@ -41,7 +42,13 @@ from splits.instruments.solver import choose_solver
 from splits.instruments.spectrophotometer import find_path_obstacle
 from splits.media.medium import Medium
 from splits.simulation.run_options import make_wavelength_coordinate
-from splits.tables.axes import VIEW_AXES, ParameterGrid, ViewGrid, check_quantities
+from splits.tables.axes import (
+    ALL_QUANTITIES,
+    VIEW_AXES,
+    ParameterGrid,
+    ViewGrid,
+    check_quantities,
+)
 from splits.tables.plan import choose_table_solver
 from splits.tables.return_table import build_return_table
 
@@ -127,7 +134,8 @@ PointErrorScales = Annotated[
     Quantity(
         "further factors of the target error, one for each point of the grid, of which the last "
         "parameter varies fastest",
-        check=_check_point_scales, schema={"type": "array", "items": {"type": "number"}},
+        check=_check_point_scales,
+        schema={"type": "array", "items": {"type": "number", "minimum": 0.01, "maximum": 100.0}},
     ),
 ]  # fmt: skip
 TableQuantities = Annotated[
@@ -136,7 +144,7 @@ TableQuantities = Annotated[
         "quantities in the table, by default reflectance, with directions also reflectance_factor "
         "and anisotropy_factor",
         check=lambda _, value: value,
-        schema={"type": "array", "items": {"type": "string"}},
+        schema={"type": "array", "items": {"enum": list(ALL_QUANTITIES)}},
     ),
 ]
 Covariance = Annotated[
@@ -146,6 +154,10 @@ Covariance = Annotated[
 Parts = Annotated[
     int, Quantity("number of parts of the table, each simulated by one job", low=1, high=10_000)
 ]
+SectionSeed = Annotated[
+    int | None,
+    Quantity("seed of the random numbers, by default that of the main file", low=0),
+]
 TABLE_TYPES: dict[str, tuple[Any, Any]] = {
     "wavelength_nm": (Wavelengths, Parameter.empty),
     "incidence_deg": (Incidence, 0.0),
@@ -154,7 +166,7 @@ TABLE_TYPES: dict[str, tuple[Any, Any]] = {
     "quantities": (TableQuantities, None),
     "covariance": (Covariance, "leave_out"),
     "solver": (Solver, "auto"),
-    "seed": (Seed, 1),
+    "seed": (SectionSeed, None),
     "parts": (Parts, 8),
 }
 """Types and defaults of the inputs of a table."""
@@ -174,7 +186,9 @@ def list_section_inputs(kind: str) -> dict[str, Input]:
     more = {**TABLE_TYPES, **ERROR_TYPES} if kind == TABLE else {}
     inputs = {} if kind == TABLE else dict(list_inputs(FUNCTIONS[kind]))
     if {"max_stderr", "relative_stderr", "rays"} & inputs.keys() and "incidence_deg" in inputs:
-        more = ERROR_TYPES
+        more = ERROR_TYPES | ({"rays": (Rays, None)} if "rays" in inputs else {})
+    if "seed" in inputs:
+        more = {**more, "seed": (SectionSeed, None)}
     for name, (hint, default) in more.items():
         quantity = find_quantity(hint)
         assert quantity is not None
@@ -344,10 +358,15 @@ def make_instrument_schemas() -> dict[str, dict[str, Any]]:
     """Return the JSON schemas of the sections by kind."""
     schemas = {}
     for kind in KINDS:
-        properties: dict[str, Any] = {"kind": {"const": kind}}
-        for name, one in list_section_inputs(kind).items():
-            properties[name] = one.adapter.json_schema()
+        inputs = list_section_inputs(kind)
+        required = [name for name, one in inputs.items() if one.default is Parameter.empty]
         schemas[kind] = {
-            "type": "object", "properties": properties, "additionalProperties": False,
-        }  # fmt: skip
+            "type": "object",
+            "properties": {
+                "kind": {"const": kind},
+                **{name: one.make_schema() for name, one in inputs.items()},
+            },
+            "required": required,
+            "additionalProperties": False,
+        }
     return schemas

@@ -12,14 +12,13 @@ from pydantic import BaseModel
 
 from splits.core.atomic import atomic_write
 from splits.core.declarations import list_inputs
-from splits.core.spacing import GEOMSPACE_KEY, STEP_KEYS
+from splits.core.spacing import GEOMSPACE_KEY, STEP_KEYS, describe_spacing
 from splits.experiments.config.experiment import RESERVED_NAMES, ExperimentConfig
 from splits.experiments.config.instruments import DEFAULT_KIND, make_instrument_schemas
 from splits.experiments.config.media import PACKS_KIND, SAMPLE_KEY
 from splits.experiments.config.settings import OUTPUT_FOLDERS, Settings
 from splits.experiments.config.simulation import NAME_PATTERN
-from splits.media import Snow
-from splits.media.kinds import LAYERS_KEY, MEDIUM_FACTORIES
+from splits.media.kinds import LAYERS_KEY, MEDIUM_CLASSES, MEDIUM_FACTORIES
 from splits.media.parameters import list_amounts
 from splits.media.snow_pack_files import read_snow_packs
 from splits.tables.axes import INCIDENCE
@@ -81,20 +80,14 @@ def _add_media(properties: dict[str, Any], definitions: dict[str, Any]) -> None:
     names = [*(key for key in keywords if key not in ("kind", "base")), INCIDENCE, SAMPLE_KEY]
     paths = rf"^(({'|'.join(list_amounts())})\.\w+|{LAYERS_KEY}\.\d+\.\w+)$"
     given = {"type": ["array", "object"], "minItems": 1, "minProperties": 1}
-    number, numbers = {"type": "number"}, {"type": "array", "items": {"type": "number"}}
-    forms: list[dict[str, Any]] = [
-        dict.fromkeys(STEP_KEYS, number), {GEOMSPACE_KEY: {**numbers, "minItems": 3, "maxItems": 3}}
-    ]  # fmt: skip
     is_spacing = {"anyOf": [{"required": [STEP_KEYS[0]]}, {"required": [GEOMSPACE_KEY]}]}
-    spacing = [
-        {"properties": form, "required": list(form), "additionalProperties": False}
-        for form in forms
-    ]
     properties["grid"] |= {
         "propertyNames": {"anyOf": [{"enum": names}, {"pattern": paths}]},
         "properties": {SAMPLE_KEY: given, LAYERS_KEY: given},
         "additionalProperties": {
-            **given, "if": {"type": "object", **is_spacing}, "then": {"anyOf": spacing}
+            **given,
+            "if": {"type": "object", **is_spacing},
+            "then": {"anyOf": describe_spacing()},
         },
     }  # fmt: skip
 
@@ -104,9 +97,10 @@ def _make_medium(kind: str, factory: Callable[..., Any]) -> dict[str, Any]:
     meaning = "name of a named medium, or of a file of config/media without its ending"
     base = {"type": "string", "description": f"{meaning}, with the other keywords"}
     properties: dict[str, Any] = {"kind": {"const": kind}, "base": base}
-    declared = list_inputs(Snow if kind == "natural_snow" else factory)
-    for name in signature(factory).parameters:
-        properties[name] = declared[name].adapter.json_schema() if name in declared else {}
+    declared = list_inputs(MEDIUM_CLASSES.get(kind, factory))
+    for name, parameter in signature(factory).parameters.items():
+        one = declared.get(name)
+        properties[name] = one._replace(default=parameter.default).make_schema() if one else {}
     if LAYERS_KEY in properties:
         layers = {"type": "array", "items": {"$ref": "#/$defs/medium"}, "minItems": 1}
         properties[LAYERS_KEY] |= layers

@@ -90,9 +90,9 @@ def test_a_missing_file_is_reported_in_one_line(tmp_path, capsys):
 
 
 def test_a_missing_extra_is_reported(tmp_path, capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pydantic", None)
+    monkeypatch.setitem(sys.modules, "yaml", None)
     assert cli.main(["run", str(tmp_path / "any.yaml")]) == 1
-    message = "experiment files need the package pydantic: pip install '.[experiments]' "
+    message = "experiment files need the package yaml: pip install '.[experiments]' "
     assert message in capsys.readouterr().err
 
 

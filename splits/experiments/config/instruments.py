@@ -36,7 +36,12 @@ from splits.core.keywords import INSTRUMENTS, declare_function
 from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, invalid, key_prefix, unknown_key
 from splits.illumination.sky import CLEAR_SKY, sky
-from splits.instruments.delay_record import AcceptanceAngle, DelayEdges, FootprintRadius
+from splits.instruments.delay_record import (
+    DEFAULT_EDGES_S,
+    AcceptanceAngle,
+    DelayEdges,
+    FootprintRadius,
+)
 from splits.instruments.sky_mixing import choose_wavelengths
 from splits.instruments.solver import choose_solver
 from splits.instruments.spectrophotometer import find_path_obstacle
@@ -96,7 +101,7 @@ def return_table(
     incidence_deg: Incidence = 0.0,
     *,
     rays: RayCount = 100_000,
-    delay_s: DelayEdges | None = None,
+    delay_s: DelayEdges = DEFAULT_EDGES_S,
     acceptance_deg: AcceptanceAngle = None,
     footprint_radius_m: FootprintRadius = None,
     seed: Seed = 1,

@@ -76,9 +76,7 @@ def test_every_key_of_instruments_is_described(kind):
     assert all(keys.values())
 
 
-PUBLIC_NAMES = [
-    name for of in ("media", "instruments") for name in configuration.list_public_names(of)
-]
+PUBLIC_NAMES = [name for of in ("media", "instruments") for name in configuration.list_names(of)]
 
 
 @pytest.mark.parametrize("name", PUBLIC_NAMES)

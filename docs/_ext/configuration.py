@@ -330,11 +330,15 @@ class Keywords(SphinxDirective):
         return self.parse_text_to_nodes(text)
 
 
-def list_public_names(subject: str) -> list[str]:
-    """Return the full names of all media, or of all instruments."""
+def list_names(subject: str) -> list[str]:
+    """Return the full names of all media, or of all instruments, the public ones of the package."""
     factories = {**MEDIUM_FACTORIES, "stack": splits.Stack}
     objects = factories if subject == "media" else INSTRUMENTS
-    return [f"splits.{one.__qualname__}" for one in objects.values()]
+    public = {one: one.__qualname__.partition(".")[0] in splits.__all__ for one in objects.values()}
+    return [
+        f"{'splits' if is_public else one.__module__}.{one.__qualname__}"
+        for one, is_public in public.items()
+    ]
 
 
 class AllKeywords(SphinxDirective):
@@ -347,7 +351,7 @@ class AllKeywords(SphinxDirective):
         sections = [
             f"### `{name}`\n\n{describe(find_object(name)[0])}: {{py:obj}}`{name}`.\n\n"
             + make_keyword_table([name])
-            for name in list_public_names(self.arguments[0])
+            for name in list_names(self.arguments[0])
         ]
         return self.parse_text_to_nodes("\n\n".join(sections), allow_section_headings=True)
 

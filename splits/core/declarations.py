@@ -318,7 +318,7 @@ def describe_error(error: ValidationError, key: str = "", content: Any = None) -
     key : str
         Key of the checked value, "" for keywords.
     content : mapping, optional
-        The checked value, whose keys tell those of the error from the branches of unions.
+        The checked value, whose keys are those of the error, unlike the branches of unions.
     """
     errors = [(_locate(one["loc"], one["type"], content), one) for one in error.errors()]
     location, _ = max(errors, key=lambda one: (len(one[0]), one[1]["type"] != "missing"))

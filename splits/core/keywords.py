@@ -108,7 +108,7 @@ def declare_function(function: Callable[Given, Result]) -> Callable[Given, Resul
                     }  # fmt: skip
                     result = function(**given)  # type: ignore[arg-type,call-arg]
                 else:
-                    # Python tells what is given twice.
+                    # Python raises an error for what is given twice.
                     result = function(*values, **keywords)
         except InvalidValue as error:
             error = suggest_order(error, function.__name__, positional, values)

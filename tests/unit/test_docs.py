@@ -1,6 +1,8 @@
 """The documentation site: completeness, size, and self-contained pages."""
 
+import inspect
 import json
+import math
 import re
 import sys
 from importlib import import_module
@@ -11,11 +13,13 @@ from _numbers.gallery_images import MAX_IMAGE_BYTES, MAX_WIDTH_PX, compress_figu
 from shipped import CONFIG
 
 import splits
+from splits.core.declarations import list_inputs
+from splits.core.keywords import INSTRUMENTS
 from splits.core.yaml import read_yaml
 from splits.experiments import load_settings
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.figure import FigureSection
-from splits.experiments.config.instruments import INSTRUMENT_KINDS, Goniophotometer, WavelengthGrid
+from splits.experiments.config.instruments import KINDS, list_section_inputs
 from splits.experiments.config.retrieval import NoiseSection, PriorFromSample, RetrieveSection
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.settings import ArchiveAuthor, Settings, Study, StudyOutput
@@ -54,8 +58,7 @@ def test_every_public_name_is_documented():
 
 MODELS = [
     ExperimentConfig, FitSection, FigureSection, RetrieveSection, NoiseSection, PriorFromSample,
-    WavelengthGrid, Settings, Accuracy, ArchiveAuthor, Study, StudyOutput,
-    *INSTRUMENT_KINDS.values(),
+    Settings, Accuracy, ArchiveAuthor, Study, StudyOutput,
 ]  # fmt: skip
 
 
@@ -64,6 +67,43 @@ def test_every_configuration_key_is_described(model):
     fields = model.model_fields.items()
     assert all(field.description for key, field in fields if key != "kind")
     assert model.__doc__
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_key_of_instruments_is_described(kind):
+    keys = {key: meaning for key, meaning, *_ in configuration.list_section_rows(kind)}
+    assert keys.keys() == {f"`{key}`" for key in list_section_inputs(kind)}
+    assert all(keys.values())
+
+
+PUBLIC_NAMES = [name for of in ("media", "instruments") for name in configuration.list_names(of)]
+
+
+@pytest.mark.parametrize("name", PUBLIC_NAMES)
+def test_every_keyword_is_described(name):
+    found, declaring = configuration.find_object(name)
+    assert name.startswith("splits.") and declaring in (found, splits.Snow)
+    rows = configuration.list_keywords(name)
+    assert list(rows) == list(inspect.signature(found).parameters)
+    for keyword, one in list_inputs(declaring).items():
+        meaning, _, values, _ = rows[keyword]
+        assert meaning == one.quantity.long_name and values, keyword
+
+
+def test_page_of_keywords_shows_all_media_and_instruments():
+    shown = {name.rpartition(".")[2] for name in PUBLIC_NAMES}
+    assert {"Snow", "natural", "Sand", "ParticleLayer", "Stack", *INSTRUMENTS} <= shown
+    page = (DOCS / "reference" / "keywords.md").read_text(encoding="utf-8")
+    assert {"media", "instruments"} == set(re.findall(r"{all-keywords} (\w+)", page))
+
+
+def test_tables_of_keywords_name_public_objects():
+    pattern = r"```{keywords} (.+)\n(?::only: (.+)\n)?```"
+    found = [one for path in list_pages() for one in re.findall(pattern, path.read_text())]
+    assert len(found) > 10
+    for names, only in found:
+        lines = configuration.make_keyword_table(names.split(), only.split() or None).splitlines()
+        assert len(lines) == 2 + len(only.split() or configuration.list_keywords(names.split()[0]))
 
 
 def test_tables_of_keys_show_known_models():
@@ -89,15 +129,52 @@ def test_reasons_of_stopping_and_flags_of_snowpacks_are_listed_in_their_order():
 
 
 def test_documented_limits_and_defaults_match_the_models():
-    rows = {key: others for key, _, *others in configuration.list_rows(Goniophotometer)}
+    rows = {key: others for key, _, *others in configuration.list_section_rows("goniophotometer")}
     assert rows["`target`"] == ["one of `brdf`, `btdf`", "`brdf`"]
     assert rows["`rays`"] == ["a whole number, at least 1", "—"]
-    assert rows["`n_bins`"] == ["a list of 2 whole numbers", "—"]
-    assert rows["`stderr_scale`"] == ["a number, at least 0.01, at most 100", "`1.0`"]
-    assert rows["`wavelength_nm`"][0].startswith("a mapping with `start`, `stop`, `step` or a list")
+    bins = "a list of 2 whole numbers (polar, azimuth), at least 1, at most 1000"
+    assert rows["`n_bins`"] == [bins, "`[18, 72]`"]
+    assert rows["`stderr_scale`"] == ["a number, at least 0.01, at most 100", "`1`"]
+    assert rows["`seed`"] == ["a whole number, at least 0", "—"]
+    assert rows["`polar_deg`"][1] == "`[0, 2.5, …, 87.5]`"
+    wavelengths, default = rows["`wavelength_nm`"]
+    assert wavelengths.startswith("one or several numbers, at least 200, at most 100000; or a map")
+    assert "`start`, `stop`, `step`, possibly `also`" in wavelengths
+    assert default == "`{start: 400, stop: 2500, step: 10}`"
     rows = {key: others for key, _, *others in configuration.list_rows(Accuracy)}
     assert rows["`relative_stderr`"][0] == "a number, at least 0.0001, at most 0.5"
     assert rows["`max_stderr`"][1] == "required"
+
+
+@pytest.mark.parametrize("name", PUBLIC_NAMES)
+def test_documented_limits_match_the_declarations(name):
+    found, declaring = configuration.find_object(name)
+    rows = configuration.list_keywords(name)
+    for keyword, one in list_inputs(declaring).items():
+        quantity, (_, _, values, default) = one.quantity, rows[keyword]
+        for limit in () if quantity.check else (quantity.low, quantity.high):
+            shown = f" {configuration.show_number(limit)}"
+            assert math.isinf(limit) or f"{values},".count(f"{shown},"), keyword
+        assert values.endswith("or infinite") == quantity.infinite
+        given = inspect.signature(found).parameters[keyword].default
+        if isinstance(given, bool | str):
+            assert default == (f"`{given}`" if isinstance(given, bool) else f'`"{given}"`')
+        elif isinstance(given, int | float) and math.isfinite(given):
+            assert float(default.strip("`")) == pytest.approx(given, rel=1e-5)
+        assert (default == "required") == (given is inspect.Parameter.empty)
+
+
+def test_declared_defaults_are_shown_as_in_files_and_in_python():
+    assert configuration.list_keywords("splits.Snow.natural")["depth_m"][-1] == "infinite"
+    assert configuration.list_keywords("splits.Snow.natural")["saturation"][-1] == "`0`"
+    shown = configuration.list_keywords("splits.Snow")
+    assert shown["grain_size_um"][1:] == (
+        "µm", "a list of 2 numbers (min, max), at least 1, at most 100000", "`(300, 750)`"
+    )  # fmt: skip
+    assert shown["depth_m"][2] == "a number, above 0, at most 10000, or infinite"
+    assert configuration.show_default((18, 72), as_yaml=True) == "`[18, 72]`"
+    assert configuration.show_default(False, as_yaml=True) == "`false`"
+    assert configuration.show_default("auto") == '`"auto"`'
 
 
 # --- gallery --------------------------------------------------------------------------------------

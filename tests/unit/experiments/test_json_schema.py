@@ -1,5 +1,6 @@
 """JSON schemas of configuration files: those of config/ are current and accept its files."""
 
+from inspect import Parameter
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,11 @@ from shipped import CONFIG
 from splits import cli
 from splits.core.yaml import read_yaml
 from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.instruments import (
+    KINDS,
+    list_section_inputs,
+    make_instrument_schemas,
+)
 from splits.experiments.config.schema import make_schema
 from splits.experiments.config.settings import Settings
 
@@ -28,6 +34,18 @@ def test_shipped_schemas_are_current(tmp_path, capsys):
 @pytest.mark.parametrize("schema", [EXPERIMENTS, SETTINGS])
 def test_schemas_are_valid(schema):
     schema.check_schema(schema.schema)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_schemas_of_instruments_have_meanings_and_defaults_that_they_accept(kind):
+    schema = make_instrument_schemas()[kind]
+    for key, one in list_section_inputs(kind).items():
+        described = schema["properties"][key]
+        assert described["description"] == one.quantity.describe()
+        assert (key in schema["required"]) == (one.default is Parameter.empty)
+        if "default" in described:
+            Draft202012Validator(described).validate(described["default"])
+            one.check(key, described["default"])
 
 
 @pytest.mark.parametrize("path", sorted(CONFIG.rglob("*.yaml")), ids=lambda path: path.stem)
@@ -50,6 +68,13 @@ def test_shipped_files_match_their_schema(path):
         {"medium": {"kind": "stack", "layers": [{"depth_m": 0.1}, {"kind": "sand"}]}},
         {"grid": {"layers.0.depth_m": [1], "impurities_ng_g.black_carbon": [0, 1]}},
         {"instrument": {"incidence_deg": "diffuse"}, "figure": {"quantity": "reflectance"}},
+        {"instrument": {"wavelength_nm": {"start": 400, "stop": 900, "step": 50, "also": [532]}}},
+        {"instrument": {"kind": "time_of_flight", "delay_s": {"geomspace": [1e-9, 1e-8, 5]}}},
+        {"instrument": {"kind": "albedo", "bands": {"red": [620, 670]}}},
+        {"instrument": {"kind": "hdrf", "sky": "clear", "polar_deg": [0, 30], "seed": 2}},
+        {"instrument": {"kind": "irradiance_profile", "depth_m": [0.01], "target": "absorptance"}},
+        {"instrument": {"kind": "radiation_profile", "depth_m": 0.01, "total_w_m2": 700}},
+        {"instrument": {"kind": "single_scattering", "moments": 8, "stokes": True}},
     ],
 )
 def test_valid_contents_match_the_schema(content):
@@ -66,6 +91,17 @@ def test_valid_contents_match_the_schema(content):
         {"grid": {"density_kg_m3": {"start": 300, "stop": 400, "stepp": 50}}},
         {"grid": {"density_kg_m3": {"geomspace": [300, 400]}}},
         {"instrument": {"kind": "lens", "radius_m": 1}},
+        {"instrument": {"kind": "irradiance_profile"}},
+        {"instrument": {"kind": "hdrf", "polar_deg": [95]}},
+        {"instrument": {"kind": "goniophotometer", "n_bins": [18]}},
+        {"instrument": {"kind": "goniophotometer", "n_bins": [18.5, 72]}},
+        {"instrument": {"kind": "spectrofotometer"}},
+        {"instrument": {"seed": 2**63}},
+        {"instrument": {"wavelength_nm": {"start": 400, "stop": 900, "step": 0}}},
+        {"instrument": {"wavelength_nm": {"start": 400, "stop": 900, "step": 50, "plus": [532]}}},
+        {"instrument": {"kind": "time_of_flight", "delay_s": {"start": 0, "stop": 1, "also": []}}},
+        {"instrument": {"wavelength_nm": [0.5, 0.6]}},
+        {"instrument": {"incidence_deg": "sunny"}},
         {"instrument": {"rays": 10}},
         {"figure": "nothing"},
         {"group": "all"},

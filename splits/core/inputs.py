@@ -188,17 +188,6 @@ Azimuths = Annotated[
 ]  # fmt: skip
 
 
-ScatteringAngles = Annotated[
-    Numbers,
-    Quantity(
-        "scattering angle", "degree", schema=NUMBERS_SCHEMA,
-        check=lambda key, angles: check_array_range(
-            key, as_1d_array(key, angles, "numbers in degrees"), 0.0, 180.0, "degrees"
-        ),
-    ),
-]  # fmt: skip
-
-
 def declare_numbers(
     long_name: str, unit: str, plural: str, low: float, high: float, *, open_low: bool = False
 ) -> Quantity:

@@ -84,7 +84,7 @@ class Medium(ABC):
 
     def __dir__(self) -> list[str]:
         """Return the names of inputs and derived quantities, without `PROTOCOL`."""
-        inputs = {one.name for one in fields(self)} if is_dataclass(self) else set()
+        inputs = {one.name for one in fields(self)} if is_dataclass(self) else set[str]()
         return [name for name in super().__dir__() if name in inputs or name not in PROTOCOL]
 
     @property

@@ -17,7 +17,6 @@ from formula_tables import W, evaluate_spectrum, make_table
 
 import splits
 from splits.core.inputs import check_beam_angle, check_incidence, check_wavelengths
-from splits.core.keywords import reject_unknown_keywords
 from splits.core.validation import InvalidValue, check_integer, check_number, short_repr
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.retrieval.medium_model import check_measurement_incidence, make_medium_state_vector
@@ -234,7 +233,6 @@ def test_media_keep_their_signatures():
     import inspect
 
     assert list(inspect.signature(splits.Snow).parameters)[:2] == ["grain_size_um", "facetness"]
-    assert reject_unknown_keywords.__doc__
 
 
 def test_values_in_messages_are_short_and_one_line():

@@ -11,9 +11,11 @@ import pandas as pd
 import xarray as xr
 
 from splits.core.arrays import read_columns
+from splits.core.inputs import ResultDataset
+from splits.core.keywords import declare_function
 from splits.core.optional import import_optional
 from splits.core.uncertainty import compute_error_parts
-from splits.core.validation import ROUNDING_TOLERANCE, invalid, snap_to_limits
+from splits.core.validation import ROUNDING_TOLERANCE, invalid, join_names, snap_to_limits
 
 STANDARD_OBSERVER = "CIE 1931 2 Degree Standard Observer"
 STANDARD_ILLUMINANT = "D65"
@@ -107,7 +109,8 @@ def _compute_tristimulus_weights(wavelength_nm: tuple[float, ...]) -> np.ndarray
     )
 
 
-def make_colour_table(dataset: xr.Dataset) -> pd.DataFrame:
+@declare_function
+def make_colour_table(dataset: ResultDataset) -> pd.DataFrame:
     """Return the colour of every point of a grid.
 
     Errors of L*, a*, b* are propagated linearly from the spectrum, with the correlations of
@@ -128,6 +131,8 @@ def make_colour_table(dataset: xr.Dataset) -> pd.DataFrame:
         runs with other seeds, and ``_error_bound``, a bound on the rest of the error; red, green,
         blue and ``srgb`` as hexadecimal code.
     """
+    if "reflectance" not in dataset:
+        raise invalid("dataset", f"of {join_names(map(str, dataset))}", "with reflectance")
     dims = [str(dim) for dim in dataset.reflectance.dims if dim != "wavelength"]
     rows = []
     for labels in itertools.product(*(dataset[dim].values for dim in dims)):

@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from splits.core.validation import invalid
+from splits.core.inputs import ResultDataset
+from splits.core.keywords import declare_function
+from splits.core.validation import invalid, join_names
 
 
-def select_principal_plane(dataset: xr.Dataset) -> xr.Dataset:
+@declare_function
+def select_principal_plane(dataset: ResultDataset) -> xr.Dataset:
     """Return the principal plane, which contains the beam and the normal of the surface.
 
     Parameters
@@ -25,8 +28,11 @@ def select_principal_plane(dataset: xr.Dataset) -> xr.Dataset:
     Raises
     ------
     ValueError
-        If an azimuth of the plane is missing.
+        For a dataset without directions, or if an azimuth of the plane is missing.
     """
+    if not {"polar_deg", "azimuth_deg"} <= {*dataset.dims}:
+        allowed = "over polar_deg and azimuth_deg"
+        raise invalid("dataset", f"over {join_names(map(str, dataset.dims))}", allowed)
     sides = []
     for azimuth, sign in ((180.0, -1.0), (0.0, 1.0)):
         matches = np.flatnonzero(np.isclose(dataset.azimuth_deg.values, azimuth))

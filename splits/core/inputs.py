@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
+import xarray as xr
 
 from splits.core.arrays import (
     as_1d_array,
@@ -61,6 +62,16 @@ def check_mapping(allowed: str) -> Callable[[str, Any], Mapping[Any, Any]]:
         return value
 
     return check
+
+
+def check_dataset(key: str, value: Any) -> xr.Dataset:
+    """Return a dataset, after checking that it is one."""
+    if not isinstance(value, xr.Dataset):
+        raise invalid(key, type(value).__name__, "an xarray.Dataset")
+    return value
+
+
+ResultDataset = Annotated[xr.Dataset, Quantity("result of an instrument", check=check_dataset)]
 
 
 # --------------------------------------------------------------------------------------------------

@@ -18,6 +18,8 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import check_no_gaps, find_labels, match_labels
+from splits.core.inputs import ResultDataset
+from splits.core.keywords import declare_function
 from splits.core.validation import check_choice, invalid
 
 Variable = tuple[str | tuple[str, ...], np.ndarray, dict[str, str]]
@@ -160,8 +162,9 @@ def compute_remaining_error(stderr: xr.DataArray, deviations: xr.DataArray) -> x
     return excess_variance.where(~is_rounding, 0.0) ** 0.5
 
 
+@declare_function
 def compute_difference(
-    dataset: xr.Dataset, quantity: str, one: str, other: str, dim: str = "medium"
+    dataset: ResultDataset, quantity: str, one: str, other: str, dim: str = "medium"
 ) -> tuple[xr.DataArray, xr.DataArray]:
     """Return the difference between two media that share paths, with its standard error.
 
@@ -194,6 +197,7 @@ def compute_difference(
     """
     if f"{quantity}_batches" not in dataset:
         raise invalid("quantity", quantity, "one with batches of rays", "such as reflectance")
+    check_choice("dim", dim, map(str, dataset[quantity].dims))
     labels = [str(label) for label in np.atleast_1d(dataset[dim].values)]
     selections = [
         dataset.sel({dim: check_choice(argument, label, labels)}, drop=True)

@@ -1,24 +1,12 @@
-"""Virtual instruments: from a medium and its illumination to a labelled dataset with errors."""
+"""Virtual instruments: from a medium and its illumination to a labelled dataset with errors.
 
-from splits.instruments.albedo import albedo, hdrf
-from splits.instruments.beam_spread import beam_spread
-from splits.instruments.goniophotometer import goniophotometer
-from splits.instruments.profiles import irradiance_profile, radiation_profile
-from splits.instruments.rough_surfaces import lens, surface_map
-from splits.instruments.single_scattering import single_scattering
-from splits.instruments.spectrophotometer import spectrophotometer
-from splits.instruments.time_of_flight import time_of_flight
+An instrument is a file ``NAME.py`` in this folder with the function ``NAME``, decorated by
+`splits.core.keywords.instrument`.  Nothing else lists it: it is ``splits.NAME`` in Python, and
+``instrument: {kind: NAME}`` in experiment files.
+"""
 
-__all__ = [
-    "albedo",
-    "beam_spread",
-    "goniophotometer",
-    "hdrf",
-    "irradiance_profile",
-    "lens",
-    "radiation_profile",
-    "single_scattering",
-    "spectrophotometer",
-    "surface_map",
-    "time_of_flight",
-]
+from splits.core.discovery import list_instrument_names, load_instrument
+
+# Each one registers its name, which experiments look up.
+for _name in list_instrument_names():
+    load_instrument(_name)

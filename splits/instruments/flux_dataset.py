@@ -55,7 +55,7 @@ def make_flux_dataset(
     wavelengths: np.ndarray,
     attributes: dict[str, Any],
 ) -> xr.Dataset:
-    """Return the dataset of a result, see `splits.instruments.irradiance_profile`.
+    """Return the dataset of a result, see `splits.irradiance_profile`.
 
     Parameters
     ----------

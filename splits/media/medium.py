@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields, is_dataclass, replace
 from functools import cached_property
 from numbers import Real
 from types import MappingProxyType
@@ -62,6 +62,16 @@ class LayerBottom(NamedTuple):
     albedo: float | None
 
 
+PROTOCOL = frozenset((
+    "ALTERNATIVES", "compute_added_absorption", "compute_truncation_depth", "has_grains",
+    "kernel_phase_function", "list_interfaces", "lowest_layer", "make_grain_population",
+    "make_height_fields", "material_columns", "opaque", "polarized", "pore_fluids",
+    "pore_fraction", "pores", "reflecting_ground", "scene_bottom", "scene_layers",
+    "single_scattering_albedo", "truncate", "wet_fraction",
+))  # fmt: skip
+"""Attributes of media that simulations need; `dir` lists them only where they are inputs."""
+
+
 class Medium(ABC):
     """Layers, top first, over a ground; the base of all media.
 
@@ -72,6 +82,11 @@ class Medium(ABC):
     """
 
     kind: str
+
+    def __dir__(self) -> list[str]:
+        """Return the names of inputs and derived quantities, without `PROTOCOL`."""
+        inputs = {one.name for one in fields(self)} if is_dataclass(self) else set[str]()
+        return [name for name in super().__dir__() if name in inputs or name not in PROTOCOL]
 
     @property
     @abstractmethod

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import pandas as pd
 import xarray as xr
 from matplotlib.figure import Figure
 
+from splits.core.inputs import ResultDataset
+from splits.core.keywords import declare_function
 from splits.core.validation import check_choice, invalid, unknown_key
 from splits.plotting.directions import QUANTITY_LABELS, draw_hemispheres, draw_lobes
 from splits.plotting.panels import FIGURE_SETTINGS, check_settings
@@ -44,18 +47,22 @@ FUNCTIONS: dict[str, Callable[..., Figure]] = {
 """Functions that draw the kinds of figures; their arguments are `FIGURE_SETTINGS`."""
 POINT_KINDS = ("lobes", "bins", "spread", "surface", "lens")
 """Kinds of figures of one point of a grid; for lobes, one parameter may vary."""
+NO_SETTINGS: Mapping[str, Any] = MappingProxyType({})
 OTHER_SETTINGS = ("kind", "note", "measured")
 
 
+@declare_function
 def draw(
-    dataset: xr.Dataset, section: Mapping[str, Any], measured: pd.DataFrame | None = None
+    dataset: ResultDataset,
+    section: Mapping[str, Any] = NO_SETTINGS,
+    measured: pd.DataFrame | None = None,
 ) -> Figure:
     """Draw a dataset according to the figure section of an experiment.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-    section : mapping
+    section : mapping, optional
         See `splits.experiments.config.figure.FigureSection`; by default spectra of reflectance.
     measured : pandas.DataFrame, optional
         Measured values to show together with spectra.
@@ -65,8 +72,6 @@ def draw(
     ValueError
         For a section that draws nothing, or more than a figure can show.
     """
-    if not isinstance(dataset, xr.Dataset):
-        raise invalid("dataset", type(dataset).__name__, "an xarray.Dataset")
     if not isinstance(section, Mapping):
         raise invalid("figure", section, "a mapping of settings")
     known = {*OTHER_SETTINGS}.union(*FIGURE_SETTINGS.values())

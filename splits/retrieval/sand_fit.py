@@ -22,7 +22,7 @@ import xarray as xr
 from splits.core.arrays import align_to_labels, check_array_range, check_named_numbers, find_labels
 from splits.core.inputs import check_incidence, check_wavelengths
 from splits.core.validation import check_integer, check_range, invalid, suggest_name
-from splits.instruments import spectrophotometer
+from splits.instruments.spectrophotometer import spectrophotometer
 from splits.media import Sand
 from splits.retrieval.gauss_newton import DescentStage, Objective, search_minima
 from splits.retrieval.least_squares import MIN_RESIDUAL_DOF, apply_priors, estimate_fit_covariance

@@ -237,7 +237,7 @@ WET_PORE_MODELS = ("saturation", "equilibrium")
 
 
 class GrainOpticsRequest(NamedTuple):
-    """Request for single-scattering properties, see `splits.instruments.single_scattering`.
+    """Request for single-scattering properties, see `splits.single_scattering`.
 
     The number of rays is a multiple of `GRAIN_RAYS_PER_CHUNK`, or a smaller
     one of `N_SCATTERING_BATCHES`.

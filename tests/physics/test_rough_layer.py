@@ -13,7 +13,7 @@ from scipy import stats
 
 import splits
 from splits.core.validation import InvalidValue
-from splits.instruments.rough_surfaces import lens
+from splits.instruments.lens import lens
 from splits.kernels import rng
 from splits.kernels.arithmetic import Vector, add_scaled, scale
 from splits.kernels.interface import ComplexIndex, sample_interface

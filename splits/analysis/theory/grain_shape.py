@@ -19,7 +19,7 @@ import numpy as np
 
 from splits.core.uncertainty import compute_jackknife_stderr
 from splits.core.validation import invalid
-from splits.instruments import single_scattering
+from splits.instruments.single_scattering import single_scattering
 from splits.media import Snow
 
 DEFAULT_WAVELENGTH_NM = 900.0

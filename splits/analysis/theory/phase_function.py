@@ -8,9 +8,9 @@ from typing import Annotated, Any
 import numpy as np
 import xarray as xr
 
-from splits.core.arrays import check_no_gaps
+from splits.core.arrays import as_1d_array, check_array_range, check_no_gaps
 from splits.core.declarations import Quantity
-from splits.core.inputs import ScatteringAngles
+from splits.core.inputs import NUMBERS_SCHEMA, Numbers
 from splits.core.keywords import declare_function
 from splits.core.uncertainty import compute_jackknife_stderr, make_variable
 from splits.core.validation import invalid, join_names
@@ -125,6 +125,17 @@ def compute_diffraction_moments(
     t = np.minimum(np.sqrt(order * (order + 1.0)) / (2.0 * size), 1.0)
     moments: np.ndarray = (2.0 / np.pi) * (np.arccos(t) - t * np.sqrt((1.0 - t) * (1.0 + t)))
     return moments
+
+
+ScatteringAngles = Annotated[
+    Numbers,
+    Quantity(
+        "scattering angle", "degree", schema=NUMBERS_SCHEMA,
+        check=lambda key, angles: check_array_range(
+            key, as_1d_array(key, angles, "numbers in degrees"), 0.0, 180.0, "degrees"
+        ),
+    ),
+]  # fmt: skip
 
 
 @declare_function

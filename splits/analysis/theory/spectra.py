@@ -25,7 +25,7 @@ from splits.media.ground import Ground, describe_ground
 from splits.simulation.deep_medium import effective_mean_free_path
 
 JACKKNIFE_SUFFIX, BOUND_SUFFIX = "_jackknife", "_interpolation_bound"
-"""Suffixes of the variables of `splits.instruments.single_scattering` for errors."""
+"""Suffixes of the variables of `splits.single_scattering` for errors."""
 
 TheoryFunction = Callable[[xr.Dataset], np.ndarray]
 """Function from optics to an array with wavelengths along the last axis."""
@@ -43,7 +43,7 @@ def propagate_errors(theory: TheoryFunction, optics: xr.Dataset) -> np.ndarray:
     theory : callable
         From a dataset like `optics` to float[…, wavelengths].
     optics : xarray.Dataset
-        From `splits.instruments.single_scattering`; without ``…_jackknife`` and
+        From `splits.single_scattering`; without ``…_jackknife`` and
         ``…_interpolation_bound`` it is assumed exact.
 
     References
@@ -117,7 +117,7 @@ def correct_dense_packing(optics: xr.Dataset) -> xr.Dataset:
     Parameters
     ----------
     optics : xarray.Dataset
-        From `splits.instruments.single_scattering`.
+        From `splits.single_scattering`.
 
     Returns
     -------
@@ -244,7 +244,7 @@ def compute_shape_factors(
     Parameters
     ----------
     optics : xarray.Dataset
-        From `splits.instruments.single_scattering`, of a dry medium.
+        From `splits.single_scattering`, of a dry medium.
     ssa_m2_kg : float
         Specific surface area (m²/kg).
     extinction_coefficient : array_like
@@ -290,7 +290,7 @@ def solve_discrete_ordinates(
     Parameters
     ----------
     optics : xarray.Dataset, or sequence of them
-        Optics of one layer, or of several, top first: from `splits.instruments.single_scattering`
+        Optics of one layer, or of several, top first: from `splits.single_scattering`
         with at least `streams` moments, or a dataset with ``single_scattering_albedo``,
         ``optical_thickness`` and ``legendre_moment``.
     incidence_deg : float or "diffuse"

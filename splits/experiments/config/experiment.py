@@ -233,7 +233,7 @@ class ExperimentConfig(SimulationConfig):
                 raise invalid("name", self.name, allowed, hint)
 
     def resolve_figure(self) -> dict[str, Any]:
-        """Return the section `figure` for `splits.plotting.draw`, with its kind resolved.
+        """Return the section `figure` for `splits.draw`, with its kind resolved.
 
         The selected values are those of the dataset's coordinates.
         """

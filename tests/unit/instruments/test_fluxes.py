@@ -16,7 +16,7 @@ from splits.instruments.flux_tally import (
     estimate_unseen_reflection,
     make_variance_terms,
 )
-from splits.instruments.profiles import make_sky_targets
+from splits.instruments.radiation_profile import make_sky_targets
 from splits.kernels.interface import compute_fresnel_mueller
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.kernels.transport.next_event import ABOVE, BELOW, DOWNWARD, UPWARD

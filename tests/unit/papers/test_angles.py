@@ -51,7 +51,11 @@ def test_the_peak_of_fine_grains_is_compared_with_those_of_coarser_ones():
     [
         ("incidence", {"incidence_deg": [10.0, 40.0]}, "with incidence_deg = 0.0 on its grid"),
         ("grazing", {"wavelength": [700.0]}, "must be an experiment with wavelength 600 nm"),
-        ("grazing", {"polar": np.arange(1.0, 37.0)}, "must be an experiment with the usual polar"),
+        (
+            "grazing",
+            {"polar_deg": np.arange(1.0, 37.0)},
+            "must be an experiment with the usual polar",
+        ),
         ("facetness", {}, "must be an experiment over facetness"),
         ("facet", {}, r"inputs\.facet: unknown key.*did you mean facetness"),
     ],

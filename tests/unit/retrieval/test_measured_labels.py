@@ -48,12 +48,11 @@ def test_conditions_of_a_spectrum_are_those_of_the_medium():
 
 @pytest.mark.parametrize(("polar", "azimuth"), [(30.0, 90.0), (20.0, 80.0)])
 def test_directions_are_those_of_the_view(polar, azimuth):
-    """Results of instruments name their angles polar and azimuth."""
     table = splits.Table(make_direction_dataset())
     measured = xr.DataArray([0.8, 0.7], {"wavelength": [500.0, 900.0], "polar_deg": polar,
                                          "azimuth_deg": azimuth}, ("wavelength",))  # fmt: skip
     view = {"incidence_deg": 20.0, "polar_deg": 20.0, "azimuth_deg": 90.0}
-    with pytest.raises(InvalidValue, match=r"measured\.(polar|azimuth) = "):
+    with pytest.raises(InvalidValue, match=r"measured\.(polar|azimuth)_deg = "):
         splits.retrieve(measured, table, [SIZE], 0.05, fixed=view, quantity="reflectance_factor")
 
 

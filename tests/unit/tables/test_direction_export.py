@@ -18,6 +18,7 @@ from splits.tables.conversions import ISOFIT_DIMS, convert_to_eradiate, convert_
 from splits.tables.table import write_csv
 
 COARSE = {SIZE: 100.0}
+AT_500_NM = {"wavelength": 500.0, **COARSE}
 
 
 @pytest.fixture
@@ -233,19 +234,22 @@ def test_unsuitable_tables_are_rejected(name, conversion):
             ),
             r"polar_deg = \[0.0, .*: must be from 0 to 40, as far as incidence_deg goes",
         ),
-        (lambda ds: convert_to_eradiate(ds, wavelength=500.0), "optical_radius_um = None: must be given"),
+        (
+            lambda ds: convert_to_eradiate(ds, wavelength=500.0),
+            "optical_radius_um = None: must be given",
+        ),
         (lambda ds: convert_to_eradiate(ds, **COARSE), "wavelength = None: must be one of"),
         (
             lambda ds: convert_to_eradiate(ds, wavelength=700.0, **COARSE),
             "wavelength = 700.0: must be one of the table's 2 wavelengths, from 500 to 900 nm",
         ),
-        (lambda ds: convert_to_eradiate(ds, wavelength=500.0, n_cosines=1, **COARSE), "n_cosines = 1"),
+        (lambda ds: convert_to_eradiate(ds, n_cosines=1, **AT_500_NM), "n_cosines = 1"),
         (
-            lambda ds: convert_to_eradiate(ds.isel(polar_deg=[0, 1, 2]), wavelength=500.0, **COARSE),
+            lambda ds: convert_to_eradiate(ds.isel(polar_deg=[0, 1, 2]), **AT_500_NM),
             "polar_deg = .*must be from 0 to at least 60",
         ),
         (
-            lambda ds: convert_to_eradiate(ds.isel(incidence_deg=[1, 4]), wavelength=500.0, **COARSE),
+            lambda ds: convert_to_eradiate(ds.isel(incidence_deg=[1, 4]), **AT_500_NM),
             "incidence_deg = .*must be from 0 to at least 60",
         ),
     ],

@@ -1,4 +1,7 @@
-"""Instruments of rough surfaces alone: height maps and the statistical lens."""
+"""The statistical lens: a ring of parallel rays through a wavy surface onto a screen.
+
+Budak & Grimailo 2020, section 3.1 and Fig 2.
+"""
 
 from __future__ import annotations
 
@@ -29,97 +32,6 @@ from splits.kernels.rough_surface.realization import (
 from splits.media.kinds import check_medium
 from splits.media.particle_layer import ParticleLayer
 from splits.simulation.run_options import RunOptions
-
-# --------------------------------------------------------------------------------------------------
-# Height map of a realization of a rough surface, and the roughness of realizations.
-
-DEFAULT_POINTS = 201
-MAX_REALIZATIONS = 10_000_000
-MapHalfWidth = Annotated[
-    float, Quantity("half the side length of the map", "m", low=1e-9, high=1e9)
-]
-MapPoints = Annotated[int, Quantity("number of points per side", low=2, high=3000)]
-MapRealizations = Annotated[
-    int, Quantity("number of realizations of the surface", low=2, high=MAX_REALIZATIONS)
-]
-
-
-@instrument
-def surface_map(
-    medium: ParticleLayer,
-    *,
-    half_width_m: MapHalfWidth,
-    points: MapPoints = DEFAULT_POINTS,
-    realizations: MapRealizations = 100,
-    seed: Seed = 1,
-) -> xr.Dataset:
-    """Return the heights of the rough surface of a layer around the origin.
-
-    Parameters
-    ----------
-    medium : ParticleLayer
-        A `splits.ParticleLayer` with a rough surface.
-    half_width_m : float
-        Half the side of the mapped square (m).
-    points : int
-        Number of points per side, at least 2.
-    realizations : int
-        Number of realizations, at least 2, from which the roughness is estimated; the first is
-        mapped.
-    seed : int
-
-    Returns
-    -------
-    xarray.Dataset
-        ``height`` (m) over ``x`` and ``y``; ``rms_height`` (m) and ``rms_slope`` (of the gradient)
-        of each realization, over the square.
-
-    Raises
-    ------
-    ValueError
-        For a value outside its range, or a layer with a smooth surface.
-
-    References
-    ----------
-    Budak & Grimailo 2020, Eq 3 and Fig 1.
-    """
-    check_medium(medium, ParticleLayer)
-    run, width = RunOptions.start(seed, threads=1), half_width_m
-    if medium.surface is None:
-        raise invalid("surface", None, "given for a map")
-    positions = np.linspace(-width, width, points)
-    x, y = (axis.ravel() for axis in np.meshgrid(positions, positions, indexing="ij"))
-    # Roughness needs fewer points than a map.
-    coarse_line = np.linspace(-width, width, 41)
-    u, v = (axis.ravel() for axis in np.meshgrid(coarse_line, coarse_line, indexing="ij"))
-    roughness = np.empty((2, realizations))
-    for realization in range(realizations):
-        waves = medium.surface.sample_realization(run.seed, realization)
-        if realization == 0:
-            height = compute_heights_and_slopes(waves, x, y).height.reshape(points, points)
-        z, slope = compute_heights_and_slopes(waves, u, v)
-        mean_squares = np.mean(z**2), np.mean(slope.x**2 + slope.y**2)
-        roughness[:, realization] = np.sqrt(mean_squares)
-    attributes = {
-        **run.make_attributes("Rough surface", "surface_map", medium),
-        "realizations": realizations,
-        "rays": 0,
-    }
-    dim, (rms_height, rms_slope) = "realization", roughness
-    variables = {
-        **make_variable("height", ("x", "y"), height, None, "height of the surface", "m"),
-        **make_variable("rms_height", dim, rms_height, None, "rms height of the square", "m"),
-        **make_variable("rms_slope", dim, rms_slope, None, "rms slope of the square"),
-    }
-    distance = {"units": "m", "long_name": "horizontal distance"}
-    coordinates = {"x": ("x", positions, distance), "y": ("y", positions, distance)}
-    return xr.Dataset(variables, coordinates, attributes)
-
-
-# --------------------------------------------------------------------------------------------------
-# The statistical lens: a ring of parallel rays through a wavy surface onto a screen.
-#
-# Budak & Grimailo 2020, section 3.1 and Fig 2.
 
 DEFAULT_RAYS = 360
 MAX_SCREEN_POINTS = 10_000_000

@@ -64,7 +64,7 @@ MEDIA: dict[str, Any] = {
     }),
     "layer": (splits.ParticleLayer(optical_thickness=3), {
         "optical_thickness": 0.5, "single_scattering_albedo": 0.004, "asymmetry": 0.04,
-        "bottom_albedo": 0.1, "refractive_index": 0.05, INCIDENCE_KEY: 5,
+        "ground": 0.1, "refractive_index": 0.05, INCIDENCE_KEY: 5,
     }),
     "two layers": (
         splits.Stack([

@@ -71,12 +71,12 @@ def compute_cost(dataset: xr.Dataset, seconds: float) -> float:
 LAYERS = {
     "clear water over sand": {
         "optical_thickness": 1.0, "single_scattering_albedo": 0.8, "asymmetry": 0.9,
-        "refractive_index": 1.34, "bottom_albedo": 0.3,
+        "refractive_index": 1.34, "ground": 0.3,
     },
     "paint": {"optical_thickness": 20.0, "single_scattering_albedo": 0.99, "asymmetry": 0.6},
     "cloud": {
         "optical_thickness": 10.0, "single_scattering_albedo": 1.0, "asymmetry": 0.85,
-        "refractive_index": 1.0, "bottom_albedo": 0.1,
+        "refractive_index": 1.0, "ground": 0.1,
     },
     "polarizing paint": {
         "optical_thickness": 5.0, "single_scattering_albedo": 0.9, "phase_function": "rayleigh",
@@ -233,7 +233,7 @@ def forward_peaks(rays_factor: float = 1.0, seeds: int = 24) -> Iterator[dict[st
     for name, (phase, thickness, rays) in PEAKED_LAYERS.items():
         layer = splits.ParticleLayer(
             optical_thickness=thickness, single_scattering_albedo=1.0, refractive_index=1.0,
-            bottom_albedo=None, **(phase or {"phase_function": make_cloud_phase_function()}),
+            ground=None, **(phase or {"phase_function": make_cloud_phase_function()}),
         )  # fmt: skip
         results = []
         for threshold in (math.inf, 20.0):

@@ -255,17 +255,6 @@ def check_depths(key: str, values: Any) -> np.ndarray:
     return as_1d_array(key, values, "numbers in metres")
 
 
-ScatteringAngles = Annotated[
-    Numbers,
-    Quantity(
-        "scattering angle", "degree", schema=NUMBERS_SCHEMA,
-        check=lambda key, angles: check_array_range(
-            key, as_1d_array(key, angles, "numbers in degrees"), 0.0, 180.0, "degrees"
-        ),
-    ),
-]  # fmt: skip
-
-
 def declare_numbers(
     long_name: str, unit: str, plural: str, low: float, high: float, *, open_low: bool = False
 ) -> Quantity:

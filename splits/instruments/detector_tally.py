@@ -17,6 +17,7 @@ from splits.kernels.scene import Scene
 from splits.kernels.transport.history import trace_to_detectors
 from splits.kernels.transport.next_event import ABOVE, BELOW, Detectors
 from splits.media.medium import Medium, ParticleMedium
+from splits.simulation.scene import get_bottom_albedo
 from splits.simulation.spectral_nodes import make_separate_nodes
 from splits.simulation.strata import Evaluation, StoppingRule, Stratum
 from splits.simulation.tally import LOST_MESSAGE, RAYS_PER_CHUNK, allow_for_unseen_rays
@@ -40,8 +41,9 @@ def get_detected_layers(medium: Medium) -> tuple[ParticleMedium, ...]:
     Raises
     ------
     ValueError
-        For grains, for a rough surface, for the ground of a stack, for narrow phase functions in a
-        stack, and for a phase function that is nearly all peak.
+        For grains, for a rough surface, for the ground of a stack or one that depends on
+        wavelength, for narrow phase functions in a stack, and for a phase function that is nearly
+        all peak.
     """
     layers = tuple(layer for layer in medium.scene_layers if not layer.has_grains)
     if len(layers) < len(medium.scene_layers):
@@ -55,8 +57,10 @@ def get_detected_layers(medium: Medium) -> tuple[ParticleMedium, ...]:
         raise _reject_estimator("for this phase_function", hint)
     if len(layers) > 1 and any(peak is not None for peak in peaks):
         raise _reject_estimator("for this phase_function", "narrow peaks require a single layer")
-    if medium.reflecting_ground is not None:
-        raise _reject_estimator("over the ground of a stack")
+    if medium.reflecting_ground is not None and get_bottom_albedo(medium) is None:
+        is_stack = medium.lowest_layer is not medium
+        kind = "the ground of a stack" if is_stack else "a ground that depends on wavelength"
+        raise _reject_estimator(f"over {kind}")
     return layers
 
 
@@ -84,7 +88,7 @@ def make_detectors(
     sine = (np.sin(outer_polar) / index[:, np.newaxis])[..., np.newaxis]
     cosine = compute_refracted_cosines(index, outer_polar)[..., np.newaxis]
     thickness = -np.diff(scene.layers.boundaries) * scene.layers.collision_coefficient
-    is_open = scene.bottom_albedo is None and scene.opaque is None
+    is_open = scene.ground_contact is None and scene.opaque is None
     has_lower_side = is_open and math.isfinite(thickness[-1])
     transmission = compute_transmission(
         index, thickness, outer_polar, has_lower_side, scene.stokes is not None
@@ -238,7 +242,7 @@ class DetectorTally(AngularTally):
         self.detectors, self.shape = detectors, detectors.sums.shape
         self.target, self.n_wavelengths = target, n_wavelengths
         self.has_lower_side, self.polarized = detectors.has_lower_side, scene.stokes is not None
-        # Light that reaches the bottom has other angles than at detectors outside.
+        # Light that reaches the ground has other angles than at detectors outside.
         self.undefined_variables = () if self.has_lower_side else ("btdf",)
         scatters = any(one.single_scattering_albedo * one.extinction_per_m > 0.0 for one in layers)
         self.no_signal = scene.opaque is not None or not (scatters or scene.bottom_albedo)

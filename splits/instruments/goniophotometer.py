@@ -62,8 +62,10 @@ from splits.simulation.scene import (
     IncidentStokes,
     build_scene,
     check_stokes,
+    compute_material_constants,
     compute_optical_constants,
     describe_polarization,
+    get_bottom_albedo,
 )
 from splits.simulation.shared_paths import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_nodes import choose_nodes
@@ -318,9 +320,9 @@ def goniophotometer(
         ``brdf_aolp``, degree (0 to 1) and angle (degrees from that plane, 0 to 180) of linear
         polarization, see `splits.instruments.angular_tallies`; and the same of the BTDF.
 
-        Over a diffuse bottom the BTDF is that of the light that the bottom absorbs, a fraction of
-        the light that arrives there, at angles within the layer; next-event estimation does not
-        compute it.
+        Over a ground of a single albedo in contact with a layer of particles, the BTDF is that of
+        the light that the ground absorbs, a fraction of the light that arrives there, at angles
+        within the layer; next-event estimation does not compute it.
 
         Under diffuse light there is no BRDF: ``reflectance_factor`` is then the
         hemispherical-directional one, of all light, ``transmittance_factor`` the same below, and
@@ -338,7 +340,8 @@ def goniophotometer(
     """
     check_medium(medium, allow_semi_infinite=solver != MONTE_CARLO)
     wavelengths, incidence = np.asarray(wavelength_nm), incidence_deg
-    has_ground = medium.reflecting_ground is not None
+    bottom_albedo = get_bottom_albedo(medium)
+    has_ground = medium.reflecting_ground is not None and bottom_albedo is None
     side = TARGET_SIDES[target]
     if has_ground and side == 1:
         raise invalid("target", target, "brdf over a ground", "no light leaves through a ground")
@@ -375,7 +378,7 @@ def goniophotometer(
             chosen = MONTE_CARLO
     if chosen == MONTE_CARLO:
         check_medium(medium)
-        scene = build_scene(medium, incidence, False, polarization)
+        scene = build_scene(medium, incidence, False, polarization, bottom_albedo)
         tally = _make_angular_tally(medium, scene, incidence, request, estimator, bins)
         # Bins have no error that a run could reach.
         is_fixed = rays is not None or bins is not None
@@ -420,7 +423,9 @@ def _make_angular_tally(
         layers = get_detected_layers(medium)
         detectors = make_detectors(layers, scene, polar, azimuth)
         return DetectorTally(layers, scene, detectors, target, len(wavelengths))
-    index, absorption = compute_optical_constants(medium, wavelengths)
+    is_counted = scene.bottom_albedo is None
+    compute = compute_optical_constants if is_counted else compute_material_constants
+    index, absorption = compute(medium, wavelengths)
     tolerance = INTERPOLATION_FRACTION * relative_stderr
     nodes = choose_nodes(index, medium.list_interfaces(), tolerance)
     if bins is not None:

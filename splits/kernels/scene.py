@@ -307,7 +307,8 @@ class Scene(NamedTuple):
         Whether the ground is in contact with the matrix of the lowest layer; otherwise the lower
         boundary of the sample is an interface.
     bottom_albedo : float or None
-        Albedo of a Lambertian bottom whose absorption is analog; it replaces the ground.
+        Albedo of a ground whose absorption is analog, for the directions of the light that it
+        absorbs; it replaces the column of the ground.
     stokes : Stokes or None
         Polarization of the incident light; None without polarization.
     height_fields : HeightFields or None

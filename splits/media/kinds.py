@@ -110,12 +110,7 @@ def make_medium(kind: str, keywords: Mapping[str, Any]) -> Medium:
         with key_prefix(key):
             kind = check_choice("kind", get_kind(layer), LAYER_KINDS)
             settings = {name: value for name, value in layer.items() if name != "kind"}
-            if "bottom_albedo" in settings:
-                given, hint = settings["bottom_albedo"], "give ground to the stack"
-                raise invalid("bottom_albedo", given, "left out in a stack", hint)
-            # Below all layers is the stack's ground.
-            bottom = {"bottom_albedo": None} if kind == "particle_layer" else {}
-            media.append(make_medium(kind, {**settings, **bottom}))
+            media.append(make_medium(kind, settings))
     return Stack(**{**keywords, LAYERS_KEY: tuple(media)})
 
 

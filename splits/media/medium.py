@@ -56,10 +56,13 @@ class Interface(NamedTuple):
 
 
 class LayerBottom(NamedTuple):
-    """Lower end of a layer in a scene: its depth (m), and the albedo of a bottom or None."""
+    """Lower end of a layer in a scene: its depth (m), and the ground in contact with it or None.
+
+    Between a layer and a ground in contact there is no interface.
+    """
 
     depth_m: float
-    albedo: float | None
+    ground: Ground | None
 
 
 PROTOCOL = frozenset((
@@ -110,8 +113,10 @@ class Medium(ABC):
 
     @property
     def reflecting_ground(self) -> Ground | None:
-        """Ground below, None where it does not reflect."""
-        return self.ground if self.ground is not None and self.ground.is_reflecting else None
+        """Ground that light reaches, None where it does not reflect."""
+        is_reached = not (self.is_semi_infinite or self.opaque)
+        ground = self.lowest_layer.scene_bottom.ground or (self.ground if is_reached else None)
+        return ground if ground is not None and ground.is_reflecting else None
 
     @property
     def polarized(self) -> bool:
@@ -404,7 +409,7 @@ class ParticleMedium(HomogeneousLayer):
 
     @abstractmethod
     def compute_truncation_depth(self, undisturbed_depth_m: float) -> float:
-        """Return a depth (m), instead of an infinite one, over a white bottom.
+        """Return a depth (m), instead of an infinite one, over a white ground.
 
         The light above the undisturbed depth (m) is that in the infinite layer.
         """

@@ -1,4 +1,4 @@
-"""Particle layer under a smooth or rough Fresnel surface, over a Lambertian bottom.
+"""Particle layer under a smooth or rough Fresnel surface, over a Lambertian ground.
 
 The model is that of Budak & Grimailo (2020).
 
@@ -53,7 +53,7 @@ from splits.kernels.rough_surface.realization import HeightFields
 from splits.kernels.scene import MATRIX
 from splits.materials.csv_table import read_csv, read_tabulated_function, to_columns
 from splits.media.formatting import find_differences, format_call, format_input
-from splits.media.ground import Ground
+from splits.media.ground import Ground, GroundInput, describe_ground
 from splits.media.medium import LayerBottom, ParticleMedium
 from splits.media.rough_surface import RoughSurface
 
@@ -382,9 +382,6 @@ Asymmetry = Annotated[
     Quantity("mean cosine of the scattering angle", low=-0.999, high=0.999, first_step=0.04),
 ]
 MatrixIndex = Annotated[float, Quantity("refractive index", low=1.0, high=10.0)]
-BottomAlbedo = Annotated[
-    float | None, Quantity("albedo of the bottom", low=0.0, high=1.0, first_step=0.04)
-]
 Surface = Annotated[
     Any,
     Quantity(
@@ -421,6 +418,8 @@ Depolarization = Annotated[
 ]
 Polarized = Annotated[bool, Quantity("whether the Stokes vector is traced")]
 Opaque = Annotated[bool, Quantity("whether all light transmitted by the surface is absorbed")]
+DEFAULT_GROUND = Ground.from_input(0.5)
+"""Ground of a layer that is no part of a stack."""
 LayerThickness = Annotated[
     float, Quantity("thickness of the sample", "m", low=1e-9, high=1e6, label="depth")
 ]
@@ -442,9 +441,11 @@ class ParticleLayer(ContentEquality, ParticleMedium):
         Mean cosine of the scattering angle, −0.999 to 0.999 (Henyey–Greenstein).
     refractive_index : float
         Refractive index of the matrix relative to the medium above, 1 to 10.
-    bottom_albedo : float or None
-        Albedo of a Lambertian bottom, 0 to 1.  With None, light leaves through a smooth lower
-        boundary.
+    ground : number, str, mapping or path, optional
+        Lambertian ground in contact with the matrix: an albedo, "black", the name of a soil or a
+        table; see `splits.media.ground.Ground.from_input`.  With "open" or None, light leaves
+        through a smooth lower boundary.  The default is an albedo of 0.5; in a stack, a layer has
+        no ground of its own.  No light reaches the ground of an infinite layer.
     surface : RoughSurface, mapping or sequence of mappings, optional
         Random height field of the upper boundary; smooth by default.
     phase_function : {"henyey_greenstein", "rayleigh"} or mapping
@@ -463,7 +464,7 @@ class ParticleLayer(ContentEquality, ParticleMedium):
         function needs a `scattering_matrix` for this; that of Henyey and Greenstein is combined
         with the polarization of Rayleigh scattering.
     opaque : bool
-        Whether all light transmitted by the surface is absorbed; particles and bottom then have
+        Whether all light transmitted by the surface is absorbed; particles and ground then have
         no effect.
     depth_m : float
         Geometric thickness (m), 1e-9 to 1e6.  For an infinite optical thickness, it is the mean
@@ -476,7 +477,7 @@ class ParticleLayer(ContentEquality, ParticleMedium):
 
     Notes
     -----
-    Transmittance counts the light absorbed by the bottom or, without a bottom, the light that
+    Transmittance counts the light absorbed by the ground or, without a ground, the light that
     leaves through the lower boundary.
 
     References
@@ -498,7 +499,7 @@ class ParticleLayer(ContentEquality, ParticleMedium):
     single_scattering_albedo: SingleScatteringAlbedo = 0.99
     asymmetry: Asymmetry = 0.75
     refractive_index: MatrixIndex = 1.5
-    bottom_albedo: BottomAlbedo = 0.5
+    ground: GroundInput = DEFAULT_GROUND
     surface: Surface = None
     phase_function: PhaseFunctionInput = "henyey_greenstein"
     scattering_matrix: ScatteringMatrixInput = None
@@ -530,12 +531,12 @@ class ParticleLayer(ContentEquality, ParticleMedium):
         object.__setattr__(self, "_phase", phase)
         if self.surface is not None:
             min_depth_m = CLEARANCE_SIGMA * self.surface.rms_height_m
-            has_bottom = not (self.is_semi_infinite or self.opaque)
-            if self.depth_m < min_depth_m and has_bottom:
+            is_reached = not (self.is_semi_infinite or self.opaque)
+            if self.depth_m < min_depth_m and is_reached:
                 raise invalid(
                     "depth_m", self.depth_m,
                     f"at least {format_limit(min_depth_m, self.depth_m)} m",
-                    f"{CLEARANCE_SIGMA:g} standard deviations of height must fit above the bottom",
+                    f"{CLEARANCE_SIGMA:g} standard deviations of height must fit above the ground",
                 )  # fmt: skip
 
     def __repr__(self) -> str:
@@ -570,24 +571,27 @@ class ParticleLayer(ContentEquality, ParticleMedium):
         """Lower end of the layer in a scene.
 
         An infinite conservative layer reflects all light, after an infinite mean number of
-        scatterings.  A deep finite layer over a white bottom replaces it, with the same
+        scatterings.  A deep finite layer over a white ground replaces it, with the same
         reflectance at finite cost.
         """
-        if self.opaque or not self.is_semi_infinite:
-            return LayerBottom(self.depth_m, self.bottom_albedo)
+        if self.opaque:
+            return LayerBottom(self.depth_m, None)
+        if not self.is_semi_infinite:
+            return LayerBottom(self.depth_m, self.ground)
         if self.single_scattering_albedo < 1.0:
-            return LayerBottom(math.inf, self.bottom_albedo)
+            return LayerBottom(math.inf, None)
         clearance_m = 0.0 if self.surface is None else CLEARANCE_SIGMA * self.surface.rms_height_m
-        return LayerBottom(self.compute_truncation_depth(clearance_m), 1.0)
+        white = Ground.from_input(1.0)
+        return LayerBottom(self.compute_truncation_depth(clearance_m), white)
 
     def compute_truncation_depth(self, undisturbed_depth_m: float) -> float:
-        """Return a depth (m), instead of an infinite one, over a white bottom.
+        """Return a depth (m), instead of an infinite one, over a white ground.
 
         The light above the undisturbed depth (m) is that in the infinite layer.
         """
         albedo, g = self.single_scattering_albedo, self.kernel_phase_function.g
         rate = min(1.0, math.sqrt(3.0 * (1.0 - albedo) * (1.0 - albedo * g)))
-        # The effect of a white bottom at a distance z from the light is at most exp(-2 rate z).
+        # The effect of a white ground at a distance z from the light is at most exp(-2 rate z).
         optical_distance = SEMI_INFINITE_TRANSPORT_MFP * max(1.0, 1.0 / (1.0 - g))
         if rate > 0.0:
             decay = min(0.5 * SEMI_INFINITE_TRANSPORT_MFP / rate, MAX_OPTICAL_DISTANCE)
@@ -595,12 +599,9 @@ class ParticleLayer(ContentEquality, ParticleMedium):
         return undisturbed_depth_m + optical_distance / self.extinction_per_m
 
     def truncate(self, depth_m: float, ground: Ground | None) -> ParticleLayer:
-        """Return a layer of another depth (m), over a ground of constant albedo as its bottom."""
-        bottom_albedo = None if ground is None else ground.albedo_values[0]
+        """Return a layer of another depth (m), over a ground in contact with it."""
         thickness = self.extinction_per_m * depth_m
-        return replace(
-            self, optical_thickness=thickness, depth_m=depth_m, bottom_albedo=bottom_albedo
-        )
+        return replace(self, optical_thickness=thickness, depth_m=depth_m, ground=ground)
 
     def make_height_fields(self) -> HeightFields | None:
         """Return the rough surface in the form the kernels take, or None for a smooth surface."""
@@ -626,7 +627,7 @@ class ParticleLayer(ContentEquality, ParticleMedium):
     def describe(self) -> dict[str, Any]:
         """Return all inputs as dataset attributes."""
         inputs = {f.name: getattr(self, f.name) for f in fields(self)}
-        surface = inputs.pop("surface")
+        surface, ground = inputs.pop("surface"), inputs.pop("ground")
         surface_attrs = {} if surface is None else surface.describe()
         if isinstance(self.phase_function, Mapping):
             inputs["phase_function"] = "tabulated"
@@ -641,4 +642,5 @@ class ParticleLayer(ContentEquality, ParticleMedium):
             "surface": "smooth" if surface is None else "rough",
             **{f"surface_{key}": value for key, value in surface_attrs.items()},
             "extinction_per_m": self.extinction_per_m,
+            **describe_ground(ground),
         }

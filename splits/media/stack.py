@@ -18,11 +18,10 @@ from splits.media.formatting import format_input, suggest_medium
 from splits.media.ground import Ground, GroundInput, check_ground_reached, describe_ground
 from splits.media.interpretations import INTERPRETATION_SETS, TransportInterpretation
 from splits.media.medium import GranularMedium, Interface, Layer, Medium
-from splits.media.particle_layer import ParticleLayer
+from splits.media.particle_layer import DEFAULT_GROUND, ParticleLayer
 
 MAX_LAYERS = 200
 UNSUPPORTED_IN_STACK = {
-    "bottom_albedo": (None, "the stack's ground is below all layers: bottom_albedo=None"),
     "surface": (None, "only the top layer of a stack may be rough"),
     "opaque": (False, "all layers of a stack scatter light"),
 }
@@ -37,7 +36,11 @@ def _check_layers(key: str, layers: Any) -> tuple[Any, ...]:
     is_one = isinstance(layers, str | GranularMedium | ParticleLayer)
     if is_one or not isinstance(layers, Iterable):
         raise invalid(key, layers, "a list of media, top first")
-    layers = tuple(layers)
+    # Particle layers have their default ground only outside of stacks.
+    layers = tuple(
+        replace(one, ground=None) if getattr(one, "ground", None) is DEFAULT_GROUND else one
+        for one in layers
+    )
     last = len(layers) - 1
     if not 1 <= len(layers) <= MAX_LAYERS:
         raise invalid(key, f"{len(layers)} layers", f"1 to {MAX_LAYERS}")
@@ -58,9 +61,9 @@ def _check_layers(key: str, layers: Any) -> tuple[Any, ...]:
             name = "depth_m" if layer.has_grains else "optical_thickness"
             hint = "only the lowest layer may be infinite"
             raise invalid(f"{own_key}.{name}", math.inf, "finite", hint)
-        if layer.has_grains and layer.ground is not None:
+        if layer.ground is not None:
             hint = "give it to the stack"
-            raise invalid(f"{own_key}.ground", layer.ground.name, "left out", hint)
+            raise invalid(f"{own_key}.ground", layer.ground.as_input(), "left out", hint)
     return layers
 
 
@@ -84,8 +87,8 @@ class Stack(ContentEquality, Medium):
     ----------
     layers : sequence of Snow, Sand or ParticleLayer
         Layers from top to bottom, 1 to 200.  All layers of grains must have the same choices of
-        `splits.media.interpretations.TransportInterpretation`, and no layer may have a ground.  A
-        `ParticleLayer` must have ``bottom_albedo=None``, and must not be opaque.  Only the lowest
+        `splits.media.interpretations.TransportInterpretation`, and no layer may have a ground
+        (that of a `ParticleLayer` by default is left out) or be opaque.  Only the lowest
         layer may be infinite, and only the top layer may have a rough surface.  All
         layers of particles, or none, must be polarized; polarized light is traced through layers of
         grains, too.
@@ -259,11 +262,6 @@ class AbsorbingMatrixLayer(ParticleLayer):
     """
 
     absorption_per_m: AbsorptionCoefficient = 0.0
-
-    @property
-    def ground(self) -> Ground | None:
-        """The bottom, whose hits are counted along the paths."""
-        return Ground.from_input(self.bottom_albedo)
 
     def compute_added_absorption(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return the absorption coefficient of the matrix (1/m), shape (wavelengths, 2)."""

@@ -40,7 +40,6 @@ SMALL_FONT_PT = 6.5
 DPI = 300
 
 VALUE_LABELS = {
-    "bottom_albedo": {"None": "no bottom"},
     "surface": {"None": "smooth"},
     "ground": {"None": "open"},
     "model": {"kokhanovsky_zege_2004": "Kokhanovsky & Zege", "splits": "this model"},
@@ -342,9 +341,7 @@ FORMATTERS: dict[str, dict[str, Callable[[Any], str]]] = {
         "refractive_index": _make_formatter("index"),
         "optical_thickness": _make_formatter("optical thickness"),
         "single_scattering_albedo": _make_formatter("single-scattering albedo"),
-        "bottom_albedo": lambda value: (
-            "" if str(value) in ("none", "None") else _make_formatter("bottom albedo")(value)
-        ),
+        "ground": _format_ground,
         "surface_rms_slope": lambda value: (
             "slopes without finite rms"
             if str(value) == "inf"
@@ -359,7 +356,7 @@ _EQUIVALENT_KEYS = (
     ("saturation", "liquid_water_content"),
 )
 """Keywords that state the same quantity."""
-_INTERIOR_KEYS = ("optical_thickness", "single_scattering_albedo", "bottom_albedo")
+_INTERIOR_KEYS = ("optical_thickness", "single_scattering_albedo", "ground")
 """Keywords of a layer without effect below an opaque surface."""
 _SURFACE_INSTRUMENTS = ("surface_map", "lens")
 """Instruments that measure a rough surface only."""

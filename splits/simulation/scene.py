@@ -202,16 +202,31 @@ def compute_optical_constants(medium: Medium, wavelength_nm: np.ndarray) -> Opti
     )
 
 
+def get_bottom_albedo(medium: Medium) -> float | None:
+    """Return the albedo of a reflecting ground whose absorption may be analog, otherwise None.
+
+    It is in contact with a layer of particles, and the same at all wavelengths.  Light that it
+    absorbs is then an exit, of which tallies know the direction.
+    """
+    ground = medium.reflecting_ground
+    in_contact = medium.lowest_layer.scene_bottom.ground is not None
+    if ground is None or not in_contact or ground.wavelength_nm is not None:
+        return None
+    return float(ground.albedo_values[0])
+
+
 def build_scene(
     medium: Medium,
     incidence_deg: float | str,
     analog: bool,
     polarization: IncidentPolarization | None = None,
+    bottom_albedo: float | None = None,
 ) -> Scene:
     """Return an illuminated medium.
 
     `analog` samples absorption at each segment; `polarization` is that of the incident light, None
     for runs without it.  Polarized layers of particles require it: unpolarized light by default.
+    With `bottom_albedo`, see `get_bottom_albedo`, the absorption by the ground is analog.
     """
     media = medium.scene_layers
     if polarization is None and medium.polarized:
@@ -224,8 +239,8 @@ def build_scene(
     source = Source(1.0, 1.0)
     if incidence_deg != "diffuse":
         source = Source(float(np.cos(np.radians(float(incidence_deg)))), 0.0)
-    has_ground, height_fields = medium.reflecting_ground is not None, make_height_fields(medium)
-    bottom_albedo = media[-1].scene_bottom.albedo
+    has_ground = medium.reflecting_ground is not None and bottom_albedo is None
+    height_fields = make_height_fields(medium)
     return Scene(
         source,
         _make_layers(media, populations, first_materials, height_fields),
@@ -234,8 +249,8 @@ def build_scene(
         make_particle_table(particle_layers) if particle_layers else None,
         int(first_materials[-1]) if has_ground else NO_GROUND,
         False,
-        ground_contact=None if bottom_albedo is None else True,
-        bottom_albedo=None if has_ground else bottom_albedo,
+        ground_contact=None if media[-1].scene_bottom.ground is None else True,
+        bottom_albedo=bottom_albedo,
         stokes=None if polarization is None else polarization.make_stokes(incidence_deg),
         height_fields=height_fields,
         opaque=True if any(layer.opaque for layer in media) else None,

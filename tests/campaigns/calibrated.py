@@ -29,12 +29,12 @@ WET = splits.Snow(depth_m=0.01, saturation=0.3)
 SAND = splits.Sand(depth_m=0.005)
 SNOWPACK = splits.Stack([splits.Snow(density_kg_m3=150, depth_m=0.004), SNOW], ground=0.3)
 SCATTERING_LAYER = splits.ParticleLayer(
-    optical_thickness=2.0, asymmetry=0.5, single_scattering_albedo=0.9, bottom_albedo=None,
+    optical_thickness=2.0, asymmetry=0.5, single_scattering_albedo=0.9, ground=None,
     refractive_index=1.3,
 )  # fmt: skip
 POLARIZED_LAYER = splits.ParticleLayer(
     optical_thickness=1.0, single_scattering_albedo=0.95, phase_function="rayleigh",
-    refractive_index=1.3, bottom_albedo=None, polarized=True,
+    refractive_index=1.3, ground=None, polarized=True,
 )  # fmt: skip
 ROUGH_LAYER = splits.ParticleLayer(
     refractive_index=1.33,

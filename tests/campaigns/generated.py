@@ -138,7 +138,7 @@ KEYWORDS = {
         "single_scattering_albedo": numbers_within(0.0, 0.99),
         "asymmetry": numbers_within(-0.9, 0.9),
         "refractive_index": numbers_within(1.0, 3.0),
-        "bottom_albedo": numbers_within(0.0, 1.0) | st.none(),
+        "ground": numbers_within(0.0, 1.0) | st.sampled_from(["open", "black"]),
         "surface": st.fixed_dictionaries(
             {
                 "rms_height_m": numbers_within(1e-3, 0.02),

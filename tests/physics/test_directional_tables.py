@@ -209,9 +209,7 @@ def test_thin_layers_agree_with_discrete_ordinates_of_others():
     }  # fmt: skip
 
     def make_layer(**point) -> splits.ParticleLayer:
-        return splits.ParticleLayer(
-            asymmetry=asymmetry, refractive_index=1.0, bottom_albedo=None, **point
-        )
+        return splits.ParticleLayer(asymmetry=asymmetry, refractive_index=1.0, ground=None, **point)
 
     table = splits.build_table(make_layer, grid, [550.0], max_stderr=0.004)
     expected = xr.full_like(table.reflectance_factor, np.nan)
@@ -261,7 +259,7 @@ def test_skies_over_smooth_surfaces_give_the_quotient_of_factor_and_reflectance(
     def make_layer(optical_thickness: float) -> splits.ParticleLayer:
         return splits.ParticleLayer(
             optical_thickness=optical_thickness, single_scattering_albedo=0.7, asymmetry=0.5,
-            refractive_index=1.5, bottom_albedo=0.0,
+            refractive_index=1.5, ground=0.0,
         )  # fmt: skip
 
     table = splits.Table(

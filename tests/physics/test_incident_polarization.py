@@ -52,7 +52,7 @@ def test_a_smooth_surface_reflects_fresnels_fractions(incidence):
     """Light polarized along the plane of incidence has R_p, and perpendicular to it R_s."""
     glass = splits.ParticleLayer(
         optical_thickness=1.0, single_scattering_albedo=0.0, refractive_index=1.5,
-        bottom_albedo=0.0, polarized=True,
+        ground=0.0, polarized=True,
     )  # fmt: skip
     cos_i = np.cos(np.radians(incidence))
     cos_t = np.sqrt(1.0 - (1.0 - cos_i**2) / 1.5**2)
@@ -122,7 +122,7 @@ def test_errors_of_the_degree_of_polarization_are_those_of_independent_runs():
 @NEEDS_JIT
 def test_errors_of_sparse_bins_allow_for_unseen_polarized_light():
     """Most of the rays in a bin were depolarized by the bottom; few were scattered by particles."""
-    layer = replace(THIN_LAYER, bottom_albedo=0.5)
+    layer = replace(THIN_LAYER, ground=0.5)
     counted = splits.goniophotometer(
         layer, [550.0], 60.0, rays=5000, estimator="bins", n_bins=(8, 24)
     ).squeeze("wavelength")  # fmt: skip
@@ -142,7 +142,7 @@ def test_errors_of_sparse_bins_allow_for_unseen_polarized_light():
 @NEEDS_JIT
 def test_errors_hold_at_every_angle_of_polarization():
     """Depolarized and singly scattered rays: Q and U have the same noise at angles near 22.5°."""
-    layer = replace(THIN_LAYER, bottom_albedo=0.3)
+    layer = replace(THIN_LAYER, ground=0.3)
     n_runs, rays = 60, scale_sample_size(150_000)
     runs = [
         splits.goniophotometer(
@@ -201,7 +201,7 @@ def test_reflection_matrix_is_reciprocal():
     """
     layer = splits.ParticleLayer(
         refractive_index=1.33, optical_thickness=1.0, single_scattering_albedo=0.98,
-        bottom_albedo=None, polarized=True, scattering_matrix=make_matrix(0.9),
+        ground=None, polarized=True, scattering_matrix=make_matrix(0.9),
     )  # fmt: skip
     one, one_stderr = compute_reflection_matrix(layer, (25.0, 60.0), 1)
     two, two_stderr = compute_reflection_matrix(layer, (60.0, 25.0), 11)
@@ -235,7 +235,7 @@ def test_reflection_matrix_of_a_semi_infinite_layer():
         ],
     }
     layer = splits.ParticleLayer(
-        refractive_index=1.0, bottom_albedo=None, polarized=True, optical_thickness=float("inf"),
+        refractive_index=1.0, ground=None, polarized=True, optical_thickness=float("inf"),
         single_scattering_albedo=1.0, scattering_matrix=REFERENCE / "half_space_coefficients.csv",
     )  # fmt: skip
     # Azimuths on both sides: a Fourier coefficient has only coefficients of orders near 24 added.

@@ -302,7 +302,7 @@ HAZE = splits.ParticleLayer(2.0, 0.95, 0.6, 1.33, None, depth_m=0.01)
 HAZY_STACK = splits.Stack([HAZE, splits.Snow(depth_m=0.01)], ground=0.4)
 LAYERS = {
     "over a bottom": splits.ParticleLayer(),
-    "over a black bottom": splits.ParticleLayer(bottom_albedo=0.0),
+    "over a black bottom": splits.ParticleLayer(ground=0.0),
     "open below": splits.ParticleLayer(4.0, 0.9, 0.5, 1.0, None),
     "black particles": splits.ParticleLayer(1.0, 0.0, 0.0, 1.2),
     "semi-infinite": splits.ParticleLayer(math.inf, 0.95),

@@ -20,7 +20,7 @@ from splits.kernels.transport.next_event import ABOVE
 from splits.simulation.scene import build_scene, compute_optical_constants
 
 NM = [550.0]
-CONSERVATIVE = {"single_scattering_albedo": 1.0, "bottom_albedo": 1.0}
+CONSERVATIVE = {"single_scattering_albedo": 1.0, "ground": 1.0}
 
 
 def get_value(ds, name: str) -> tuple[float, float]:
@@ -37,7 +37,7 @@ def plate_fluxes(index: float, cosine: float) -> tuple[float, float]:
 @pytest.mark.parametrize("incidence", [0.0, 60.0, 89.9])
 @pytest.mark.parametrize("index", [1.0, 1.5])
 def test_layer_without_particles_is_a_plate(index, incidence):
-    plate = splits.ParticleLayer(optical_thickness=0.0, refractive_index=index, bottom_albedo=None)
+    plate = splits.ParticleLayer(optical_thickness=0.0, refractive_index=index, ground=None)
     ds = splits.spectrophotometer(plate, NM, incidence, max_stderr=0.01)
     expected = plate_fluxes(index, math.cos(math.radians(incidence)))
     (value, stderr), (exact, transmitted) = get_value(ds, "reflectance"), expected
@@ -75,7 +75,7 @@ def test_thick_conservative_layer_follows_diffusion_theory(error):
     # (van de Hulst 1980), hence 2 %.
     layer = splits.ParticleLayer(
         optical_thickness=1e4, single_scattering_albedo=1.0, asymmetry=0.99,
-        refractive_index=1.0, bottom_albedo=None,
+        refractive_index=1.0, ground=None,
     )  # fmt: skip
     ds = splits.spectrophotometer(layer, NM, 0.0, max_stderr=error)
     value, stderr = get_value(ds, "transmittance")
@@ -87,7 +87,7 @@ def test_thick_conservative_layer_follows_diffusion_theory(error):
 def test_black_particles_transmit_only_the_direct_beam():
     layer = splits.ParticleLayer(
         optical_thickness=1.0, single_scattering_albedo=0.0, refractive_index=1.0,
-        bottom_albedo=None,
+        ground=None,
     )  # fmt: skip
     ds = splits.spectrophotometer(layer, NM, 60.0, max_stderr=0.01)
     value, stderr = get_value(ds, "transmittance")
@@ -135,7 +135,7 @@ def test_polarization_has_no_effect_without_polarizers():
 def test_brdf_obeys_helmholtz_reciprocity(particles):
     matrix = {"scattering_matrix": make_matrix(0.8)} if particles == "matrix" else {}
     layer = splits.ParticleLayer(
-        optical_thickness=3.0, single_scattering_albedo=0.95, asymmetry=0.6, bottom_albedo=0.3,
+        optical_thickness=3.0, single_scattering_albedo=0.95, asymmetry=0.6, ground=0.3,
         polarized=particles != "scalar", **matrix,
     )  # fmt: skip
     pairs = [(0.0, 60.0, 0.0), (20.0, 70.0, 180.0), (35.0, 55.0, 90.0), (10.0, 80.0, 45.0)]
@@ -156,7 +156,7 @@ def test_brdf_obeys_helmholtz_reciprocity(particles):
 
 @pytest.mark.long
 def test_local_estimation_agrees_with_expansion():
-    layer = splits.ParticleLayer(optical_thickness=2.0, asymmetry=0.5, bottom_albedo=None)
+    layer = splits.ParticleLayer(optical_thickness=2.0, asymmetry=0.5, ground=None)
     polar, azimuth = np.arange(0.0, 85.0, 10.0), [0.0, 90.0, 180.0]
     local, expansion = (
         splits.goniophotometer(
@@ -175,7 +175,7 @@ def test_local_estimation_agrees_with_expansion():
 
 
 def test_errors_of_local_estimation_from_few_batches():
-    layer = splits.ParticleLayer(optical_thickness=2.0, asymmetry=0.5, bottom_albedo=None)
+    layer = splits.ParticleLayer(optical_thickness=2.0, asymmetry=0.5, ground=None)
     runs = [
         splits.goniophotometer(
             layer, NM, 40.0, rays=4000, seed=seed, estimator="next_event", polar_deg=[0.0, 60.0],
@@ -193,7 +193,7 @@ def test_bins_and_local_estimation_agree_on_polarization():
     # With two interfaces, local estimation sums their multiple reflections; bins record rays only.
     layer = splits.ParticleLayer(
         optical_thickness=1.0, single_scattering_albedo=0.9, refractive_index=1.5,
-        bottom_albedo=None, phase_function="rayleigh", polarized=True,
+        ground=None, phase_function="rayleigh", polarized=True,
     )  # fmt: skip
     bins = splits.goniophotometer(layer, NM, 50.0, estimator="bins", n_bins=(40, 36), rays=500_000)
     bins = bins.isel(polar_deg=bins.polar_deg.values < 75.0)
@@ -215,7 +215,7 @@ def test_bins_and_local_estimation_agree_on_polarization():
         ({"single_scattering_albedo": 1.1}, "single_scattering_albedo = 1.1"),
         ({"asymmetry": 1.0}, "asymmetry = 1.0"),
         ({"refractive_index": 0.9}, "refractive_index = 0.9"),
-        ({"bottom_albedo": 2.0}, "bottom_albedo = 2.0"),
+        ({"ground": 2.0}, "ground = 2.0"),
         ({"phase_function": "mie"}, "phase_function = 'mie'"),
         ({"phase_function": {"cosine": [-1, 1]}}, "cosine, density"),
         ({"phase_function": {"cosine": [-1, 0.5], "density": [1, 1]}}, "increasing from -1 to 1"),
@@ -244,7 +244,7 @@ def test_rare_events_have_nonzero_errors():
     for layer, incidence in (
         (splits.ParticleLayer(), 89.9999),
         (
-            splits.ParticleLayer(optical_thickness=1e-6, refractive_index=1.0, bottom_albedo=None),
+            splits.ParticleLayer(optical_thickness=1e-6, refractive_index=1.0, ground=None),
             0.0,
         ),
     ):
@@ -256,7 +256,7 @@ def test_rare_events_have_nonzero_errors():
         assert (ds.reflectance_stderr > 0.0).all()
     ds = splits.spectrophotometer(
         splits.ParticleLayer(
-            optical_thickness=1e-3, single_scattering_albedo=0.0, bottom_albedo=0.0
+            optical_thickness=1e-3, single_scattering_albedo=0.0, ground=0.0
         ),
         NM, 0.0, max_stderr=0.01,
     )  # fmt: skip
@@ -274,7 +274,7 @@ def test_local_estimation_above_a_bottom_has_no_btdf():
 @pytest.mark.parametrize("max_order", [0, 1])
 def test_next_event_estimation_ends_at_the_largest_order(max_order):
     """The bottom counts as one order of scattering; without particles it is the only one."""
-    layer = splits.ParticleLayer(optical_thickness=0.0, refractive_index=1.0, bottom_albedo=0.5)
+    layer = splits.ParticleLayer(optical_thickness=0.0, refractive_index=1.0, ground=0.5)
     scene, zenith = build_scene(layer, 50.0, False), np.array([0.0])
     detectors = make_detectors([layer], scene, zenith, zenith)
     scene = scene._replace(detectors=detectors)
@@ -287,7 +287,7 @@ def test_next_event_estimation_ends_at_the_largest_order(max_order):
 
 def test_lobes_too_narrow_for_the_expansion_are_reported():
     layer = splits.ParticleLayer(
-        optical_thickness=1.0, asymmetry=0.9, single_scattering_albedo=1.0, bottom_albedo=None
+        optical_thickness=1.0, asymmetry=0.9, single_scattering_albedo=1.0, ground=None
     )
     ds = splits.goniophotometer(layer, NM, 0.0, target="btdf")
     assert ds.attrs["stop_reason"] == "max_degree"
@@ -308,7 +308,7 @@ def make_layer(row: pd.Series) -> splits.ParticleLayer:
         single_scattering_albedo=row.ssa,
         asymmetry=row.g,
         refractive_index=row.n,
-        bottom_albedo=None if row.n > 1.0 else row.lambert_bottom,
+        ground=None if row.n > 1.0 else row.lambert_bottom,
     )
 
 
@@ -358,7 +358,7 @@ def test_slab_agrees_with_van_de_hulst():
         single_scattering_albedo=0.9,
         asymmetry=0.75,
         refractive_index=1.0,
-        bottom_albedo=None,
+        ground=None,
     )
     ds = splits.spectrophotometer(slab, [550.0], 0.0, max_stderr=2e-4)
     # The error of a printed table is half a unit of its last digit.
@@ -390,7 +390,7 @@ def test_rayleigh_layers_agree_with_polarized_reference():
             optical_thickness=tau,
             single_scattering_albedo=ssa,
             refractive_index=1.0,
-            bottom_albedo=bottom,
+            ground=bottom,
             phase_function="rayleigh",
             polarized=True,
         )

@@ -84,7 +84,7 @@ def make_cloud(phase: dict | float, thickness: float) -> splits.ParticleLayer:
     kind = {"phase_function": phase} if isinstance(phase, dict) else {"asymmetry": phase}
     return splits.ParticleLayer(
         optical_thickness=thickness, single_scattering_albedo=1.0, refractive_index=1.0,
-        bottom_albedo=None, **kind,
+        ground=None, **kind,
     )  # fmt: skip
 
 
@@ -144,11 +144,11 @@ def test_stated_errors_of_thick_clouds(phase, thickness, rays):
 @pytest.mark.parametrize(
     "settings",
     [
-        {"refractive_index": 1.34, "bottom_albedo": None, "asymmetry": 0.8},
-        {"refractive_index": 1.5, "bottom_albedo": None, "asymmetry": 0.7, "polarized": True},
-        {"refractive_index": 1.34, "bottom_albedo": 0.8, "asymmetry": 0.7, "polarized": True},
-        {"refractive_index": 1.2, "bottom_albedo": None, "asymmetry": -0.8, "polarized": True},
-        {"refractive_index": 1.0, "bottom_albedo": 0.6, "asymmetry": 0.8},
+        {"refractive_index": 1.34, "ground": None, "asymmetry": 0.8},
+        {"refractive_index": 1.5, "ground": None, "asymmetry": 0.7, "polarized": True},
+        {"refractive_index": 1.34, "ground": 0.8, "asymmetry": 0.7, "polarized": True},
+        {"refractive_index": 1.2, "ground": None, "asymmetry": -0.8, "polarized": True},
+        {"refractive_index": 1.0, "ground": 0.6, "asymmetry": 0.8},
         {"optical_thickness": math.inf, "single_scattering_albedo": 0.9, "asymmetry": 0.8},
     ],
 )

@@ -20,9 +20,7 @@ LAYERS = {
     "absorbing": {"optical_thickness": 3.0, "single_scattering_albedo": 0.0,
                   "refractive_index": 1.33},
 }  # fmt: skip
-TOP = splits.ParticleLayer(
-    optical_thickness=1.0, refractive_index=1.31, bottom_albedo=None, depth_m=0.01
-)
+TOP = splits.ParticleLayer(optical_thickness=1.0, refractive_index=1.31, ground=None, depth_m=0.01)
 SNOW = splits.Snow(depth_m=0.006, saturation=0.0)
 SAND = splits.Sand(depth_m=0.004, interpretation="splitsnow_2021")
 WAVELENGTHS = [500.0, 900.0]
@@ -55,7 +53,7 @@ def subdivide(settings, n_sublayers):
     return splits.Stack(
         [
             splits.ParticleLayer(
-                **{**settings, "optical_thickness": fraction * thickness}, bottom_albedo=None,
+                **{**settings, "optical_thickness": fraction * thickness}, ground=None,
                 depth_m=fraction,
             )
             for fraction in fractions
@@ -67,7 +65,7 @@ def subdivide(settings, n_sublayers):
 @pytest.mark.parametrize("name", LAYERS)
 def test_layer_in_stack_equals_the_layer(name):
     """Stacks of 1, 2, 3 and 7 sublayers agree with the particle-layer kernel."""
-    layer = splits.ParticleLayer(**LAYERS[name], bottom_albedo=None)
+    layer = splits.ParticleLayer(**LAYERS[name], ground=None)
     z = []
     for number, incidence in enumerate((0.0, 60.0, "diffuse")):
         reference = measure(layer, incidence, 10 * number)
@@ -82,7 +80,7 @@ def test_layer_in_stack_equals_the_layer(name):
 def test_subdivided_infinite_layer_equals_the_layer(albedo):
     layer = splits.ParticleLayer(
         optical_thickness=np.inf, single_scattering_albedo=albedo, asymmetry=0.5,
-        refractive_index=1.33, bottom_albedo=None, depth_m=0.5,
+        refractive_index=1.33, ground=None, depth_m=0.5,
     )  # fmt: skip
     stack = splits.Stack([replace(layer, optical_thickness=2.0, depth_m=1.0), layer])
     assert stack.is_semi_infinite
@@ -107,7 +105,7 @@ def test_subdivided_infinite_layer_equals_the_layer(albedo):
 @pytest.mark.long
 def test_brdf_of_subdivided_layer_equals_that_of_the_layer():
     view = {"polar_deg": [15.0, 45.0, 70.0], "azimuth_deg": [0.0, 90.0, 180.0], "rays": 200_000}
-    layer = splits.ParticleLayer(**LAYERS["forward"], bottom_albedo=None)
+    layer = splits.ParticleLayer(**LAYERS["forward"], ground=None)
     reference = splits.goniophotometer(layer, 550.0, 40.0, **view)
     z = []
     for n_sublayers in (2, 3, 7):
@@ -143,7 +141,7 @@ def test_energy_is_conserved_without_absorption():
     )
     conservative = splits.ParticleLayer(
         optical_thickness=4.0, single_scattering_albedo=1.0, refractive_index=1.4,
-        bottom_albedo=None, depth_m=0.01,
+        ground=None, depth_m=0.01,
     )  # fmt: skip
     for ground in (None, 1.0):
         stack = splits.Stack([transparent, conservative, transparent], ground=ground)
@@ -166,7 +164,7 @@ def test_spectral_and_analog_estimators_agree():
 @pytest.mark.long
 def test_matrix_of_pore_index_needs_no_interface():
     """Rays enter the snow below with and without an interface; rejected grains have no effect."""
-    haze = {"optical_thickness": 0.7, "bottom_albedo": None, "depth_m": 0.005}
+    haze = {"optical_thickness": 0.7, "ground": None, "depth_m": 0.005}
     thin = splits.Snow(saturation=0.0, depth_m=0.0008)
     z = []
     for incidence in (0.0, 60.0):
@@ -188,7 +186,7 @@ def test_transparent_plate_on_wet_snow_conserves_energy(thickness):
     """Light enters the plate from wet pores at angles that dry pores and air reflect totally."""
     plate = splits.ParticleLayer(
         optical_thickness=thickness, single_scattering_albedo=1.0, refractive_index=1.5,
-        bottom_albedo=None, depth_m=0.01,
+        ground=None, depth_m=0.01,
     )  # fmt: skip
     transparent = {"refractive_index": {"ice": 1.31, "water": 1.33}}
     snow = splits.Snow(depth_m=0.004, saturation=0.3, **transparent)
@@ -202,7 +200,7 @@ def test_transparent_plate_on_wet_snow_conserves_energy(thickness):
 def test_matrix_interfaces_ignore_boundary_fresnel_of_pores():
     """Dry snow has no interface of its own, so `boundary_fresnel` does not apply."""
     plate = splits.ParticleLayer(
-        optical_thickness=0.1, refractive_index=1.5, bottom_albedo=None, depth_m=0.01
+        optical_thickness=0.1, refractive_index=1.5, ground=None, depth_m=0.01
     )
     z = []
     for number, interpretation in enumerate(({}, {"boundary_fresnel": "no"})):
@@ -215,9 +213,9 @@ def test_matrix_interfaces_ignore_boundary_fresnel_of_pores():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({}, r"layers\[0\].bottom_albedo = 0.5: must be left out"),
-        ({"bottom_albedo": None, "opaque": True}, r"layers\[0\].opaque = True"),
-        ({"bottom_albedo": None, "optical_thickness": np.inf}, r"layers\[0\].*must be finite"),
+        ({"ground": 0.3}, r"layers\[0\].ground = 0.3: must be left out"),
+        ({"ground": None, "opaque": True}, r"layers\[0\].opaque = True"),
+        ({"ground": None, "optical_thickness": np.inf}, r"layers\[0\].*must be finite"),
     ],
 )  # fmt: skip
 def test_invalid_settings_of_stacked_layers_are_rejected(settings, message):
@@ -227,7 +225,7 @@ def test_invalid_settings_of_stacked_layers_are_rejected(settings, message):
 
 @pytest.mark.long
 def test_infinite_particle_layer_hides_no_ground():
-    infinite = splits.ParticleLayer(optical_thickness=np.inf, bottom_albedo=None)
+    infinite = splits.ParticleLayer(optical_thickness=np.inf, ground=None)
     with pytest.raises(ValueError, match=r"ground = .* must be left out .*layers\[1\]"):
         splits.Stack([SNOW, infinite], ground=0.3)
 
@@ -238,7 +236,7 @@ def test_next_event_estimates_of_subdivided_layers_agree(polarized):
     """Layers of one index in a stack, at depths of different extinction coefficients."""
     settings = {"optical_thickness": 2.0, "refractive_index": 1.33, "polarized": polarized,
                 "single_scattering_albedo": 0.9, "asymmetry": 0.5}  # fmt: skip
-    media = [splits.ParticleLayer(**settings, bottom_albedo=None), subdivide(settings, 3)]
+    media = [splits.ParticleLayer(**settings, ground=None), subdivide(settings, 3)]
     thin_top = [replace(media[1].layers[0], depth_m=7.0), *media[1].layers[1:]]
     runs = [
         splits.goniophotometer(
@@ -290,7 +288,7 @@ def test_next_event_estimates_of_stacks_agree_with_bins(polarized):
 def test_polarized_subdivided_layers_agree_with_single_layers():
     settings = {"optical_thickness": 2.0, "phase_function": "rayleigh", "polarized": True,
                 "refractive_index": 1.5}  # fmt: skip
-    single = splits.ParticleLayer(**settings, bottom_albedo=None)
+    single = splits.ParticleLayer(**settings, ground=None)
     z = compute_z(measure(single, 50.0, 50), measure(subdivide(settings, 3), 50.0, 51))
     judge_z(z, independent=1)
     profile = splits.irradiance_profile(
@@ -327,7 +325,7 @@ def test_next_event_estimates_at_grazing_directions_are_finite():
 
 @pytest.mark.long
 def test_stokes_parameters_without_scores_have_errors():
-    layer = splits.ParticleLayer(1e-9, bottom_albedo=None, polarized=True)
+    layer = splits.ParticleLayer(1e-9, ground=None, polarized=True)
     view = {"polar_deg": [45.0], "azimuth_deg": [0.0, 120.0], "rays": 2000}
     ds = splits.goniophotometer(layer, 550.0, 30.0, estimator="next_event", **view)
     for name in ("brdf", "brdf_q", "brdf_u", "brdf_v"):
@@ -354,7 +352,7 @@ def test_polarization_requires_that_all_layers_are_polarized(others):
 @pytest.mark.long
 def test_only_the_top_layer_may_be_rough():
     waves = {"rms_height_m": 1e-3, "wave_number_per_m": 1.0, "waves": 4, "correlation": "gaussian"}
-    rough = splits.ParticleLayer(bottom_albedo=None, surface=waves)
+    rough = splits.ParticleLayer(ground=None, surface=waves)
     assert splits.Stack([rough, TOP]).depth_m == 1.01
     with pytest.raises(ValueError, match=r"layers\[1\].surface = .*: must be left out"):
         splits.Stack([TOP, rough])

@@ -97,7 +97,7 @@ def make_pair(medium: splits.Snow | splits.Sand) -> tuple:
         medium, NM, moments=2, rays=scale_sample_size(4_000_000), stokes=True
     ).squeeze("wavelength")
     layer = splits.ParticleLayer(
-        optical_thickness=1.0, refractive_index=1.0, bottom_albedo=None, scattering_matrix=ds,
+        optical_thickness=1.0, refractive_index=1.0, ground=None, scattering_matrix=ds,
         single_scattering_albedo=min(float(ds.single_scattering_albedo), 1.0), polarized=True,
     )  # fmt: skip
     return replace(medium, depth_m=1.0 / float(ds.extinction)), layer
@@ -134,7 +134,7 @@ def test_particles_polarize_light_above_grains():
     """A stack of a Rayleigh layer above a dilute pack is one of two layers of particles."""
     air = splits.ParticleLayer(
         optical_thickness=0.5, single_scattering_albedo=1.0, refractive_index=1.0,
-        bottom_albedo=None, phase_function="rayleigh", polarized=True,
+        ground=None, phase_function="rayleigh", polarized=True,
     )  # fmt: skip
     bins = {"estimator": "bins", "n_bins": (4, 8), "rays": 1_000_000}
     traced, expected = (

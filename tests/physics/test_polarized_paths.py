@@ -47,7 +47,7 @@ MEDIA = {
     "rough": splits.ParticleLayer(**LAYER, asymmetry=0.7, surface=WAVES),
     "stack": splits.Stack(
         [
-            splits.ParticleLayer(**LAYER, depth_m=0.1, bottom_albedo=None),
+            splits.ParticleLayer(**LAYER, depth_m=0.1, ground=None),
             splits.Snow(depth_m=0.002),
         ],
         ground=0.5,
@@ -207,7 +207,7 @@ ANGLES = (20.0, 56.0, 80.0)
 def make_plate(index: float, **more) -> splits.ParticleLayer:
     """Return a layer without particles."""
     return splits.ParticleLayer(
-        optical_thickness=0.0, refractive_index=index, bottom_albedo=None, polarized=True, **more
+        optical_thickness=0.0, refractive_index=index, ground=None, polarized=True, **more
     )
 
 
@@ -330,7 +330,7 @@ def test_unpolarized_light_at_a_plate(polarized):
     z = []
     for incidence in (40.0, 70.0, 85.0):
         medium = make_plate(1.5) if polarized else splits.ParticleLayer(
-            optical_thickness=0.0, refractive_index=1.5, bottom_albedo=None
+            optical_thickness=0.0, refractive_index=1.5, ground=None
         )  # fmt: skip
         ds = splits.goniophotometer(medium, NM, incidence, rays=1_000_000, estimator="bins")
         matrix, _ = compute_interface(1.0, 1.5, math.sin(math.radians(incidence)))
@@ -351,7 +351,7 @@ BIN_PAIRS = [(0, 1), (0, 2), (1, 2), (0, 3), (1, 3)]
 """Pairs of polar bins, from the zenith; the bins have equal widths of the cosine."""
 RAYLEIGH = {
     "optical_thickness": 2.0, "single_scattering_albedo": 1.0, "phase_function": "rayleigh",
-    "bottom_albedo": None, "polarized": True,
+    "ground": None, "polarized": True,
 }  # fmt: skip
 
 

@@ -51,7 +51,7 @@ def make_gaussian_surface(slope: float, length_m: float = 0.05, waves: int = 16)
 @pytest.mark.parametrize("incidence", [0.0, 60.0, 89.9])
 def test_rough_surface_conserves_energy(incidence, polarized):
     layer = splits.ParticleLayer(
-        optical_thickness=2.0, single_scattering_albedo=1.0, bottom_albedo=1.0,
+        optical_thickness=2.0, single_scattering_albedo=1.0, ground=1.0,
         surface=make_gaussian_surface(2.0), polarized=polarized,
     )  # fmt: skip
     ds = splits.spectrophotometer(layer, NM, incidence, max_stderr=0.5)
@@ -59,7 +59,7 @@ def test_rough_surface_conserves_energy(incidence, polarized):
 
 
 def test_rough_surface_without_contrast_has_no_effect():
-    plain = {"optical_thickness": 2.0, "refractive_index": 1.0, "bottom_albedo": 0.0}
+    plain = {"optical_thickness": 2.0, "refractive_index": 1.0, "ground": 0.0}
     rough, smooth = (
         splits.spectrophotometer(
             splits.ParticleLayer(**plain, surface=s), NM, 50.0, max_stderr=0.002, seed=seed
@@ -93,7 +93,7 @@ def test_small_roughness_approaches_the_flat_surface(incidence):
 def test_rough_surface_is_reciprocal():
     layer = splits.ParticleLayer(
         refractive_index=1.52, optical_thickness=5.0, single_scattering_albedo=0.95,
-        bottom_albedo=0.0, surface=make_gaussian_surface(0.7),
+        ground=0.0, surface=make_gaussian_surface(0.7),
     )  # fmt: skip
     z = []
     pairs = ((0.0, 45.0, 0.0), (20.0, 60.0, 180.0))
@@ -121,7 +121,7 @@ def test_small_slopes_reflect_by_geometric_optics():
     rms, rays, rings = 0.1, 68_000, 200
     layer = splits.ParticleLayer(
         refractive_index=3.0,
-        optical_thickness=10.0, single_scattering_albedo=0.0, bottom_albedo=0.0,
+        optical_thickness=10.0, single_scattering_albedo=0.0, ground=0.0,
         # With 64 waves slopes are not normal enough: λ² of each is exponential.
         surface=make_gaussian_surface(rms, waves=400),
     )  # fmt: skip
@@ -210,7 +210,7 @@ def make_layer(fraction=1.0, surface=None, **settings):
     settings = {**SETTINGS, **settings}
     thickness = settings.pop("optical_thickness") * fraction
     return splits.ParticleLayer(
-        **settings, optical_thickness=thickness, bottom_albedo=None, depth_m=DEPTH * fraction,
+        **settings, optical_thickness=thickness, ground=None, depth_m=DEPTH * fraction,
         surface=surface,
     )  # fmt: skip
 
@@ -307,7 +307,7 @@ def test_grains_below_a_rough_layer_are_bounded_by_z_0():
     """Grains that cross z = 0 are rejected below a thinner top layer, whether rough or not."""
     waves = {**WAVES, "rms_height_m": 1e-6}
     thin = splits.ParticleLayer(
-        refractive_index=1.0, optical_thickness=0.01, bottom_albedo=None, depth_m=2e-5,
+        refractive_index=1.0, optical_thickness=0.01, ground=None, depth_m=2e-5,
         surface=waves,
     )  # fmt: skip
     plain = replace(thin, surface=None)

@@ -14,14 +14,14 @@ import splits
 
 REFERENCE = Path(__file__).with_name("reference")
 STOKES = {"I": "", "Q": "_q", "U": "_u", "V": "_v"}
-FREE = {"refractive_index": 1.0, "bottom_albedo": None, "polarized": True}
+FREE = {"refractive_index": 1.0, "ground": None, "polarized": True}
 RAYLEIGH = {**FREE, "phase_function": "rayleigh", "single_scattering_albedo": 1.0}
 CASES = {
     ("A1", 0.0): {**RAYLEIGH, "optical_thickness": 0.5},
     ("A1", 0.03): {**RAYLEIGH, "optical_thickness": 0.5, "depolarization": 0.03},
     ("A1", 0.1): {**RAYLEIGH, "optical_thickness": 0.5, "depolarization": 0.1},
     ("A2", 0.03): {
-        **RAYLEIGH, "optical_thickness": 0.1, "depolarization": 0.03, "bottom_albedo": 0.3,
+        **RAYLEIGH, "optical_thickness": 0.1, "depolarization": 0.03, "ground": 0.3,
     },
     ("A3", 0.0): {
         **FREE, "optical_thickness": 0.2, "single_scattering_albedo": 0.97568,
@@ -51,7 +51,7 @@ def read_benchmark(case: tuple[str, float]) -> pd.DataFrame:
 
 def compare_with_benchmark(case: tuple[str, float], table: pd.DataFrame, rays: int) -> pd.DataFrame:
     """Return deviations of the Stokes vector from a table, in standard errors, by direction."""
-    if CASES[case]["bottom_albedo"] is not None:
+    if CASES[case]["ground"] is not None:
         # Next-event estimation has no light that arrives at a Lambertian bottom.
         table = table[table.side == "reflected"]
     incidence = float(table.solar_zenith_deg.iloc[0])
@@ -156,7 +156,7 @@ def test_light_at_a_lambertian_bottom_agrees_with_the_intercomparison(rays):
         splits.ParticleLayer(**CASES[case]), [350.0], incidence, rays=rays, estimator="bins",
         n_bins=n_bins,
     ).squeeze("wavelength")  # fmt: skip
-    scale = np.cos(np.radians(incidence)) / (1.0 - CASES[case]["bottom_albedo"])
+    scale = np.cos(np.radians(incidence)) / (1.0 - CASES[case]["ground"])
     for name in "IQU":
         expected = average_over_bins(table, name, n_bins)
         value, stderr = (
@@ -170,7 +170,7 @@ def test_light_at_a_lambertian_bottom_agrees_with_the_intercomparison(rays):
 def test_two_layers_of_half_the_thickness_are_the_layer():
     settings = {
         "refractive_index": 1.33, "polarized": True, "single_scattering_albedo": 0.98,
-        "bottom_albedo": None, "scattering_matrix": make_matrix(0.9),
+        "ground": None, "scattering_matrix": make_matrix(0.9),
     }  # fmt: skip
     whole = splits.ParticleLayer(optical_thickness=2.0, **settings)
     half = splits.ParticleLayer(optical_thickness=1.0, depth_m=0.5, **settings)

@@ -243,7 +243,7 @@ WRONG = {
         r"medium\['b'\]",
     ),
     "another bottom": (
-        {name: splits.ParticleLayer(bottom_albedo=x) for name, x in (("a", 0.5), ("b", 0.6))},
+        {name: splits.ParticleLayer(ground=x) for name, x in (("a", 0.5), ("b", None))},
         r"medium\['b'\]",
     ),
     "another index": (

@@ -103,7 +103,7 @@ def test_path_sharing_of_stacks_and_rough_tops():
     def make_rough_stack(by):
         top_layer = splits.ParticleLayer(
             optical_thickness=1.0, depth_m=0.01 * by, surface=surface, refractive_index=1.31,
-            bottom_albedo=None,
+            ground=None,
         )  # fmt: skip
         return make_stack(by, top_layer=top_layer)
 
@@ -116,7 +116,7 @@ def test_path_sharing_of_stacks_and_rough_tops():
              "correlation": "gaussian"}
         )  # fmt: skip
         return make_stack(top_layer=splits.ParticleLayer(
-            optical_thickness=1.0, depth_m=depth_m, refractive_index=index, bottom_albedo=None,
+            optical_thickness=1.0, depth_m=depth_m, refractive_index=index, ground=None,
             surface=top,
         ))  # fmt: skip
 
@@ -127,7 +127,7 @@ def test_path_sharing_of_stacks_and_rough_tops():
     ).path_sharing_axes == ()  # fmt: skip
     layers = {
         index: splits.Stack(
-            [splits.ParticleLayer(refractive_index=index, bottom_albedo=None, depth_m=0.01)]
+            [splits.ParticleLayer(refractive_index=index, ground=None, depth_m=0.01)]
         )
         for index in (1.0, 1.3)
     }

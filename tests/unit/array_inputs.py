@@ -21,7 +21,7 @@ BANDS = {"blue": (500, 600), "red": (600, 700), "infrared": (800, 900)}
 SIZE, SOOT = "optical_radius_um", "impurities_ng_g.black_carbon"
 FIXED = {"incidence_deg": 30.0, SOOT: 64.0}
 SNOW, LAYER = splits.Snow(depth_m=0.005), splits.ParticleLayer(optical_thickness=0.125)
-GREY_LAYER = splits.ParticleLayer(single_scattering_albedo=0.5, bottom_albedo=0.0)
+GREY_LAYER = splits.ParticleLayer(single_scattering_albedo=0.5, ground=0.0)
 SKY = {"wavelength_nm": NM, "direct": PARAMETERS, "diffuse": PARAMETERS}
 SEA = splits.ParticleLayer(
     surface={"rms_height_m": 1.0, "wave_number_per_m": 0.125, "correlation": "gaussian"},

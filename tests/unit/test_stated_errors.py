@@ -8,7 +8,7 @@ import splits
 from splits import instruments
 from splits.analysis.theory.spectra import correct_dense_packing, solve_discrete_ordinates
 
-LAYER = splits.ParticleLayer(optical_thickness=1.0, bottom_albedo=None, polarized=True)
+LAYER = splits.ParticleLayer(optical_thickness=1.0, ground=None, polarized=True)
 SURFACE = {"rms_height_m": 1.0, "wave_number_per_m": 0.1, "waves": 8, "correlation": "gaussian"}
 WAVES = splits.ParticleLayer(depth_m=100.0, surface=SURFACE)
 TOTALS = {"reflectance", "transmittance"}

@@ -116,7 +116,7 @@ CASES = {
     "trip_sand_spread": SAND + "instrument: {kind: beam_spread, wavelength_nm: [600], rays: 5000,"
     " half_width_m: 0.01}\n" + TWO_VALUES + SELECT_WET,
     "trip_layer_spectra": LAYER + "instrument: {wavelength_nm: [500, 550]}\n"
-    "grid: {polarized: [true, false], bottom_albedo: [0.5, null]}\n"
+    "grid: {polarized: [true, false], ground: [0.5, null]}\n"
     "figure: {kind: spectra, select: {polarized: true}}\n",
     "trip_layer_points": LAYER + "instrument: {wavelength_nm: [550]}\n"
     "grid: {asymmetry: {start: 0, stop: 0.8, step: 0.4}}\nfigure: {kind: points}\n",

@@ -149,8 +149,11 @@ def cross_interface(state, ray, scene, optics, path_lengths, crossings):
     layers = scene.layers
     next_layer = find_adjacent_layer(ray.layer, ray.direction)
     inside = 0 <= next_layer < layers.collision_coefficient.size
+    # A ground that absorbs all light is an exit.
+    reflects = scene.ground_column != NO_GROUND or scene.bottom_albedo is not None
+    exit_status = TO_GROUND if reflects else TRANSMITTED
     if scene.ground_contact is not None and next_layer == layers.collision_coefficient.size:
-        return replace(ray, status=TO_GROUND)
+        return replace(ray, status=exit_status)
     near = interface_index(scene, optics, pore_material(layers, ray.layer, ray.pore_variate))
     behind = find_next_material(layers, ray.layer, next_layer, ray.pore_variate)
     far = interface_index(scene, optics, behind)
@@ -163,7 +166,6 @@ def cross_interface(state, ray, scene, optics, path_lengths, crossings):
         record_crossing(ray, next_layer < layer, scene, path_lengths, crossings)
         layer = next_layer
     elif sample.transmitted:
-        exit_status = TRANSMITTED if scene.ground_column == NO_GROUND else TO_GROUND
         status = REFLECTED if next_layer < 0 else exit_status
     if layers.particle_row[layer] != NO_PARTICLES:
         # A layer of particles has one medium.  The new variate selects the pore behind it.
@@ -219,7 +221,7 @@ def collide(state, ray, event, scene, optics, path_lengths):
 
 @inline_only
 def absorb_at_ground(state, ray, scene, optics, path_lengths):
-    """Return a ray that hits the ground or the bottom, `TRANSMITTED` if it is absorbed there.
+    """Return a ray that hits the ground, `TRANSMITTED` if it is absorbed there.
 
     The column of the ground in `path_lengths` counts its hits, and its absorption coefficient is
     −ln(albedo), so that a hit is a segment of length 1.
@@ -235,7 +237,7 @@ def absorb_at_ground(state, ray, scene, optics, path_lengths):
 
 @inline_only
 def reflect_from_ground(state, ray, scene, optics, path_lengths):
-    """Return a ray after Lambertian reflection or absorption at the ground or the bottom.
+    """Return a ray after Lambertian reflection or absorption at the ground.
 
     If the lower boundary of the sample reflects it, the ray is directed to the ground again.  The
     ground counts as one order of scattering.

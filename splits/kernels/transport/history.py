@@ -1,8 +1,8 @@
 """History loop of the scalar kernel: single rays through layers of grains and particles.
 
 Layers are horizontal and infinitely extended.  A rough surface may lie on top of them and a ground
-below; hits of the ground are recorded as crossings, with the weight of the ray, except for a bottom
-with analog absorption.  Features absent from a scene (grains, particles, rough surface,
+below; hits of the ground are recorded as crossings, with the weight of the ray, unless absorption
+there is analog.  Features absent from a scene (grains, particles, rough surface,
 polarization, detectors) are None and compiled away.
 """
 

@@ -3,7 +3,7 @@
 The method is that of Budak & Grimailo 2020, Eqs 4-5.  Detectors are at infinity, in given
 directions above and below layers of particles with smooth boundaries.  A scattering at depth
 contributes the density of its phase function towards each detector (Eq 5), and a reflection at the
-bottom a cosine over π (Eq 4), attenuated on the way to the next boundary.  From there to the
+ground a cosine over π (Eq 4), attenuated on the way to the next boundary.  From there to the
 detector, light is refracted and may be reflected any number of times
 (`splits.instruments.detector_tally.compute_transmission`).
 """
@@ -276,8 +276,8 @@ def connect_scattering(state, detectors, phase, peak_order, event, t, plane):
 
 
 @inline_only
-def connect_bottom(state, detectors, phase, peak_order, stokes, t, plane):
-    """Return the `LastScattering` towards t of light that the bottom reflects.
+def connect_ground(state, detectors, phase, peak_order, stokes, t, plane):
+    """Return the `LastScattering` towards t of light that the ground reflects.
 
     Parameters are those of `complete_connection`; `stokes` is None without polarization.
     """
@@ -448,7 +448,7 @@ def score_scattering_at_detector(state, detectors, layers, phase, peak_order, ra
 
 @inline_only
 def score_ground(state, scene, ray):
-    """Score light that the diffuse bottom reflects at all detectors above."""
+    """Score light that the ground reflects at all detectors above."""
     detectors, layers, stokes = scene.detectors, scene.layers, ray.stokes
     if scene.bottom_albedo is None:
         return
@@ -461,10 +461,10 @@ def score_ground(state, scene, ray):
         score_light(detectors, layers, layer, k, stokes, weight, reflected)
         order = sample_peak_order(state, detectors)
         if order > 0:
-            last = connect_bottom(state, detectors, phase, order, stokes, t, plane)
+            last = connect_ground(state, detectors, phase, order, stokes, t, plane)
             score_light(detectors, layers, layer, k, stokes, weight, last)
         if order > 0 and detectors.refractive_index != 1.0:
             # Light that the upper boundary reflects down may still be scattered upwards.
             t = Vector(t.x, t.y, -t.z)
-            last = connect_bottom(state, detectors, phase, order, stokes, t, plane)
+            last = connect_ground(state, detectors, phase, order, stokes, t, plane)
             score_light(detectors, layers, layer, k, stokes, weight, last)

@@ -309,7 +309,7 @@ USER_INDEX = {"wavelength_nm": END_WAVELENGTHS, "n": [1.3, 1.3], "k": [0.0, 1e-5
 
 def make_stack(**changes):
     return splits.Stack([splits.Snow(depth_m=0.1), splits.Snow(),
-                         splits.ParticleLayer(bottom_albedo=None)],
+                         splits.ParticleLayer(ground=None)],
                         **changes)  # fmt: skip
 
 

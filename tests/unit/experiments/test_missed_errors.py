@@ -12,7 +12,7 @@ from splits.experiments.run import run
 EXPERIMENTS = {
     "points that share paths": "medium: {kind: particle_layer, optical_thickness: 1}\n"
     "instrument: {wavelength_nm: [500], solver: monte_carlo}\n"
-    "grid: {bottom_albedo: [0.1, 0.2]}\n",
+    "grid: {ground: [0.1, 0.2]}\n",
     "points": "medium: {kind: particle_layer}\n"
     "instrument: {wavelength_nm: [500], solver: monte_carlo}\n"
     "grid: {optical_thickness: [1, 2]}\n",

@@ -81,8 +81,8 @@ def test_grid_paths_set_parameters_of_layers(tmp_path):
             "one of natural_snow, particle_layer, sand, snow",
         ),
         (
-            "medium: {kind: stack, layers: [{kind: particle_layer, bottom_albedo: 1}]}",
-            "layers.0.bottom_albedo = 1: must be left out",
+            "medium: {kind: stack, layers: [{kind: particle_layer, ground: 1}]}",
+            r"layers\[0\].ground = 1.0: must be left out",
         ),
         (
             STACK_TEXT + "grid: {layers: {a: [{kind: snw}]}}",

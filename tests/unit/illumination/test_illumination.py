@@ -213,9 +213,7 @@ def test_interpolation_bounds_of_direct_and_diffuse_add_linearly():
 
 @pytest.mark.slow
 def test_a_white_layer_is_white_over_all_bands():
-    white = splits.ParticleLayer(
-        optical_thickness=1.0, single_scattering_albedo=1.0, bottom_albedo=1.0
-    )
+    white = splits.ParticleLayer(optical_thickness=1.0, single_scattering_albedo=1.0, ground=1.0)
     result = splits.albedo(
         white, splits.sky(OWN_SKY, 50.0), W, max_stderr=0.02, bands={"green": (500, 560)}
     )

@@ -170,7 +170,7 @@ SPHERES = {
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("above", [None, ParticleLayer(optical_thickness=0.3, bottom_albedo=None)])
+@pytest.mark.parametrize("above", [None, ParticleLayer(optical_thickness=0.3, ground=None)])
 def test_another_shape_is_traced_alone_and_in_stacks(above, monkeypatch, tmp_path):
     """Balls, and spheroids that are spheres, reflect the same."""
     # The digest of the cached kernels does not cover the versions in this file.

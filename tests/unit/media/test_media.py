@@ -241,7 +241,7 @@ CALLS = [
     "Sand(iron_oxide=0.02, partition=(0, 1, 0), interpretation={'water': 'film'})",
     "Sand(interpretation='geometric')",
     "ParticleLayer()",
-    "ParticleLayer(optical_thickness=inf, bottom_albedo=None, polarized=True)",
+    "ParticleLayer(optical_thickness=inf, ground=None, polarized=True)",
     f"ParticleLayer(surface={WAVES})",
     f"RoughSurface([{WAVES}, {LIMITED_NORMAL}])",
     "Interpretation.from_input('splitsnow_2021')",
@@ -255,7 +255,7 @@ CALLS = [
     "    Snow.natural(optical_radius_um=200, density_kg_m3=350, depth_m=0.3),\n"
     "], ground='camborthid')",
     "Stack([\n    Snow(depth_m=0.01, interpretation='geometric'),\n"
-    "    ParticleLayer(bottom_albedo=None),\n], interpretation='geometric')",
+    "    ParticleLayer(ground=None),\n], interpretation='geometric')",
 ]
 NAMES = {name: getattr(splits, name) for name in splits.__all__} | {
     "Ground": Ground,
@@ -413,7 +413,7 @@ def test_description_contains_all_inputs():
 
 @pytest.mark.parametrize("above", [True, False])
 def test_wet_pores_have_boundaries_with_particle_matrices(above):
-    layer = splits.ParticleLayer(refractive_index=1.5, depth_m=0.01, bottom_albedo=None)
+    layer = splits.ParticleLayer(refractive_index=1.5, depth_m=0.01, ground=None)
     snow = splits.Snow(saturation=0.25)
     stack = splits.Stack([layer, snow] if above else [snow, layer])
     names = stack.list_materials()
@@ -515,7 +515,7 @@ def test_instruments_for_transmitted_light_reject_a_ground():
 
 
 def test_a_stack_has_one_ground():
-    with pytest.raises(ValueError, match=r"layers\[1\].ground = 'albedo 0.5': must be left out"):
+    with pytest.raises(ValueError, match=r"layers\[1\].ground = 0.5: must be left out"):
         splits.Stack([splits.Snow(), splits.Snow(ground=0.5)])
     stack = splits.Stack([splits.Snow()], ground="black")
     assert stack.describe()["ground"] == "black" and "layers_0_ground" not in stack.describe()

@@ -356,7 +356,7 @@ def test_natural_snow_in_experiment_files(tmp_path):
         lambda **ground: splits.Sand(depth_m=math.inf, **ground),
         lambda **ground: splits.Stack([splits.Snow(depth_m=math.inf)], **ground),
         lambda **ground: splits.Stack(
-            [splits.ParticleLayer(optical_thickness=math.inf, bottom_albedo=None)], **ground
+            [splits.ParticleLayer(optical_thickness=math.inf, ground=None)], **ground
         ),
     ],
 )

@@ -57,7 +57,7 @@ def list_legend_entries(legend):
 @pytest.mark.parametrize(
     ("value", "parameter", "text"),
     [
-        ("None", "bottom_albedo", "no bottom"),
+        ("None", "ground", "open"),
         ("None", "surface", "smooth"),
         (None, "other", "none"),
         ("0", "polarized", "no"),
@@ -65,7 +65,7 @@ def list_legend_entries(legend):
         (True, None, "yes"),
         ("False", None, "no"),
         (1e-5, None, "10⁻⁵"),
-        ("1e-05", "bottom_albedo", "10⁻⁵"),
+        ("1e-05", "ground", "10⁻⁵"),
         (2.5e-7, None, "2.5 × 10⁻⁷"),
         (1e-4, "size_tail", "10⁻⁴"),
         (0.002, "depth_m", "0.002"),
@@ -121,11 +121,11 @@ def test_the_default_is_black_and_on_top():
 
 
 def test_legend_of_few_lines_is_inside_the_axes():
-    figure = draw_spectra(make_dataset({"bottom_albedo": ["None", "1e-05", "0.5"]}, value=0.1))
+    figure = draw_spectra(make_dataset({"ground": ["None", "1e-05", "0.5"]}, value=0.1))
     (axes,) = figure.axes
     assert not figure.legends
-    assert list_legend_entries(axes.get_legend()) == ["no bottom", "10⁻⁵", "0.5"]
-    assert axes.get_legend().get_title().get_text() == "bottom albedo"
+    assert list_legend_entries(axes.get_legend()) == ["open", "10⁻⁵", "0.5"]
+    assert axes.get_legend().get_title().get_text() == "ground"
 
 
 def test_a_legend_over_lines_is_placed_outside():

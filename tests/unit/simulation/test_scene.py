@@ -22,7 +22,7 @@ from splits.simulation.shared_paths import compute_path_signature
 
 GRAINS_AND_PARTICLES = splits.Stack(
     [
-        splits.ParticleLayer(optical_thickness=1.0, bottom_albedo=None),
+        splits.ParticleLayer(optical_thickness=1.0, ground=None),
         splits.Snow(depth_m=0.1, pores={"oil": 0.1}, refractive_index={"oil": 1.4}),
     ]
 )
@@ -73,8 +73,8 @@ def test_particles_and_their_matrix_must_be_the_same(altered):
 
 
 SNOW = splits.Snow()
-LAYER = splits.ParticleLayer(bottom_albedo=None)
-POLARIZED = splits.ParticleLayer(polarized=True, phase_function="rayleigh", bottom_albedo=None)
+LAYER = splits.ParticleLayer(ground=None)
+POLARIZED = splits.ParticleLayer(polarized=True, phase_function="rayleigh", ground=None)
 
 
 @pytest.mark.parametrize("stokes", [False, np.False_, np.array(False), xr.DataArray(False)])

@@ -218,7 +218,7 @@ def test_boundary_reflectance_stays_within_its_bound(layer_index, bottom_reflect
     """
     wavelengths = np.arange(400.0, 1001.0, 50.0)
     layer = splits.ParticleLayer(
-        optical_thickness=1.0, refractive_index=layer_index, bottom_albedo=None, depth_m=0.02
+        optical_thickness=1.0, refractive_index=layer_index, ground=None, depth_m=0.02
     )
     stack = splits.Stack([layer, splits.Sand(saturation=1.0)])
     index = stack.compute_refractive_indices(wavelengths)
@@ -245,7 +245,7 @@ def test_boundaries_with_varying_indices_are_listed():
 
     sands = [splits.Sand(refractive_index=make_air(last)) for last in (1.4, 1.5)]
     layer = splits.ParticleLayer(
-        optical_thickness=1.0, refractive_index=1.31, bottom_albedo=None, depth_m=0.1
+        optical_thickness=1.0, refractive_index=1.31, ground=None, depth_m=0.1
     )
     for stack in (splits.Stack([layer, sands[0]]), splits.Stack(sands)):
         pairs = {

@@ -22,8 +22,8 @@ import xarray as xr
 from splits.analysis.directions import select_principal_plane
 from splits.core.keywords import nest_runs
 from splits.instruments.goniophotometer import goniophotometer
-from splits.instruments.spectrophotometer import spectrophotometer
 from splits.instruments.solver import MONTE_CARLO
+from splits.instruments.spectrophotometer import spectrophotometer
 from splits.materials.library import load_dataset
 from splits.materials.refractive_index import TabulatedIndex
 from splits.media import Interpretation, Snow

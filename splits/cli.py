@@ -145,7 +145,7 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
         raise invalid(
             "--seed", arguments.seed, "left out", f"the file has instrument.seed = {file_seed}"
         )
-    has_figure = experiment.figure.kind != "none"
+    has_figure = experiment.has_figure
     if has_figure or experiment.retrieval:
         import_optional("matplotlib", "figures", "figures need")
         import_optional("seaborn", "figures", "figures need")

@@ -43,7 +43,7 @@ EXPERIMENTS_WITH_RETURNS = [
     name for name, e in EXPERIMENTS.items() if e.retrieve_return
 ]
 EXPERIMENTS_WITH_FIGURE = [
-    name for name, e in EXPERIMENTS.items() if e.figure.kind != "none"
+    name for name, e in EXPERIMENTS.items() if e.has_figure
 ]
 
 

@@ -200,12 +200,17 @@ class ExperimentConfig(SimulationConfig):
         """The section of the retrieval, if there is one."""
         return self.retrieve or self.retrieve_return
 
+    @property
+    def has_figure(self) -> bool:
+        """Whether a figure shows the results; instruments without figures need no setting."""
+        return self.resolve_figure()["kind"] != "none"
+
     def list_product_paths(self) -> list[str]:
         """Return the files of the experiment, relative to the results folder."""
         figure = f"figures/{self.name}"
         return [
             f"data/{self.name}.nc",
-            *(figure + suffix for suffix in FIGURE_SUFFIXES if self.figure.kind != "none"),
+            *(figure + suffix for suffix in FIGURE_SUFFIXES if self.has_figure),
             *([f"tables/{self.name}_parameters.csv"] if self.fit else []),
             *([f"tables/{self.name}_retrieved.csv"] if self.retrieval else []),
         ]

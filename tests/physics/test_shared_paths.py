@@ -437,3 +437,40 @@ def test_polarization_is_traced_along_shared_paths():
         assert all(("incident_stokes" in point.attrs) == stokes for point in points)
         spectra.append([float(point.reflectance[0]) for point in points])
     assert (np.diff(spectra, axis=0) != 0.0).all()
+
+
+@NEEDS_JIT
+def test_particle_layers_over_several_grounds_share_paths():
+    soil = splits.ParticleLayer(optical_thickness=2.0, ground="quartzipsamment")
+    wavelengths = [500.0, 900.0]
+    albedos = soil.ground.albedo(np.array(wavelengths)).tolist()
+    media = {
+        albedo: splits.ParticleLayer(optical_thickness=2.0, ground=albedo) for albedo in albedos
+    }
+    over_soil = splits.spectrophotometer(soil, wavelengths, 30.0, max_stderr=0.002)
+    constant = splits.spectrophotometer(media, wavelengths, 30.0, max_stderr=0.002, seed=1)
+    for quantity in ("reflectance", "transmittance"):
+        # The albedos of the layers are those of the soil at the wavelengths.
+        one, other = over_soil[quantity].values, np.diagonal(constant[quantity].values)
+        stderr = np.hypot(
+            over_soil[f"{quantity}_stderr"].values,
+            np.diagonal(constant[f"{quantity}_stderr"].values),
+        )
+        assert (np.abs(one - other) < 4.0 * stderr).all()
+
+
+@NEEDS_JIT
+@pytest.mark.parametrize("estimator", ["expansion", "bins"])
+def test_directions_over_a_spectral_ground(estimator):
+    table = {"wavelength_nm": [400, 500, 900, 1000], "albedo": [0.1, 0.1, 0.6, 0.6]}
+    layer = splits.ParticleLayer(optical_thickness=1.0, ground=table)
+    settings = {"estimator": estimator, "relative_stderr": 0.1}
+    if estimator == "bins":
+        settings |= {"n_bins": (4, 8), "rays": 20_000}
+    directions = splits.goniophotometer(layer, [500.0, 900.0], 0.0, **settings)
+    assert "btdf" not in directions
+    fluxes = splits.spectrophotometer(layer, [500.0, 900.0], 0.0, max_stderr=0.002, seed=1)
+    stderr = np.hypot(directions.reflectance_stderr, fluxes.reflectance_stderr)
+    assert (np.abs(directions.reflectance - fluxes.reflectance) < 4.0 * stderr).all()
+    with pytest.raises(InvalidValue, match="a ground that depends on wavelength"):
+        splits.goniophotometer(layer, [500.0], 0.0, estimator="next_event")

@@ -640,7 +640,8 @@ def _make_dataset(
         )
     flags = results[..., -1].astype(np.int16)
     flag_attributes = {
-        "long_name": "quality", "units": "1", "flag_masks": np.array(list(FLAGS.values()), np.int16),
+        "long_name": "quality", "units": "1",
+        "flag_masks": np.array(list(FLAGS.values()), np.int16),
         "flag_meanings": " ".join(FLAGS),
     }  # fmt: skip
     variables[FLAG_NAME] = (dims, flags.data, flag_attributes)

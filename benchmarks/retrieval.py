@@ -234,7 +234,7 @@ def retrieve_maps(table: splits.Table, pixels: int) -> None:
     result = splits.retrieve_map(image, table, SNOW_TRUTH, RELATIVE_NOISE, fixed=fixed)
     clock, cpu = time.perf_counter() - start[0], time.process_time() - start[1]
     print(f"map of {pixels} by {pixels} pixels: {clock:.1f} s, {len(states) / cpu:.0f} spectra per "
-          f"second of a core, flagged {(result.flags.values > 0).mean():.3f}")  # fmt: skip
+          f"second of a core, flagged {(result.quality_flag.values > 0).mean():.3f}")  # fmt: skip
     for i, name in enumerate(names):
         stderr = result[f"{name}_stderr"].values.ravel()
         z = (result[name].values.ravel() - truth[:, i]) / stderr

@@ -95,8 +95,10 @@ def run_fit(
         point = " ".join([*(f"{p}={label}" for p, label in labels.items()), sample])
         prefix = f"{experiment.name} {number + 1}/{len(cases)} {point}"
         reflectance = measured[sample].to_numpy(dtype=float)
-        arguments = (settings, wavelength, reflectance, incidence, ranges, fit_seed, fit_threads)
-        return fit(*arguments, lambda line: log(f"{prefix}: {line}"), effort=effort)
+        return fit(
+            settings, wavelength, reflectance, incidence, ranges=ranges, effort=effort,
+            seed=fit_seed, threads=fit_threads, log=lambda line: log(f"{prefix}: {line}"),
+        )  # fmt: skip
 
     # Simulations of a fit are short, so parallel fits use threads better than parallel rays.
     with DaemonThreadPool(min(workers, len(cases))) as pool:

@@ -41,7 +41,7 @@ MATRIX_ANGLES_DEG = np.linspace(0.0, 180.0, 181)
 """Scattering angles of the scattering matrix (degrees)."""
 ERROR_COMPONENTS = {
     "_jackknife": (("batch",), "without one batch of the rays:"),
-    "_interpolation_bound": ((), "bound on the interpolation error of"),
+    "_interpolation_error_bound": ((), "bound on the interpolation error of"),
 }
 """Components of the errors, for theories: suffixes of names, additional dimensions, and labels."""
 
@@ -119,8 +119,8 @@ def single_scattering(
 
         For the correlations of errors: ``…_jackknife`` over ``batch`` is each quantity without
         one of `splits.kernels.grains.single_grain.N_SCATTERING_BATCHES` equal batches of the rays,
-        and ``…_interpolation_bound`` is a bound on its error from interpolation between refractive
-        indices.
+        and ``…_interpolation_error_bound`` is a bound on its error from interpolation between
+        refractive indices.
 
         With `stokes`, the elements of the scattering matrix over ``angle_deg`` (degrees), the
         scattering angle: ``P11``, ``P12``, ``P33``, ``P34``, ``P22`` and ``P44``, of the Stokes

@@ -23,7 +23,7 @@ from splits.illumination.bands import Bands, SpectralBand, check_bands
 from splits.io.netcdf import ANCILLARY_ATTRIBUTE, make_provenance, to_netcdf_attributes
 from splits.kernels.compiler.jit import entry_point
 from splits.kernels.interpolation import interpolate
-from splits.media.parameters import describe_parameter
+from splits.media.snow_pack_input import FLAG_NAME
 from splits.retrieval.forward_model import TableForwardModel, choose_quantity, get_table_ranges
 from splits.retrieval.measurement import MAX_REFLECTANCE, Measurement, check_conditions
 from splits.retrieval.state_vector import SCALE, StateVector
@@ -378,9 +378,9 @@ def retrieve_map(
     -------
     xarray.Dataset
         Every parameter and its ``…_stderr`` over the image's dimensions; ``chi2``, and what to
-        expect of it as its attribute ``expected``; ``flags``, sums of those that the attribute
-        ``flag_meanings`` names.  Pixels with gaps, or with invalid reflectances, have NaN and a
-        flag.
+        expect of it as its attribute ``expected``; ``quality_flag``, sums of the flags that its
+        attribute ``flag_meanings`` names.  Pixels with gaps, or with invalid reflectances, have NaN
+        and a flag.
 
     Raises
     ------
@@ -523,7 +523,7 @@ def _find_defect(spectra: np.ndarray, measurement: Measurement) -> InvalidValue 
 
 def _check_image_names(image: xr.DataArray, names: Sequence[str]) -> None:
     """Reject dimensions and coordinates of an image with names of results."""
-    results = {*names, *(f"{name}_stderr" for name in names), "chi2", "flags", RESULT_DIM}
+    results = {*names, *(f"{name}_stderr" for name in names), "chi2", FLAG_NAME, RESULT_DIM}
     for name in map(str, {*image.dims, *image.coords} & results):
         hint = f"image.rename({{{name!r}: 'true_{name}'}}), or leave it out by drop_vars"
         raise invalid("image", f"with {name}", "without names that results have", hint)
@@ -635,14 +635,15 @@ def _make_dataset(
     for _, _, variable_attributes in variables.values():
         # Flags give the reason of NaN values.
         variable_attributes[ANCILLARY_ATTRIBUTE] = (
-            f"{variable_attributes.get(ANCILLARY_ATTRIBUTE, '')} flags".strip()
+            f"{variable_attributes.get(ANCILLARY_ATTRIBUTE, '')} {FLAG_NAME}".strip()
         )
     flags = results[..., -1].astype(np.int16)
     flag_attributes = {
-        "long_name": "flags", "units": "1", "flag_masks": np.array(list(FLAGS.values()), np.int16),
+        "long_name": "quality", "units": "1",
+        "flag_masks": np.array(list(FLAGS.values()), np.int16),
         "flag_meanings": " ".join(FLAGS),
     }  # fmt: skip
-    variables["flags"] = (dims, flags.data, flag_attributes)
+    variables[FLAG_NAME] = (dims, flags.data, flag_attributes)
     attributes = {"title": "Map of a retrieval", **make_provenance("map of a retrieval")}
     coordinates = {k: v for k, v in results.coords.items() if k != RESULT_DIM}
     return xr.Dataset(variables, coordinates, to_netcdf_attributes(attributes))

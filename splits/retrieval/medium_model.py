@@ -12,6 +12,7 @@ from collections import defaultdict
 from collections.abc import Mapping
 from contextlib import suppress
 from itertools import product
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -418,6 +419,9 @@ UNKNOWN_NOISE_MAX_STDERR = 2e-3
 """Final standard error for unknown noise."""
 
 
+NO_OPTIONS: Mapping[str, Any] = MappingProxyType({})
+
+
 class SimulationForwardModel(MediumForwardModel):
     """Forward model by simulation.
 
@@ -428,6 +432,8 @@ class SimulationForwardModel(MediumForwardModel):
     max_stderr : float, optional
         Final standard error; by default `NOISE_FRACTION` of the smallest noise.
     progress : callable, optional
+    options : mapping
+        Other options of `splits.spectrophotometer`: the number of rays, threads and the kernel.
     """
 
     solver = MONTE_CARLO
@@ -435,8 +441,10 @@ class SimulationForwardModel(MediumForwardModel):
     def __init__(
         self, medium: Medium, measurement: Measurement, state_vector: StateVector,
         incidence: float | str, seed: int, max_stderr: float | None, progress: ProgressCallback,
+        options: Mapping[str, Any] = NO_OPTIONS,
     ) -> None:  # fmt: skip
         super().__init__(medium, measurement, state_vector, incidence, seed)
+        self._options = options
         min_noise = float(np.sqrt(np.diag(measurement.covariance).min()))
         default_stderr = (
             min(max(NOISE_FRACTION * min_noise, MIN_STDERR), MAX_STDERR)
@@ -458,8 +466,8 @@ class SimulationForwardModel(MediumForwardModel):
         medium, incidence, scale = self.make_inputs(state)
         spectrum = spectrophotometer(
             medium, self.wavelengths, incidence, max_stderr=max_stderr, seed=seed,
-            solver=MONTE_CARLO,
-            jacobian=names, progress=self._progress.track_run(max_stderr, count_runs(len(names))),
+            solver=MONTE_CARLO, jacobian=names, **self._options,
+            progress=self._progress.track_run(max_stderr, count_runs(len(names))),
         )  # fmt: skip
         return spectrum, scale
 
@@ -577,7 +585,7 @@ def check_measurement_incidence(fixed: Mapping[str, Any] | None, ranges: Any) ->
 def make_medium_model(
     medium: Medium, measurement: Measurement, state_vector: StateVector,
     incidence: float | str, solver: str, max_stderr: float | None, seed: int,
-    progress: ProgressCallback,
+    progress: ProgressCallback, options: Mapping[str, Any] = NO_OPTIONS,
 ) -> MediumForwardModel:  # fmt: skip
     """Return the forward model by discrete ordinates or by simulation; see `choose_solver`."""
     arguments = medium, measurement, state_vector, incidence, seed
@@ -589,4 +597,4 @@ def make_medium_model(
         if choose_solver(solver, media, model.wavelengths, obstacle) != MONTE_CARLO:
             model.choose_streams(max_stderr or MAX_ERROR)
             return model
-    return SimulationForwardModel(*arguments, max_stderr, progress)
+    return SimulationForwardModel(*arguments, max_stderr, progress, options)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from splits.core.inputs import Seed, Solver, StandardError
+from splits.core.inputs import Kernel, MaxRays, Seed, Solver, StandardError, Threads
 from splits.core.keywords import declare_function
 from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, invalid
@@ -73,6 +73,9 @@ def retrieve(
     bands: Bands = None,
     quantity: str | None = None,
     seed: Seed = 1,
+    max_rays: MaxRays = 20_000_000,
+    threads: Threads = None,
+    kernel: Kernel = "auto",
     progress: ProgressCallback = None,
 ) -> RetrievalResult:
     """Retrieve parameters from a measured spectrum, with their errors.
@@ -124,6 +127,8 @@ def retrieve(
         for one direction, such as "reflectance_factor".
     seed : int
         Seed of the draws and of simulations.
+    max_rays, threads, kernel
+        For each simulation of a medium, as for `splits.spectrophotometer`.
     progress : callable or bool, optional
         See `splits.Progress`; True for a bar.  Only retrievals by simulation report.
 
@@ -192,8 +197,9 @@ def retrieve(
         state_vector = make_medium_state_vector(model, free, prior, incidence)
         fixed_values = {} if INCIDENCE_KEY in state_vector.names else {INCIDENCE_KEY: incidence}
         check_conditions("measured", measured, fixed_values)
+        options = {"max_rays": max_rays, "threads": threads, "kernel": kernel}
         forward_model = make_medium_model(
-            model, measurement, state_vector, incidence, solver, max_stderr, seed, progress
+            model, measurement, state_vector, incidence, solver, max_stderr, seed, progress, options
         )
         settings = describe_model(model, forward_model.solver)
     if not measurement.noise_known:

@@ -20,8 +20,10 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import align_to_labels, check_array_range, check_named_numbers, find_labels
-from splits.core.inputs import check_incidence, check_wavelengths
-from splits.core.validation import check_integer, check_range, invalid, suggest_name
+from splits.core.inputs import Incidence, Seed, Threads, check_wavelengths
+from splits.core.keywords import declare_function
+from splits.core.progress import LogCallback
+from splits.core.validation import check_range, invalid, suggest_name
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.media import Sand
 from splits.retrieval.gauss_newton import DescentStage, Objective, search_minima
@@ -403,17 +405,18 @@ _JACOBIAN_RAYS_DIVISOR = 8
 """Ratio of the rays of the last stage to those of a Jacobian, whose noise causes no bias."""
 
 
+@declare_function
 def fit(
     base_settings: Mapping[str, Any],
     wavelength_nm: Any,
     measured: Any,
-    incidence_deg: float | str,
-    ranges: Mapping[str, tuple[float, float]] | None = None,
-    seed: int = 1,
-    threads: int | None = None,
-    log: Callable[[str], None] = lambda line: None,
+    incidence_deg: Incidence,
     *,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
     effort: Effort | None = None,
+    seed: Seed = 1,
+    threads: Threads = None,
+    log: LogCallback = lambda line: None,
 ) -> FitResult:
     """Find the sand whose reflectance is closest to a measured one.
 
@@ -429,12 +432,12 @@ def fit(
         Polar angle of the beam in the measurement, 0 to 89.9999 degrees.
     ranges : mapping, optional
         (low, high) by name, instead of those of `splits.retrieval.sand_fit.DEFAULT_RANGES`.
+    effort : Effort, optional
     seed : int
         Non-negative; the same seed gives the same result on any number of threads.
     threads : int, optional
     log : callable
         Receives lines of progress.
-    effort : Effort, optional
 
     Raises
     ------
@@ -453,9 +456,7 @@ def fit(
     if len(wavelengths) < min_wavelengths:
         allowed = f"{min_wavelengths} wavelengths at least"
         raise invalid("wavelength_nm", wavelengths.tolist(), allowed)
-    incidence = check_incidence("incidence_deg", incidence_deg)
-    seed = check_integer("seed", seed, 0)
-    model = SandForwardModel(cube, wavelengths, incidence, effort, seed, threads)
+    model = SandForwardModel(cube, wavelengths, incidence_deg, effort, seed, threads)
 
     def log_stage(_: int, cost: float) -> None:
         log(f"{model.n_simulations} sands, best misfit {compute_misfit(cost):.4f}")
@@ -473,7 +474,7 @@ def fit(
     log(f"{model.n_simulations} sands, best misfit {misfit:.4f}; errors follow")
     best = stage_minima[-1][0].state
     spectrum = spectrophotometer(
-        cube.to_sand(best), wavelengths, incidence, max_stderr=effort.max_stderr,
+        cube.to_sand(best), wavelengths, incidence_deg, max_stderr=effort.max_stderr,
         seed=model.seeds[-1],
         threads=threads,
     )  # fmt: skip

@@ -143,11 +143,11 @@ class SingleScatteringTally(Tally):
             "single_scattering_albedo": albedo,
             "single_scattering_albedo_stderr": np.sqrt(albedo_variance + albedo_bound**2),
             "single_scattering_albedo_jackknife": jackknife_means[:, 0],
-            "single_scattering_albedo_interpolation_bound": albedo_bound,
+            "single_scattering_albedo_interpolation_error_bound": albedo_bound,
         }
         rows = {"legendre_moment": slice(orders), "asymmetry_parameter": 1}
         rows |= {name: orders + row for row, name in enumerate(WEIGHTED_MEANS)}
-        tables = {"": ratio, "_stderr": error, "_interpolation_bound": error_bound}
+        tables = {"": ratio, "_stderr": error, "_interpolation_error_bound": error_bound}
         for name, row in rows.items():
             values |= {f"{name}{suffix}": table[row].T for suffix, table in tables.items()}
             values[f"{name}_jackknife"] = np.moveaxis(jackknife_ratios[:, row], 1, -1)

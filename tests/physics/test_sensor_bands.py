@@ -99,7 +99,7 @@ def test_maps_in_bands_are_retrieved(made, bands, exact):
     noise = xr.DataArray(0.01 * exact, {"band": NAMES}, ("band",))
     found = splits.retrieve_map(image, splits.Table(made), [SIZE], noise, bands=bands, threads=1)
     assert found[SIZE].dims == ("y", "x") and "band" not in found.coords
-    assert (found.flags == 0).all()
+    assert (found.quality_flag == 0).all()
     for value, stderr in zip(found[SIZE].values.flat, found[f"{SIZE}_stderr"].values.flat,
                              strict=True):  # fmt: skip
         check(value, stderr)

@@ -22,7 +22,7 @@ def make_optics(albedo=0.9, noise=0.0, **attrs):
         "single_scattering_albedo_jackknife": (("batch", "wavelength"), np.full((16, 2), albedo)),
         "legendre_moment": (dims, moments),
         "legendre_moment_jackknife": (("batch", *dims), batches),
-        "legendre_moment_interpolation_bound": (dims, np.zeros_like(moments)),
+        "legendre_moment_interpolation_error_bound": (dims, np.zeros_like(moments)),
     }
     attributes = {"medium": "snow", "snow_optical_radius_um": 160.0, "diffraction": "none",
              "extinction_by_grains_per_m": 2000.0} | attrs  # fmt: skip

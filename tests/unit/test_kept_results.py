@@ -247,7 +247,7 @@ def test_pixels_with_gaps_are_nan_and_flagged(tmp_path):
     assert np.isfinite(loaded[SIZE]).sum() == 3
     raw = xr.open_dataset(tmp_path / "map.nc", mask_and_scale=False)
     assert np.isnan(raw[SIZE].attrs["_FillValue"])
-    assert raw[SIZE].attrs["ancillary_variables"].split()[-1] == "flags"
+    assert raw[SIZE].attrs["ancillary_variables"].split()[-1] == "quality_flag"
 
 
 def test_lazy_arrays_are_computed_once(tmp_path):
@@ -266,7 +266,7 @@ def test_lazy_arrays_are_computed_once(tmp_path):
     assert isinstance(dataset.one.data, dask.array.Array)
 
 
-@pytest.mark.parametrize("change", [{"chi2": np.inf}, {"flags": 0}])
+@pytest.mark.parametrize("change", [{"chi2": np.inf}, {"quality_flag": 0}])
 def test_gaps_without_a_flag_are_rejected(change, tmp_path):
     result = splits.retrieve_map(
         make_image(), make_snowlike_table(), FREE_PARAMETERS, 0.01, fixed=FIXED

@@ -17,6 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.core.inputs import RayCount, Seed, Threads
+from splits.core.keywords import declare_function
 from splits.core.uncertainty import compute_jackknife_stderr
 from splits.core.validation import invalid
 from splits.instruments.single_scattering import single_scattering
@@ -51,10 +53,15 @@ class OpticalShape(NamedTuple):
     b_over_1_minus_g: EstimatedValue
 
 
+@declare_function
 def compute_optical_shape(
-    snow: Snow, wavelength_nm: float = DEFAULT_WAVELENGTH_NM, rays: int = 65_536, seed: int = 1,
-    threads: int | None = None,
-) -> OpticalShape:  # fmt: skip
+    snow: Snow,
+    wavelength_nm: float = DEFAULT_WAVELENGTH_NM,
+    *,
+    rays: RayCount = 65_536,
+    seed: Seed = 1,
+    threads: Threads = None,
+) -> OpticalShape:
     """Return the optical shape factors of the grains of dry snow.
 
     Parameters

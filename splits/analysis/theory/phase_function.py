@@ -83,7 +83,7 @@ def with_diffraction(optics: xr.Dataset, radius_um: SphereRadius = None) -> xr.D
     moment = mix(optics[ALBEDO].values, optics[MOMENT].values)
     jackknife = mix(optics[f"{ALBEDO}_jackknife"].values, optics[f"{MOMENT}_jackknife"].values)
     fraction = (scattered / (scattered + grains))[:, np.newaxis]
-    bound = fraction * optics[f"{MOMENT}_interpolation_bound"].values
+    bound = fraction * optics[f"{MOMENT}_interpolation_error_bound"].values
     total_extinction = extinction + grains
     extinction_ratio = extinction / total_extinction
     variables: dict[str, Any] = {}
@@ -107,10 +107,10 @@ def with_diffraction(optics: xr.Dataset, radius_um: SphereRadius = None) -> xr.D
         jackknife,
         optics[f"{MOMENT}_jackknife"].attrs,
     )
-    variables[f"{MOMENT}_interpolation_bound"] = (
+    variables[f"{MOMENT}_interpolation_error_bound"] = (
         dims,
         bound,
-        optics[f"{MOMENT}_interpolation_bound"].attrs,
+        optics[f"{MOMENT}_interpolation_error_bound"].attrs,
     )
     attributes = {**optics.attrs, "diffraction": f"Fraunhofer, radius {radius_um:g} um"}
     coordinates = {name: optics.coords[name] for name in ("wavelength", "order")}
@@ -172,7 +172,7 @@ def phase_function(
     terms = _make_legendre_terms(np.cos(np.radians(angles)), int(optics.order[-1]))
     value = optics[MOMENT].values @ terms
     noise = compute_jackknife_stderr(optics[f"{MOMENT}_jackknife"].values @ terms)
-    bound = optics[f"{MOMENT}_interpolation_bound"].values @ np.abs(terms)
+    bound = optics[f"{MOMENT}_interpolation_error_bound"].values @ np.abs(terms)
     variables = make_variable(
         "phase_function", ("wavelength", "angle"), np.maximum(value, 0.0),
         np.hypot(noise, bound), "phase function", "sr-1",

@@ -24,7 +24,7 @@ from splits.discrete_ordinates.homogeneous_layer import LayerOptics, Streams, so
 from splits.media.ground import Ground, describe_ground
 from splits.simulation.deep_medium import effective_mean_free_path
 
-JACKKNIFE_SUFFIX, BOUND_SUFFIX = "_jackknife", "_interpolation_bound"
+JACKKNIFE_SUFFIX, BOUND_SUFFIX = "_jackknife", "_interpolation_error_bound"
 """Suffixes of the variables of `splits.single_scattering` for errors."""
 
 TheoryFunction = Callable[[xr.Dataset], np.ndarray]
@@ -44,7 +44,7 @@ def propagate_errors(theory: TheoryFunction, optics: xr.Dataset) -> np.ndarray:
         From a dataset like `optics` to float[…, wavelengths].
     optics : xarray.Dataset
         From `splits.single_scattering`; without ``…_jackknife`` and
-        ``…_interpolation_bound`` it is assumed exact.
+        ``…_interpolation_error_bound`` it is assumed exact.
 
     References
     ----------

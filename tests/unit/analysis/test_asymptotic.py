@@ -207,9 +207,11 @@ def make_optics(albedo=0.01, moment=0.02):
     return xr.Dataset(
         {
             "single_scattering_albedo": ("wavelength", [0.9, 0.9]),
-            "single_scattering_albedo_interpolation_bound": ("wavelength", albedo * uncertain),
+            "single_scattering_albedo_interpolation_error_bound": (
+                "wavelength", albedo * uncertain,
+            ),
             "legendre_moment": (("wavelength", "order"), MOMENTS),
-            "legendre_moment_interpolation_bound": (
+            "legendre_moment_interpolation_error_bound": (
                 ("wavelength", "order"), np.outer(moment * uncertain, [0.0, 1.0, 1.0, 1.0, 1.0]),
             ),
         },
@@ -232,12 +234,12 @@ def test_no_combination_of_errors_exceeds_the_bound(theory):
     exact = make_optics()
     largest = 0.0
     for signs in itertools.product((-1.0, 1.0), repeat=5):
-        moments = exact.legendre_moment_interpolation_bound * xr.DataArray(
+        moments = exact.legendre_moment_interpolation_error_bound * xr.DataArray(
             [0.0, *signs[1:]], dims="order"
         )
         perturbed = exact.assign(
             single_scattering_albedo=exact.single_scattering_albedo
-            + signs[0] * exact.single_scattering_albedo_interpolation_bound,
+            + signs[0] * exact.single_scattering_albedo_interpolation_error_bound,
             legendre_moment=exact.legendre_moment + moments,
         )
         largest = np.maximum(largest, np.abs(theory(perturbed) - theory(exact)))

@@ -46,7 +46,7 @@ def test_angular_resolution_is_as_stated():
     ones = np.ones((1, order.size))
     dims = ("wavelength", "order")
     peak = peak.assign_coords(wavelength=[600.0], order=order).assign(
-        legendre_moment=(dims, ones), legendre_moment_interpolation_bound=(dims, 0.0 * ones),
+        legendre_moment=(dims, ones), legendre_moment_interpolation_error_bound=(dims, 0.0 * ones),
         legendre_moment_jackknife=(("batch", *dims), np.ones((16, 1, order.size))),
     )  # fmt: skip
     angles = np.linspace(0.0, 10.0, 10_001)

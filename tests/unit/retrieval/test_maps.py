@@ -37,7 +37,7 @@ def image():
 def test_pixels_match_single_retrievals(table, image):
     result = splits.retrieve_map(image, table, [SIZE, SOOT], 0.01, fixed=FIXED)
     assert result[SIZE].dims == ("y", "x")
-    assert not result.flags.any()
+    assert not result.quality_flag.any()
     for y in range(image.sizes["y"]):
         for x in range(image.sizes["x"]):
             single = splits.retrieve(image[y, x], table, [SIZE, SOOT], 0.01, fixed=FIXED).dataset
@@ -54,10 +54,10 @@ def test_invalid_pixels_are_flagged(table, image):
     broken[1, 1] *= 100.0
     broken[2, 2] = np.linspace(0.1, 0.9, W.size)
     result = splits.retrieve_map(broken, table, [SIZE, SOOT], 0.01, fixed=FIXED)
-    assert result.flags[0, 0] == FLAGS["gap"] and np.isnan(result[SIZE][0, 0])
-    assert result.flags[1, 1] == FLAGS["out_of_range"] and np.isnan(result[SIZE][1, 1])
-    assert result.flags[2, 2].values & FLAGS["poor_fit"]
-    valid = result.flags.values == 0
+    assert result.quality_flag[0, 0] == FLAGS["gap"] and np.isnan(result[SIZE][0, 0])
+    assert result.quality_flag[1, 1] == FLAGS["out_of_range"] and np.isnan(result[SIZE][1, 1])
+    assert result.quality_flag[2, 2].values & FLAGS["poor_fit"]
+    valid = result.quality_flag.values == 0
     expected = splits.retrieve_map(image, table, [SIZE, SOOT], 0.01, fixed=FIXED)
     np.testing.assert_array_equal(result[SIZE].values[valid], expected[SIZE].values[valid])
 
@@ -66,11 +66,11 @@ def test_bounds_and_unconstrained_parameters_are_flagged(table, image):
     sizes = splits.retrieve_map(
         image, table, {SIZE: (400.0, 900.0)}, 0.01, fixed={**FIXED, SOOT: 200.0}
     )
-    assert (sizes.flags[0].values & FLAGS["at_lower_bound"]).all()
-    assert (sizes.flags[3].values & FLAGS["at_upper_bound"]).all()
+    assert (sizes.quality_flag[0].values & FLAGS["at_lower_bound"]).all()
+    assert (sizes.quality_flag[3].values & FLAGS["at_upper_bound"]).all()
     unconstrained = splits.retrieve_map(image[:1, :1], table, [SIZE, "incidence_deg"], 0.01,
                                 fixed={SOOT: 20.0})  # fmt: skip
-    assert unconstrained.flags.values.item() & FLAGS["unconstrained"]
+    assert unconstrained.quality_flag.values.item() & FLAGS["unconstrained"]
 
 
 def test_result_is_independent_of_blocks_and_threads(table, image):
@@ -128,7 +128,7 @@ def test_maps_converge_like_retrievals_from_zero_amounts():
         n_worse += float(result.chi2[x]) > single["chi2"] + 4.0
     assert n_worse <= 1
     # The descent may converge slowly for an unconstrained parameter, which is flagged.
-    assert ((result.flags.values & FLAGS["not_converged"]) > 0).mean() < 0.05
+    assert ((result.quality_flag.values & FLAGS["not_converged"]) > 0).mean() < 0.05
 
 
 def to_band_image(image):
@@ -233,7 +233,7 @@ def test_blocks_without_a_valid_pixel_give_a_warning(table, image):
     lazy = xr.concat([image, 100.0 * image], "x").chunk(x=3)
     result = splits.retrieve_map(lazy, table, [SIZE], 0.01, fixed={**FIXED, SOOT: 9.0})
     with pytest.warns(UserWarning, match="a block of the image has no result: image = 'of the med"):
-        assert (result.flags.values[..., 3:] == FLAGS["out_of_range"]).all()
+        assert (result.quality_flag.values[..., 3:] == FLAGS["out_of_range"]).all()
 
 
 def test_images_may_be_in_per_cent_and_in_any_order(table, image):
@@ -257,7 +257,7 @@ def test_errors_of_poor_fits_are_those_of_single_retrievals(table):
     for prior in ({}, {SOOT: (50.0, 10.0)}):
         keywords = {"fixed": FIXED, "prior": prior}
         found = splits.retrieve_map(image, table, [SIZE, SOOT], 0.01, **keywords)
-        assert ((found.flags.values & FLAGS["poor_fit"]) > 0).tolist() == [False, True, True]
+        assert ((found.quality_flag.values & FLAGS["poor_fit"]) > 0).tolist() == [False, True, True]
         for x in range(3):
             single = splits.retrieve(image[x], table, [SIZE, SOOT], 0.01, **keywords).dataset
             assert (single.attrs["error_inflation"] > 1.0) == (x > 0)

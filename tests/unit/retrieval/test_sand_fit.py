@@ -154,7 +154,9 @@ def test_a_known_sand_is_retrieved():
     effort = Effort(
         points=64, starts=(3, 1), evaluations=(30, 40), rays=(512, 1024, 16_384), max_stderr=0.002
     )
-    result = fit({}, WAVELENGTHS, target.values, 10.0, ranges, log=lines.append, effort=effort)
+    result = fit(
+        {}, WAVELENGTHS, target.values, 10.0, ranges=ranges, log=lines.append, effort=effort
+    )
     assert result.rmse < 0.006
     shown = repr(result).splitlines()
     assert shown[0].startswith("misfit 0.00") and len(shown) == 1 + len(result.parameters)

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from splits.core.arrays import ContentEquality, check_named_numbers
-from splits.core.declarations import Quantity, declare_class
+from splits.core.declarations import Quantity, declare_class, defer_check
 from splits.core.inputs import (
     Depth,
     Pores,
@@ -63,7 +63,10 @@ HematiteRatio = Annotated[
     float,
     Quantity("mass of hematite per mass of iron oxide", low=0.0, high=1.0, first_step=0.04),
 ]
-Magnetite = Annotated[float, Quantity("mass of magnetite per mass of sand", low=0.0, high=1.0)]
+Magnetite = Annotated[
+    float,
+    Quantity("mass of magnetite per mass of sand", low=0.0, high=1.0, check=defer_check),
+]
 Partition = Annotated[
     tuple[float, float, float],
     _declare_fractions(
@@ -92,7 +95,9 @@ CoatingThickness = Annotated[
         hint="coatings are treated as flat slabs, so they must be thin",
     ),
 ]  # fmt: skip
-SizeTail = Annotated[float, Quantity("mass fraction outside the outermost size limits")]
+SizeTail = Annotated[
+    float, Quantity("mass fraction outside the outermost size limits", low=1e-6, high=0.01)
+]
 
 
 @declare_class
@@ -184,7 +189,8 @@ class Sand(ContentEquality, GranularMedium):
 
     def __post_init__(self) -> None:
         hint = "the sum of all mass fractions is 1"
-        check_range("magnetite", self.magnetite, 0.0, 1.0 - self.iron_oxide, hint=hint)
+        largest = 1.0 - self.iron_oxide
+        self._put(magnetite=check_range("magnetite", self.magnetite, 0.0, largest, hint=hint))
         self._check_inputs(MINERAL_DENSITY_KG_M3)
         if self.pores and self.interpretation.water != "whole_pores":
             hint = "which pores these fluids fill is not known: leave interpretation.water out"

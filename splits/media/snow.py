@@ -18,7 +18,13 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 
 from splits.core.arrays import ContentEquality, check_named_numbers
-from splits.core.declarations import Quantity, alternative, declare_class, other_constructor
+from splits.core.declarations import (
+    Quantity,
+    alternative,
+    declare_class,
+    defer_check,
+    other_constructor,
+)
 from splits.core.inputs import (
     Depth,
     Facetness,
@@ -90,16 +96,21 @@ SurfaceArea = Annotated[
     ),
 ]  # fmt: skip
 OpticalRadius = Annotated[
-    float, Quantity("radius of spheres of the same specific surface area", "um")
+    float,
+    Quantity("radius of spheres of the same specific surface area", "um", check=defer_check),
 ]
 LiquidWater = Annotated[
-    float, Quantity("volume of water per volume of snow", first_step=0.04, root_at=0.0)
-]
+    float,
+    Quantity(
+        "volume of water per volume of snow", first_step=0.04, root_at=0.0, check=defer_check,
+    ),
+]  # fmt: skip
 SnowDensity = Annotated[
     float,
     Quantity(
         "mass of ice per volume", "kg m-3",
         low=MIN_DENSITY_KG_M3, high=ice_density(-40.0), open_high=True,
+        check=defer_check,
     ),
 ]  # fmt: skip
 SnowTemperature = Annotated[float, Quantity("temperature", "degC", low=-40.0, high=0.0)]
@@ -335,7 +346,8 @@ class Snow(ContentEquality, GranularMedium):
     def __post_init__(  # type: ignore[override]
         self, area: float | None, radius: float | None, liquid_water: float | None
     ) -> None:
-        _check_density(self.density_kg_m3, MIN_DENSITY_KG_M3, self.temperature_c)
+        density = _check_density(self.density_kg_m3, MIN_DENSITY_KG_M3, self.temperature_c)
+        self._put(density_kg_m3=density)
         if liquid_water is not None:
             hint = "volume of water per volume of snow, at most that of its pores"
             water = check_range(LIQUID_WATER_KEY, liquid_water, 0.0, self.porosity, hint=hint)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from inspect import Parameter
 from typing import Annotated, Any, Literal
@@ -198,7 +198,7 @@ class Instrument:
     """
 
     kind: str = DEFAULT_KIND
-    settings: Mapping[str, Any] = None  # type: ignore[assignment]
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
     def from_content(cls, content: Any) -> Instrument:

@@ -38,7 +38,7 @@ SETTINGS_DIGESTS = {
 """Digests of the samples of the papers, which published results depend on."""
 CORE_PROGRAM = """
 import sys
-sys.modules |= dict.fromkeys(["yaml", "pydantic", "colour", "matplotlib", "scipy"])
+sys.modules |= dict.fromkeys(["yaml", "colour", "matplotlib", "scipy"])
 import splits
 for name in splits.list_media():
     print(name, splits.load_medium(name))

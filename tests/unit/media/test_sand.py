@@ -464,7 +464,7 @@ def test_textures_other_than_sand_are_rejected(texture, message):
 def test_other_invalid_textures_are_rejected():
     for tail in (1e-7, 0.02):
         with pytest.raises(ValueError, match=rf"^size_tail = {tail}: must be in \[1e-06, 0.01\]"):
-            make_size_distribution((0.0, 0.15, 0.85), tail)
+            Sand(size_tail=tail)
     with pytest.raises(
         ValueError, match=r"^interpretation.size_distribution = 'single': .*'separates'"
     ):

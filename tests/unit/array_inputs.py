@@ -181,10 +181,12 @@ CASES = {
             bands={"mine": {"wavelength_nm": NM, "response": a}}),
         PARAMETERS, labels=NM, runs=True),
     "hdrf": ArrayCase(
-        lambda a: splits.hdrf(GREY_LAYER, splits.sky(SKY, 50.0), a, 0.5, threads=1, polar_deg=POLAR,
+        lambda a: splits.hdrf(GREY_LAYER, splits.sky(SKY, 50.0), a, relative_stderr=0.5, threads=1,
+                              polar_deg=POLAR,
                               azimuth_deg=[0.0]), [800.0], one=True, runs=True),
     "radiation_profile": ArrayCase(
-        lambda a: splits.radiation_profile(SNOW, splits.sky(SKY, 50.0), a, NM, **FEW_WAVELENGTHS),
+        lambda a: splits.radiation_profile(SNOW, splits.sky(SKY, 50.0), NM, depth_m=a,
+                                           **FEW_WAVELENGTHS),
         [0.0009765625, 0.001953125], one=True, runs=True),
     # Instruments.
     "spectrophotometer": ArrayCase(
@@ -215,10 +217,10 @@ CASES = {
         lambda a: splits.time_of_flight(SNOW, 800.0, rays=2, threads=1, delay_s=a),
         [2.0**-14, 2.0**-13], runs=True),
     "time_of_flight depths_m": ArrayCase(
-        lambda a: splits.time_of_flight(SNOW, 800.0, rays=2, threads=1, depths_m=a),
+        lambda a: splits.time_of_flight(SNOW, 800.0, rays=2, threads=1, depth_m=a),
         [0.0009765625, 0.001953125], one=True, runs=True),
     "irradiance_profile": ArrayCase(
-        lambda a: splits.irradiance_profile(SNOW, [800.0], a, **FEW_WAVELENGTHS),
+        lambda a: splits.irradiance_profile(SNOW, [800.0], depth_m=a, **FEW_WAVELENGTHS),
         [0.0009765625, 0.001953125], one=True,
         runs=True),
     "single_scattering": ArrayCase(
@@ -237,10 +239,12 @@ CASES = {
         lambda a: splits.compute_mie_matrix([800.0], 1.5, radius_um=0.125, angle_deg=a), POLAR,
         one=True),
     "lens screen_depth_m": ArrayCase(
-        lambda a: splits.lens(SEA, a, 1.0, centre_on="origin", rays=3), [1.0, 2.0], one=True,
+        lambda a: splits.lens(SEA, screen_depth_m=a, radius_m=1.0, centre_on="origin", rays=3),
+        [1.0, 2.0], one=True,
         runs=True),
     "lens waves": ArrayCase(
-        lambda a: splits.lens(SEA, [1.0], 1.0, centre_on="origin", rays=3, waves=a),
+        lambda a: splits.lens(SEA, screen_depth_m=[1.0], radius_m=1.0, centre_on="origin", rays=3,
+                              waves=a),
         [[0.0625, 1.0, 0.5, 0.0], [0.125, 0.5, 0.0, 1.0]], runs=True),
     # Tables.
     "build_table wavelength_nm": ArrayCase(

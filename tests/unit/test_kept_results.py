@@ -91,7 +91,7 @@ RESULTS = {
         make_snow(), PAIR, 30.0, **ORDINATES
     ),
     "irradiance_profile, ordinates": lambda: splits.irradiance_profile(
-        make_snow(), PAIR, [0.01], **ORDINATES
+        make_snow(), PAIR, depth_m=[0.01], **ORDINATES
     ),
     "build_table, ordinates": lambda: splits.build_table(
         splits.Snow.natural, {SIZE: [100.0, 200.0]}, PAIR, **ORDINATES
@@ -107,7 +107,7 @@ RESULTS = {
         make_layer(), PAIR, 30.0, relative_stderr=0.5
     ),
     "beam_spread": lambda: splits.beam_spread(make_layer(), PAIR, rays=1000, half_width_m=1.0),
-    "time_of_flight": lambda: splits.time_of_flight(make_snow(), PAIR, rays=1000, depths_m=[0.01]),
+    "time_of_flight": lambda: splits.time_of_flight(make_snow(), PAIR, rays=1000, depth_m=[0.01]),
     "time_of_flight of infinite depth": lambda: splits.time_of_flight(
         splits.Snow.natural(optical_radius_um=100, depth_m=float("inf")),
         PAIR,
@@ -115,10 +115,14 @@ RESULTS = {
         delay_s=[0.0, 1e-10],
     ),
     "irradiance_profile": lambda: splits.irradiance_profile(
-        make_snow(), PAIR, [0.01], max_stderr=0.1
+        make_snow(), PAIR, depth_m=[0.01], max_stderr=0.1
     ),
-    "lens": lambda: splits.lens(make_rough_layer(), [1.0], 0.1, centre_on="origin", rays=1000),
-    "surface_map": lambda: splits.surface_map(make_rough_layer(), 1.0, points=5, realizations=2),
+    "lens": lambda: splits.lens(
+        make_rough_layer(), screen_depth_m=[1.0], radius_m=0.1, centre_on="origin", rays=1000
+    ),
+    "surface_map": lambda: splits.surface_map(
+        make_rough_layer(), half_width_m=1.0, points=5, realizations=2
+    ),
     "single_scattering": compute_grain_optics,
     "compute_mie_matrix": lambda: splits.compute_mie_matrix(PAIR, "water", 0.1, 0.1),
     "with_diffraction": lambda: splits.with_diffraction(compute_grain_optics()),
@@ -130,11 +134,13 @@ RESULTS = {
     "Table.interp": lambda: make_snowlike_table().interp(**make_point()),
     "Table.derivatives": lambda: make_snowlike_table().derivatives(FREE_PARAMETERS, **make_point()),
     "Table.to_isofit": lambda: make_snowlike_table().to_isofit(**{SOOT: 0.0}),
-    "albedo": lambda: splits.albedo(make_snow(), SKY, [500, 800], 0.1, bands=BANDS),
-    "albedo of several": lambda: splits.albedo(make_several_media(), SKY, [500, 800], 0.1),
-    "hdrf": lambda: splits.hdrf(make_layer(), SKY, PAIR, 0.5),
+    "albedo": lambda: splits.albedo(make_snow(), SKY, [500, 800], max_stderr=0.1, bands=BANDS),
+    "albedo of several": lambda: splits.albedo(
+        make_several_media(), SKY, [500, 800], max_stderr=0.1
+    ),
+    "hdrf": lambda: splits.hdrf(make_layer(), SKY, PAIR, relative_stderr=0.5),
     "radiation_profile": lambda: splits.radiation_profile(
-        make_snow(), SKY, [0.01], PAIR, 0.1, total_w_m2=400
+        make_snow(), SKY, PAIR, depth_m=[0.01], max_stderr=0.1, total_w_m2=400
     ),
     "retrieve": lambda: (
         splits.retrieve(MEASURED, make_snowlike_table(), FREE_PARAMETERS, 0.01, fixed=FIXED).dataset

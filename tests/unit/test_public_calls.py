@@ -93,13 +93,13 @@ INVALID_CALLS = {
     "compute_mie_matrix": lambda: splits.compute_mie_matrix([500], 1.33, 10.0, 2.0),
     "goniophotometer": lambda: splits.goniophotometer(SNOW, [500], 95),
     "hdrf": lambda: splits.hdrf(SNOW, "midlatitude", [500]),
-    "lens": lambda: splits.lens(LAYER, [1], -1),
-    "radiation_profile": lambda: splits.radiation_profile(SNOW, {"direct": [1]}, [0.1]),
+    "lens": lambda: splits.lens(LAYER, screen_depth_m=[1], radius_m=-1),
+    "radiation_profile": lambda: splits.radiation_profile(SNOW, {"direct": [1]}, depth_m=[0.1]),
     "load": lambda: splits.load("there/is/none.nc"),
     "load_medium": lambda: splits.load_medium("red_dune", saturation=2),
     "open_table": lambda: splits.open_table("there/is/none.nc"),
     "phase_function": lambda: splits.phase_function(3),
-    "irradiance_profile": lambda: splits.irradiance_profile(SNOW, [500], [-1]),
+    "irradiance_profile": lambda: splits.irradiance_profile(SNOW, [500], depth_m=[-1]),
     "retrieve": lambda: splits.retrieve([1, 2], SNOW, {}),
     "retrieve_map": lambda: splits.retrieve_map(3, 3, {}, 3),
     "SnowPacks": lambda: splits.SnowPacks(EMPTY),
@@ -111,7 +111,7 @@ INVALID_CALLS = {
     "single_scattering": lambda: splits.single_scattering(SNOW, "x"),
     "sky": lambda: splits.sky("clear", zenith_deg=100),
     "spectrophotometer": lambda: splits.spectrophotometer(SNOW, [500], progress=3),
-    "surface_map": lambda: splits.surface_map(LAYER, -1),
+    "surface_map": lambda: splits.surface_map(LAYER, half_width_m=-1),
     "time_of_flight": lambda: splits.time_of_flight(SNOW, "x"),
     "build_table": lambda: splits.build_table(splits.Snow.natural, {"depth_m": [1, 2]}, "x"),
     "build_return_table": lambda: splits.build_return_table(splits.Snow.natural, {}, 532),
@@ -141,7 +141,9 @@ def test_errors_are_raised_at_the_calling_line(name):
 
 @pytest.mark.parametrize("value", [30, 30.0, np.float32(30), np.array(30.0), xr.DataArray(30.0)])
 def test_all_scalar_types_are_accepted(value):
-    assert check_incidence("incidence_deg", value) == check_beam_angle("incidence_deg", value) == 30.0
+    assert (
+        check_incidence("incidence_deg", value) == check_beam_angle("incidence_deg", value) == 30.0
+    )
     assert check_wavelengths(500.0 + 0 * value).tolist() == [500.0]
     assert splits.Snow(density_kg_m3=value * 10).density_kg_m3 == 300.0
     if not isinstance(value, float | np.float32) and np.asarray(value).dtype.kind == "i":

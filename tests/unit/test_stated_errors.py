@@ -85,6 +85,8 @@ def test_all_instruments_are_covered():
 
 @NEEDS_JIT
 def test_theories_declare_their_errors():
-    optics = correct_dense_packing(splits.single_scattering(splits.Snow(), [600.0], 4, 2))
+    optics = correct_dense_packing(
+        splits.single_scattering(splits.Snow(), [600.0], moments=4, rays=2)
+    )
     assert list_variables_with_errors(optics) == GRAINS | {"extinction", "optical_thickness"}
     assert list_variables_with_errors(solve_discrete_ordinates(optics, streams=4)) == BUDGET

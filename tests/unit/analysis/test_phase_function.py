@@ -127,7 +127,10 @@ def test_simulated_optics_give_a_phase_function():
     [
         (lambda: splits.phase_function(make_optics(), [200.0]), "angle_deg = 200.0"),
         (lambda: splits.phase_function(xr.Dataset(attrs={"title": "x"})), "optics = 'x'"),
-        (lambda: to_eradiate(make_optics(), np.arange(0.0, 181.0, 30.0)), "angle_deg = '7 angles'"),
+        (
+            lambda: to_eradiate(make_optics(), np.arange(0.0, 181.0, 30.0)),
+            "angle_deg = '7 angles'",
+        ),
         (lambda: splits.with_diffraction(make_optics(), -1.0), "radius_um = -1.0"),
         (lambda: splits.with_diffraction(make_optics(medium="sand")), "radius_um = None"),
         (

@@ -250,7 +250,7 @@ def test_rounded_bottom_depth_is_rejected():
     """Otherwise an interval would be as thin as a rounding error."""
     for thickness, depth in ((0.3, 0.1 + 0.2), (0.1 + 0.2, 0.3)):
         with pytest.raises(InvalidValue, match="top and bottom are always included"):
-            splits.irradiance_profile(splits.Snow(depth_m=thickness), [500.0], [depth])
+            splits.irradiance_profile(splits.Snow(depth_m=thickness), [500.0], depth_m=[depth])
 
 
 def test_visible_range_is_covered_up_to_rounding():

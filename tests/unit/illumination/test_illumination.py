@@ -169,7 +169,11 @@ def test_wavelengths_outside_a_sky_are_rejected(changes, message):
     if "wavelength_nm" not in changes:
         with pytest.raises(ValueError, match=message):
             splits.radiation_profile(
-                splits.Snow(), splits.sky(OWN_SKY, 50.0), [0.01], max_stderr=0.1, **arguments
+                splits.Snow(),
+                splits.sky(OWN_SKY, 50.0),
+                depth_m=[0.01],
+                max_stderr=0.1,
+                **arguments,
             )
 
 
@@ -212,7 +216,9 @@ def test_a_white_layer_is_white_over_all_bands():
     white = splits.ParticleLayer(
         optical_thickness=1.0, single_scattering_albedo=1.0, bottom_albedo=1.0
     )
-    result = splits.albedo(white, splits.sky(OWN_SKY, 50.0), W, 0.02, bands={"green": (500, 560)})
+    result = splits.albedo(
+        white, splits.sky(OWN_SKY, 50.0), W, max_stderr=0.02, bands={"green": (500, 560)}
+    )
     assert result.band.values.tolist() == ["broadband", "green"]
     np.testing.assert_allclose(result.band_albedo, 1.0, atol=1e-12)
     sky = splits.sky(OWN_SKY, 50.0)
@@ -225,9 +231,9 @@ def test_a_white_layer_is_white_over_all_bands():
 @pytest.mark.slow
 def test_albedo_mixes_direct_and_diffuse_reflectance():
     snow = splits.Snow(depth_m=0.03)
-    result = splits.albedo(snow, splits.sky(OWN_SKY, 50.0), W, 0.02, seed=5)
-    sun = splits.spectrophotometer(snow, W, 50.0, 0.02, seed=5).reflectance
-    diffuse = splits.spectrophotometer(snow, W, "diffuse", 0.02, seed=6).reflectance
+    result = splits.albedo(snow, splits.sky(OWN_SKY, 50.0), W, max_stderr=0.02, seed=5)
+    sun = splits.spectrophotometer(snow, W, 50.0, max_stderr=0.02, seed=5).reflectance
+    diffuse = splits.spectrophotometer(snow, W, "diffuse", max_stderr=0.02, seed=6).reflectance
     fraction = result.direct_fraction
     np.testing.assert_allclose(
         result.albedo, fraction * sun + (1.0 - fraction) * diffuse, rtol=1e-12
@@ -240,7 +246,7 @@ def test_band_errors_match_the_scatter_between_seeds():
     snow, sky = splits.Snow(depth_m=0.03), splits.sky(OWN_SKY, 50.0)
     w = np.arange(400.0, 1001.0, 25.0)
     runs = [
-        splits.albedo(snow, sky, w, 0.02, seed=2 * seed, bands={"blue": (400, 500)})
+        splits.albedo(snow, sky, w, max_stderr=0.02, seed=2 * seed, bands={"blue": (400, 500)})
         for seed in range(60)
     ]
     values = np.array([run.band_albedo.values for run in runs])

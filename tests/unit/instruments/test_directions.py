@@ -328,7 +328,13 @@ WATER = splits.ParticleLayer(refractive_index=1.34, depth_m=100.0, surface=WAVES
 
 
 def test_a_flat_surface_does_not_focus():
-    ds = splits.lens(WATER, [1.0, 10.0], 2.0, centre_on="origin", waves=[(0.0, 1.0, 0.0, 0.0)])
+    ds = splits.lens(
+        WATER,
+        screen_depth_m=[1.0, 10.0],
+        radius_m=2.0,
+        centre_on="origin",
+        waves=[(0.0, 1.0, 0.0, 0.0)],
+    )
     assert ds.contraction.values == pytest.approx(1.0, abs=1e-12)
     assert ds.concentration.values == pytest.approx(1.0, abs=1e-12)
     assert ds.detected_fraction.values == pytest.approx(1.0)
@@ -336,7 +342,14 @@ def test_a_flat_surface_does_not_focus():
 
 def test_crests_focus_and_troughs_defocus():
     crest, trough = (
-        splits.lens(WATER, [20.0], 0.5, centre_on=centre, half_width_m=50.0, realizations=20)
+        splits.lens(
+            WATER,
+            screen_depth_m=[20.0],
+            radius_m=0.5,
+            centre_on=centre,
+            half_width_m=50.0,
+            realizations=20,
+        )
         for centre in ("crest", "trough")
     )
     for ds, sign in ((crest, 1.0), (trough, -1.0)):
@@ -345,12 +358,12 @@ def test_crests_focus_and_troughs_defocus():
 
 
 def test_one_realization_has_no_standard_error():
-    ds = splits.lens(WATER, [5.0], 0.5, centre_on="origin", rays=12)
+    ds = splits.lens(WATER, screen_depth_m=[5.0], radius_m=0.5, centre_on="origin", rays=12)
     assert "contraction_stderr" not in ds and ds.attrs["rays"] == 12
 
 
 def test_surface_maps_have_the_expected_slopes():
-    ds = splits.surface_map(WATER, 200.0, points=81, realizations=200, seed=3)
+    ds = splits.surface_map(WATER, half_width_m=200.0, points=81, realizations=200, seed=3)
     assert ds.height.shape == (81, 81)
     expected = WATER.surface.rms_slope()
     squares = ds.rms_slope.values**2
@@ -375,12 +388,12 @@ def test_invalid_lens_arguments_are_rejected(arguments, message):
     depths, radius, *options = arguments
     settings = {"half_width_m": 5.0, **(options[0] if options else {})}
     with pytest.raises(ValueError, match=message):
-        splits.lens(WATER, depths, radius, **settings)
+        splits.lens(WATER, screen_depth_m=depths, radius_m=radius, **settings)
 
 
 def test_smooth_layers_are_rejected():
-    for call in (lambda m: splits.lens(m, [1.0], 1.0, centre_on="origin"),
-                 lambda m: splits.surface_map(m, 1.0)):  # fmt: skip
+    for call in (lambda m: splits.lens(m, screen_depth_m=[1.0], radius_m=1.0, centre_on="origin"),
+                 lambda m: splits.surface_map(m, half_width_m=1.0)):  # fmt: skip
         with pytest.raises(ValueError, match="surface = None"):
             call(splits.ParticleLayer())
 

@@ -33,8 +33,10 @@ INSTRUMENT_CALLS = {
     "beam_spread": lambda medium: splits.beam_spread(medium, [600]),
     "fixed_spectrum": lambda medium: estimate_fixed_budget(medium, [600], 0.0, [0], 1, 1),
     "single_scattering": lambda medium: splits.single_scattering(medium, [600]),
-    "lens": lambda medium: splits.lens(medium, [1.0], 0.1, half_width_m=1.0),
-    "surface_map": lambda medium: splits.surface_map(medium, 1.0),
+    "lens": lambda medium: splits.lens(
+        medium, screen_depth_m=[1.0], radius_m=0.1, half_width_m=1.0
+    ),
+    "surface_map": lambda medium: splits.surface_map(medium, half_width_m=1.0),
 }
 SURFACE_CALLS = ("lens", "surface_map")
 
@@ -72,7 +74,7 @@ def test_misspelt_media_get_a_suggestion(medium):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: splits.lens(ROUGH, [1.0], 0.1),
+        (lambda: splits.lens(ROUGH, screen_depth_m=[1.0], radius_m=0.1),
          r"^half_width_m = None: must be given \(m\) \(half the side of the square searched"),
         (lambda: splits.goniophotometer(splits.Snow(), [600], rays=1e5),
          r"^rays = 100000\.0: must be a whole number of at least 1 \(write 100000\)"),
@@ -129,13 +131,15 @@ SKY = splits.sky("summit_greenland")
 SNOW = splits.Snow.natural(specific_surface_area_m2_kg=20)
 VIEW = {"polar_deg": [0.0], "azimuth_deg": [0.0], "relative_stderr": 0.3}
 CALLS = {
-    "spectrophotometer": lambda **k: splits.spectrophotometer(SNOW, [1300], 0.0, 0.1, **k),
+    "spectrophotometer": lambda **k: splits.spectrophotometer(
+        SNOW, [1300], 0.0, max_stderr=0.1, **k
+    ),
     "albedo": lambda **k: splits.albedo(SNOW, SKY, [1300, 1400], max_stderr=0.1, **k),
     "irradiance_profile": lambda **k: splits.irradiance_profile(
-        SNOW, [1300], [0.01], max_stderr=0.1, **k
+        SNOW, [1300], depth_m=[0.01], max_stderr=0.1, **k
     ),
     "radiation_profile": lambda **k: splits.radiation_profile(
-        SNOW, SKY, [0.01], [1300, 1400], max_stderr=0.1, total_w_m2=100.0, **k
+        SNOW, SKY, [1300, 1400], depth_m=[0.01], max_stderr=0.1, total_w_m2=100.0, **k
     ),
     "time_of_flight": lambda: splits.time_of_flight(SNOW, [1300], rays=100),
     "single_scattering": lambda: splits.single_scattering(SNOW, [1300], rays=1000),

@@ -12,18 +12,25 @@ STACK = splits.Stack([SNOW, splits.Sand(depth_m=0.004)], ground=0.3, interpretat
 SKY = "midlatitude_winter"
 EXAMPLES = {
     "irradiance_profile": lambda: splits.irradiance_profile(
-        STACK, [500, 900], [0.002, 0.012], max_stderr=0.2
+        STACK, [500, 900], depth_m=[0.002, 0.012], max_stderr=0.2
     ),
-    "single": lambda: splits.single_scattering(SNOW, [500, 900], 8, 2000),
+    "single": lambda: splits.single_scattering(SNOW, [500, 900], moments=8, rays=2000),
     "several media": lambda: splits.spectrophotometer(
         {"clean": SNOW, "grey": GREY_GROUND}, [500, 900], max_stderr=0.2
     ),
     "albedo": lambda: splits.albedo(
         SNOW, SKY, [600, 650, 700], max_stderr=0.2, bands={"red": (600, 700)}
     ),
-    "hdrf": lambda: splits.hdrf(SNOW, SKY, [500], 0.5, polar_deg=[0, 30], azimuth_deg=[0, 180]),
+    "hdrf": lambda: splits.hdrf(
+        SNOW, SKY, [500], relative_stderr=0.5, polar_deg=[0, 30], azimuth_deg=[0, 180]
+    ),
     "inside": lambda: splits.radiation_profile(
-        STACK, SKY, [0.002, 0.012], [500, 900, 1200], max_stderr=0.3, total_w_m2=300.0
+        STACK,
+        SKY,
+        [500, 900, 1200],
+        depth_m=[0.002, 0.012],
+        max_stderr=0.3,
+        total_w_m2=300.0,
     ),
 }
 

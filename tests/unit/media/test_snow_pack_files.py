@@ -298,7 +298,7 @@ def test_files_of_all_formats_are_read(tmp_path):
     names = [str(one) for one in pits]
     packs = splits.read_caaml(pits).with_ground(0.3)
     assert splits.read_snow_packs(names, ground=0.3).dataset.equals(packs.dataset)
-    assert splits.read_snow_packs(names[0], 0.3).dataset.equals(packs.dataset.isel(time=[0]))
+    assert splits.read_snow_packs(names[0], ground=0.3).dataset.equals(packs.dataset.isel(time=[0]))
     splits.save(packs.dataset, tmp_path / "own.nc")
     assert splits.read_snow_packs(str(tmp_path / "own.nc")).dataset.equals(packs.dataset)
     make_output().to_netcdf(tmp_path / "crocus.nc")

@@ -309,7 +309,12 @@ def test_covariance_reduces_the_errors_of_derivatives():
         with_covariance.reflectance_jacobian_stderr < without_covariance.reflectance_jacobian_stderr
     ).all()
     run = splits.spectrophotometer(
-        make_snow(150.0), [800.0, 1030.0], 0, 0.004, 7, jacobian=["optical_radius_um"]
+        make_snow(150.0),
+        [800.0, 1030.0],
+        0,
+        max_stderr=0.004,
+        seed=7,
+        jacobian=["optical_radius_um"],
     )
     error = np.hypot(
         run.reflectance_jacobian_stderr[0], with_covariance.reflectance_jacobian_stderr[0]
@@ -486,7 +491,7 @@ def test_table_equals_single_spectra():
             optical_radius_um=radius, liquid_water_content=water, ground=0.6, depth_m=0.02
         )
         single = splits.spectrophotometer(
-            snow, SOLVED_NM, angle, 0.001, solver="discrete_ordinates"
+            snow, SOLVED_NM, angle, max_stderr=0.001, solver="discrete_ordinates"
         )
         node = table.sel(
             optical_radius_um=radius, incidence_deg=angle, liquid_water_content=water, ground=0.6,
@@ -504,7 +509,7 @@ def test_diffuse_light_is_an_incidence():
         solver="auto",
     )  # fmt: skip
     snow = splits.Snow.natural(optical_radius_um=200.0)
-    single = splits.spectrophotometer(snow, SOLVED_NM, "diffuse", 0.003, solver="auto")
+    single = splits.spectrophotometer(snow, SOLVED_NM, "diffuse", max_stderr=0.003, solver="auto")
     np.testing.assert_allclose(table.reflectance[1], single.reflectance, rtol=1e-6)
 
 

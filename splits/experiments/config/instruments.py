@@ -33,9 +33,10 @@ from splits.core.inputs import (
 )
 from splits.core.keywords import INSTRUMENTS, declare_function
 from splits.core.progress import ProgressCallback
-from splits.core.validation import check_choice, invalid, key_prefix, unknown_key
-from splits.illumination.sky import CLEAR_SKY, sky
+from splits.core.validation import MAX_INT64, check_choice, invalid, key_prefix, unknown_key
+from splits.illumination.sky import ASTM_G173, CLEAR_SKY, list_sky_names, sky
 from splits.instruments.delay_record import AcceptanceAngle, DelayEdges, FootprintRadius
+from splits.instruments.goniophotometer import check_bins
 from splits.instruments.sky_mixing import choose_wavelengths
 from splits.instruments.solver import choose_solver
 from splits.instruments.spectrophotometer import find_path_obstacle
@@ -53,6 +54,10 @@ DEFAULTS: dict[str, Any] = {
     "wavelength_nm": {"start": 400, "stop": 2500, "step": 10}, "sky": CLEAR_SKY,
 }  # fmt: skip
 """Settings of instruments that have none by default."""
+SKIES = (*list_sky_names(), CLEAR_SKY, ASTM_G173)
+"""Names of the skies of experiments."""
+NULLABLE = ("seed",)
+"""Settings that may be left empty, though their functions have a default: the main file has one."""
 RUN_INPUTS = (
     "max_stderr", "relative_stderr", "max_rays", "threads", "kernel", "progress", "jacobian",
 )  # fmt: skip
@@ -211,7 +216,7 @@ class Instrument:
         kind = check_choice("instrument.kind", content.get("kind", DEFAULT_KIND), KINDS)
         settings = {str(key): value for key, value in content.items() if key != "kind"}
         inputs = list_section_inputs(kind)
-        for key, value in settings.items():
+        for key, value in [*settings.items()]:
             if key not in inputs:
                 owners = [one for one in KINDS if key in list_section_inputs(one)]
                 if not owners:
@@ -220,26 +225,33 @@ class Instrument:
                 raise invalid(f"instrument.{key}", value, f"left out for {kind}", hint)
             if key == "incidence_deg" and isinstance(value, list | tuple):
                 raise invalid(f"instrument.{key}", value, "one angle or diffuse", USE_GRID_HINT)
-            if value is not None:
+            if isinstance(value, float) and value.is_integer() and abs(value) < MAX_INT64:
+                # YAML reads 1e9 as a number with a decimal point.
+                settings[key] = value = int(value)
+            if key == "sky":
+                check_choice(f"instrument.{key}", value, SKIES)
+            if value is not None or (key not in NULLABLE and inputs[key].default is not None):
                 inputs[key].check(f"instrument.{key}", value)
         for key, one in inputs.items():
             if one.default is Parameter.empty and settings.get(key) is None:
                 raise invalid(f"instrument.{key}", None, "given", str(one.quantity))
         instrument = cls(kind, {key: one for key, one in settings.items() if one is not None})
-        instrument._check_errors()
+        instrument._check_combinations()
         return instrument
 
-    def _check_errors(self) -> None:
-        """Reject factors of an error where the number of rays is fixed."""
+    def _check_combinations(self) -> None:
+        """Reject settings that exclude each other."""
         has_rays, is_binned = "rays" in self.settings, self.get("estimator") == "bins"
         for key in ERROR_TYPES:
             if key in self.settings and (has_rays or is_binned) and self.get(key) != 1.0:
                 allowed = f"left out with {'rays' if has_rays else 'bins'}"
                 hint = "the number of rays is fixed there, not the error"
                 raise invalid(f"instrument.{key}", self.get(key), allowed, hint)
-        if self.kind == TABLE:
-            with key_prefix("instrument"):
+        with key_prefix("instrument"):
+            if self.kind == TABLE:
                 self.list_quantities()
+            if self.kind == "goniophotometer":
+                check_bins(*map(self.get, ("estimator", "polar_deg", "azimuth_deg", "n_bins")))
 
     def list_quantities(self) -> tuple[str, ...]:
         """Return the quantities of a table."""
@@ -268,7 +280,9 @@ class Instrument:
             return np.array([550.0])
         given = self.get("wavelength_nm")
         if given is None:
-            return choose_wavelengths(None, sky(self.get("sky")), 2)
+            name = self.get("sky")
+            # The wavelengths of a clear sky are the same for any position of the sun.
+            return choose_wavelengths(None, sky(name, 0.0 if name == CLEAR_SKY else None), 2)
         return check_wavelengths("instrument.wavelength_nm", given)
 
     def get_incidence(self) -> float | str:
@@ -283,8 +297,12 @@ class Instrument:
 
     def get_views(self) -> dict[str, tuple[float, ...]]:
         """Return the axes of directions that a table has besides those of the grid."""
-        axes = {name: self.settings.get(name) for name in VIEW_AXES if self.kind == TABLE}
-        return {name: tuple(angles) for name, angles in axes.items() if angles is not None}
+        inputs = list_section_inputs(self.kind)
+        given = [name for name in VIEW_AXES if self.kind == TABLE and name in self.settings]
+        return {
+            name: tuple(inputs[name].check(f"instrument.{name}", self.settings[name]).tolist())
+            for name in given
+        }
 
     def select_point(self, position: int) -> Instrument:
         """Return the instrument at a point of a grid, with the target error of this point."""
@@ -317,6 +335,17 @@ class Instrument:
             )  # fmt: skip
         obstacle = find_path_obstacle(self.get("estimator"), self.get("stokes"))
         return choose_solver(solver, media, wavelengths, obstacle, max_stderr=max_stderr)
+
+    def check_sky(self, *, has_packs: bool) -> None:
+        """Reject a sky whose sun is not where snowpacks, or any other medium, need it."""
+        name = self.get("sky")
+        if has_packs and name == ASTM_G173:
+            hint = f"the sun of {ASTM_G173} does not move"
+            raise invalid("instrument.sky", name, f"{CLEAR_SKY} or a sky of SNICAR", hint)
+        if not has_packs and name == CLEAR_SKY:
+            allowed = f"{ASTM_G173} or a sky of SNICAR, such as midlatitude_winter"
+            hint = "only snowpacks of a file have the zenith angle of the sun that it needs"
+            raise invalid("instrument.sky", name, allowed, hint)
 
     def check_grid(self, grid: Mapping[str, Mapping[str, Any]], *, is_single: bool) -> None:
         """Reject a grid that the instrument does not allow.

@@ -12,7 +12,6 @@ from splits import Snow
 from splits.core.validation import ConfigError
 from splits.experiments import ExperimentConfig, load_experiments, load_settings
 from splits.experiments.config.experiment import RESERVED_NAMES
-from splits.experiments.config.instruments import WavelengthGrid
 from splits.experiments.config.load import read_yaml
 from splits.experiments.config.media import make_label
 from splits.experiments.config.messages import validate_content

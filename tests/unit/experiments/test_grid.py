@@ -6,7 +6,7 @@ import pytest
 import xarray as xr
 
 import splits
-from splits.core.keywords import list_keywords
+from splits.core.declarations import list_inputs
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run
@@ -53,7 +53,7 @@ def small_lens():
 def test_every_parameter_has_a_long_name_and_units():
     from splits.core.parameter_names import PARAMETERS
 
-    keywords = {name for medium in MEDIUM_CLASSES.values() for name in list_keywords(medium)}
+    keywords = {name for medium in MEDIUM_CLASSES.values() for name in list_inputs(medium)}
     assert set(PARAMETERS) == keywords | {"medium", "incidence_deg"}
     assert all(long_name and units for long_name, units in PARAMETERS.values())
 

@@ -9,7 +9,7 @@ import xarray as xr
 
 import splits
 from splits.core.validation import InvalidValue
-from splits.experiments.config.instruments import Goniophotometer
+from splits.experiments.config.instruments import Instrument
 from splits.kernels.scene import Scene
 from splits.simulation import shared_paths
 from splits.simulation.scene import (
@@ -132,9 +132,9 @@ def test_the_reference_is_perpendicular_to_the_beam_in_the_plane_of_incidence():
 def test_settings_are_as_strict_as_arguments(value):
     settings = {"kind": "goniophotometer", "wavelength_nm": [550], "estimator": "bins"}
     with pytest.raises(ValueError, match="must be true, false, or I, Q, U, V"):
-        Goniophotometer(**settings, stokes=value)
+        Instrument.from_content(settings | {"stokes": value})
     for accepted in (True, [1, 0.5, 0, 0]):
-        assert Goniophotometer(**settings, stokes=accepted).stokes
+        assert Instrument.from_content(settings | {"stokes": accepted}).get("stokes")
 
 
 def test_false_of_numpy_leaves_the_solver_alone():

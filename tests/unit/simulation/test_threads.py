@@ -42,7 +42,7 @@ def test_cpu_count_without_affinity(monkeypatch):
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
     monkeypatch.delattr(os, "process_cpu_count", raising=False)
     monkeypatch.setattr(os, "cpu_count", lambda: 6)
-    assert count_cpus() == None == RunOptions.start(1, None).threads == 6
+    assert count_cpus() == RunOptions.start(1, None).threads == 6
     monkeypatch.setattr(os, "process_cpu_count", lambda: 4, raising=False)
     assert count_cpus() == 4
     monkeypatch.setattr(os, "process_cpu_count", lambda: None)

@@ -214,7 +214,8 @@ def check_bins(estimator: str, polar_deg: Any, azimuth_deg: Any, n_bins: Any) ->
     """Reject directions beside bins, and numbers of bins without bins."""
     for key, given in (("polar_deg", polar_deg), ("azimuth_deg", azimuth_deg)):
         if estimator == "bins" and given is not None:
-            raise invalid(key, given, "left out with bins", "n_bins sets their number")
+            values = np.asarray(given).tolist()
+            raise invalid(key, values, "left out with bins", "n_bins sets their number")
     if estimator != "bins" and n_bins is not None:
         raise invalid("n_bins", n_bins, "left out without estimator = bins")
 

@@ -170,7 +170,12 @@ class Array(Protocol):
 
 Numbers = float | Sequence[float] | Array | Mapping[str, float]
 """Numbers as users give them."""
-NUMBERS_SCHEMA = {"type": "array", "items": {"type": "number"}, "minItems": 1}
+NUMBERS_SCHEMA: dict[str, Any] = {
+    "anyOf": [
+        {"type": "number"},
+        {"type": "array", "items": {"type": "number"}, "minItems": 1},
+    ]
+}
 ANGLE_SCHEMA = {"type": "number", "minimum": 0.0, "maximum": 89.9999}
 
 Wavelengths = Annotated[
@@ -181,7 +186,7 @@ Wavelengths = Annotated[
         check=check_wavelengths,
         schema={
             "anyOf": [
-                NUMBERS_SCHEMA,
+                *NUMBERS_SCHEMA["anyOf"],
                 SPACING_SCHEMA
                 | {"properties": {**SPACING_SCHEMA["properties"], "also": NUMBERS_SCHEMA}},
             ]

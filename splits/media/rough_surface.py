@@ -328,7 +328,7 @@ class RandomHeightField(ContentEquality):
 # Randomly rough surfaces: heights, correlation and number of waves.
 
 
-def _check_fields(_: str, given: Any) -> tuple[RandomHeightField, ...]:
+def _check_fields(given: Any) -> tuple[RandomHeightField, ...]:
     """Return the height fields of a surface, after checking each."""
     if isinstance(given, (RandomHeightField, Mapping)):
         given = [given]
@@ -353,7 +353,7 @@ def _check_fields(_: str, given: Any) -> tuple[RandomHeightField, ...]:
     return tuple(height_fields)
 
 
-Fields = Annotated[Any, Quantity("random height fields", check=_check_fields)]
+Fields = Annotated[Any, Quantity("random height fields")]
 
 
 @declare_class
@@ -374,6 +374,9 @@ class RoughSurface(ContentEquality):
     """
 
     fields: Fields
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "fields", _check_fields(self.fields))
 
     @classmethod
     def from_input(cls, value: Any) -> RoughSurface:

@@ -459,7 +459,8 @@ class SimulationForwardModel(MediumForwardModel):
         """Return a simulation at a state with derivatives by some parameters, and the scale."""
         medium, incidence, scale = self.make_inputs(state)
         spectrum = spectrophotometer(
-            medium, self.wavelengths, incidence, max_stderr, seed, solver=MONTE_CARLO,
+            medium, self.wavelengths, incidence, max_stderr=max_stderr, seed=seed,
+            solver=MONTE_CARLO,
             jacobian=names, progress=self._progress.track_run(max_stderr, count_runs(len(names))),
         )  # fmt: skip
         return spectrum, scale

@@ -473,7 +473,8 @@ def fit(
     log(f"{model.n_simulations} sands, best misfit {misfit:.4f}; errors follow")
     best = stage_minima[-1][0].state
     spectrum = spectrophotometer(
-        cube.to_sand(best), wavelengths, incidence, effort.max_stderr, model.seeds[-1],
+        cube.to_sand(best), wavelengths, incidence, max_stderr=effort.max_stderr,
+        seed=model.seeds[-1],
         threads=threads,
     )  # fmt: skip
     modelled, stderr = spectrum.reflectance.values, spectrum.reflectance_stderr.values

@@ -8,6 +8,7 @@ are called.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -225,9 +226,7 @@ class Instrument:
                 raise invalid(f"instrument.{key}", value, f"left out for {kind}", hint)
             if key == "incidence_deg" and isinstance(value, list | tuple):
                 raise invalid(f"instrument.{key}", value, "one angle or diffuse", USE_GRID_HINT)
-            if isinstance(value, float) and value.is_integer() and abs(value) < MAX_INT64:
-                # YAML reads 1e9 as a number with a decimal point.
-                settings[key] = value = int(value)
+            value = settings[key] = _read_whole_number(value)
             if key == "sky":
                 check_choice(f"instrument.{key}", value, SKIES)
             if value is not None or (key not in NULLABLE and inputs[key].default is not None):
@@ -319,11 +318,11 @@ class Instrument:
 
     def list_arguments(self) -> dict[str, Any]:
         """Return the keyword arguments of the instrument's function."""
-        wavelengths = {}
-        if self.get("wavelength_nm") is not None:
-            wavelengths["wavelength_nm"] = self.get_wavelengths()
         own = {k: v for k, v in self.settings.items() if k not in ("seed", *ERROR_TYPES)}
-        return {**own, **wavelengths}
+        defaults = {name: self.get(name) for name in DEFAULTS if self.get(name) is not None}
+        if "wavelength_nm" in defaults:
+            defaults["wavelength_nm"] = self.get_wavelengths()
+        return own | defaults
 
     def choose_solver(self, media: Iterable[Medium], max_stderr: float = math.inf) -> str:
         """Return the solver for all media of a spectrophotometer or of a table."""
@@ -369,14 +368,24 @@ class Instrument:
             raise invalid("grid", varied, f"of one value for {self.kind}")
 
 
+def _read_whole_number(value: Any) -> Any:
+    """Return a whole number for one that YAML reads as another type; others unchanged."""
+    is_float = isinstance(value, float) and value.is_integer() and abs(value) < MAX_INT64
+    is_text = isinstance(value, str) and re.fullmatch(r"\d{1,3}(_\d{3})+", value)
+    return int(value) if is_float or is_text else value
+
+
 def make_instrument_schemas() -> dict[str, dict[str, Any]]:
     """Return the JSON schemas of the sections by kind."""
     schemas = {}
     for kind in KINDS:
         properties: dict[str, Any] = {"kind": {"const": kind}}
-        for name, one in list_section_inputs(kind).items():
-            properties[name] = one.adapter.json_schema()
+        inputs = list_section_inputs(kind)
+        properties |= {name: one.adapter.json_schema() for name, one in inputs.items()}
+        if "sky" in inputs:
+            properties["sky"] = {"enum": [*SKIES]}
         schemas[kind] = {
             "type": "object", "properties": properties, "additionalProperties": False,
+            "required": [n for n, one in inputs.items() if one.default is Parameter.empty],
         }  # fmt: skip
     return schemas

@@ -25,7 +25,7 @@ medium:
   grain_size_um: [750, 300]
 instrument:
   kind: goniophotometre
-  wavelength_nm: 550
+  wavelength_nm: 550 nm
   incidence_deg: 95
   radius_m: 3
   target: brfd
@@ -46,7 +46,7 @@ NOT_PARSED = "parsers report duplicate keys or keep one of them; a schema has th
 NO_FORMULAS = "a schema cannot typeset formulas"
 NO_ORDER = "a schema cannot compare two numbers"
 NO_COMPARISON = "the value is valid, but not beside that of another key"
-NO_RANGE = "only the medium knows the range, which depends on its kind and its other keywords"
+NO_RANGE = "only the medium knows the range, which depends on several numbers"
 MISTAKES = [
     ("title: again\n", "", "line 25: not YAML ('title' given twice, in lines 2 and 25)",
      NOT_PARSED),
@@ -55,7 +55,7 @@ MISTAKES = [
      "retrieve_return (did you mean caption?)",
      IN_SCHEMA),
     ("plan\n", "plane\n", "line 21: figure.kind = 'principal_plan': must be one of "
-     f"{', '.join(get_args(FigureKind))} (did you mean principal_plane?)",
+     f"{', '.join(sorted(get_args(FigureKind)))} (did you mean principal_plane?)",
      IN_SCHEMA),
     ("$x^$", "$x^2$", "line 23: figure.legend = '$x^$': must be text that matplotlib can typeset "
      "(write \\$ for a dollar sign)", NO_FORMULAS),
@@ -63,20 +63,21 @@ MISTAKES = [
     ("Mine", "mine", "line 1: name = 'Mine': must be lower-case letters, digits and underscores, a "
      "letter first, no device such as con or nul", IN_SCHEMA),
     ("metre", "meter", "line 10: instrument.kind = 'goniophotometre': must be one of "
-     "spectrophotometer, albedo, goniophotometer, beam_spread, time_of_flight, "
-     "refractive_index, surface_map, lens, table, return_table (did you mean goniophotometer?)",
+     "albedo, beam_spread, goniophotometer, hdrf, irradiance_profile, lens, radiation_profile, "
+     "refractive_index, return_table, single_scattering, spectrophotometer, surface_map, table, "
+     "time_of_flight (did you mean goniophotometer?)",
      IN_SCHEMA),
     ("  radius_m: 3\n", "", "line 13: instrument.radius_m = 3: must be left out for "
      "goniophotometer (it belongs to lens)", IN_SCHEMA),
-    ("550", "[550]", "line 11: instrument.wavelength_nm = 550: must be a mapping of keys to values "
-     "or a list (write [550])", IN_SCHEMA),
+    ("550 nm", "550", "line 11: instrument.wavelength_nm = '550 nm': must be numbers in nanometres "
+     "(this is text, not a number)", IN_SCHEMA),
     ("95", "45", "line 12: instrument.incidence_deg = 95: must be in [0, 89.9999] degrees",
      IN_SCHEMA),
     ("brfd", "brdf", "line 13: instrument.target = 'brfd': must be one of brdf, btdf (did you "
      "mean brdf?)", IN_SCHEMA),
     ("[180, 0]", "[0, 180]", "line 14: instrument.azimuth_deg = [180.0, 0.0]: must be strictly "
      "increasing (numbers 1 and 2 of 2)", NO_ORDER),
-    ("  n_bins: [18, 72]\n", "", "line 15: instrument.n_bins = (18, 72): must be left out without "
+    ("  n_bins: [18, 72]\n", "", "line 15: instrument.n_bins = [18, 72]: must be left out without "
      "estimator = bins", NO_COMPARISON),
     ("[]", "[-5]", "line 17: grid.temperature_c = []: must be a list of at least one value",
      IN_SCHEMA),
@@ -94,7 +95,7 @@ MISTAKES = [
     ("[750, 300]", "[300, 750]", "line 8: medium.grain_size_um = [750, 300]: must be 1 <= min <= "
      "max <= 100000 micrometres", NO_RANGE),
     ("-0.1", "0.1", "line 7: medium.depth_m = -0.1: must be in (0, 10000] m (or infinite: .inf in "
-     "YAML, math.inf in Python)", NO_RANGE),
+     "YAML, math.inf in Python)", IN_SCHEMA),
     ("reflectance", "brdf", "line 20: figure.quantity = 'reflectance': must be one of "
      "anisotropy_factor, brdf, brdf_dolp, btdf, reflectance_factor (did you mean "
      "reflectance_factor?)",

@@ -139,6 +139,8 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
 
     seed = 1 if arguments.seed is None else check_integer("--seed", arguments.seed, 0)
     threads = arguments.threads
+    if threads is not None:
+        check_integer("--threads", threads, 1)
     experiment = load_experiment(arguments.file, arguments.media)
     file_seed = experiment.instrument.settings.get("seed")
     if arguments.seed is not None and file_seed is not None:

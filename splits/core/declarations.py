@@ -112,9 +112,9 @@ class Quantity:
         End of the range near which reflectance depends on the square root of the distance.
     check : callable, optional
         Function of key and value that returns the value in its final form, or raises
-        `InvalidValue`.
+        `InvalidValue`.  That of a number replaces the check of the limits.
     schema : mapping, optional
-        JSON schema of an input with `check`; by default all values are allowed.
+        JSON schema, by default that of the type.
     """
 
     long_name: str
@@ -183,9 +183,8 @@ class Quantity:
             bool: (check_flag, core_schema.bool_schema()),
         }
         any_kind = (self.check, core_schema.any_schema())
-        check, described = (
-            any_kind if self.check or len(kinds) > 1 else by_kind.get(kinds[0], any_kind)
-        )
+        check, described = any_kind if len(kinds) > 1 else by_kind.get(kinds[0], any_kind)
+        check = self.check or check
         if check is None:
             schema: CoreSchema = handler(source)
             return schema
@@ -197,7 +196,7 @@ class Quantity:
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
         """Return the JSON schema of the annotated type, with its meaning."""
-        described = dict(self.schema or {}) if self.check else dict(handler(schema))
+        described = dict(handler(schema) if self.schema is None else self.schema)
         if self.check and self.schema and schema["type"] == "nullable":
             described = {"anyOf": [*described.get("anyOf", [described]), {"type": "null"}]}
         return described | {"description": self.describe()}
@@ -210,6 +209,11 @@ class Quantity:
 
 # --------------------------------------------------------------------------------------------------
 # Inputs of a class or a function.
+
+
+def defer_check(key: str, value: Any) -> Any:
+    """Return a value whose limits depend on other inputs: its class or function checks it."""
+    return value
 
 
 class Input(NamedTuple):
@@ -378,7 +382,7 @@ def _add_section(location: str, error: Exception) -> ValueError:
 def _describe_allowed(error: Any) -> str:
     """Return what an error of pydantic allows."""
     if error["type"] == "literal_error":
-        names = re.findall("'(.*?)'", error["ctx"]["expected"])
+        names = sorted(re.findall("'(.*?)'", error["ctx"]["expected"]))
         return f"one of {', '.join(names)}" if len(names) > 1 else f'"{names[0]}"'
     context = error.get("ctx", {}).items()
     limits = {key: f"{limit:g}" if isinstance(limit, float) else limit for key, limit in context}
@@ -463,9 +467,12 @@ def declare_class(declared: Class) -> Class:
         for name in keywords:
             if name not in names:
                 raise unknown_key(name, names)
+        if len(given) < len(values) + len(keywords):
+            # Raises Python's error for too many values, or for a value given twice.
+            cls.__signature__.bind(*values, **keywords)
         check_alternatives(cls.ALTERNATIVES, given)
         try:
-            construct(self, *values, **keywords)
+            construct(self, **given)
         except ValidationError as error:
             raise describe_error(error, content=given) from None
         except FileNotFoundError as error:
@@ -509,18 +516,21 @@ class other_constructor:
     def __get__(self, instance: object, owner: Callable[Given, Result]) -> Callable[Given, Result]:
         """Return the constructor."""
         signature = inspect.signature(owner)
+        names = dict(signature.parameters)
 
         @functools.wraps(self.complete)
         def construct(*values: Given.args, **keywords: Given.kwargs) -> Result:
-            given: Any = {**dict(zip(signature.parameters, values, strict=False)), **keywords}
-            for name in given:
-                if name not in signature.parameters:
-                    raise unknown_key(name, list(signature.parameters))
-            return owner(**self.complete(owner, given))  # type: ignore[call-arg]
+            if values:
+                first, name = short_repr(values[0]), next(iter(owner.ALTERNATIVES | names))
+                raise TypeError(f"{first}: must have a keyword, such as {name}={first}")
+            for name in keywords:
+                if name not in names:
+                    raise unknown_key(name, names)
+            return owner(**self.complete(owner, keywords))  # type: ignore[call-arg]
 
         shown = [
             one.replace(kind=one.KEYWORD_ONLY, default=self.defaults.get(name, one.default))
-            for name, one in signature.parameters.items()
+            for name, one in names.items()
         ]
         construct.__signature__ = signature.replace(parameters=shown)  # type: ignore[attr-defined]
         return construct

@@ -10,7 +10,6 @@ import xarray as xr
 
 from splits.core.arrays import (
     as_1d_array,
-    as_float_array,
     check_array_range,
     check_axis,
     check_named_numbers,
@@ -151,7 +150,8 @@ def check_wavelengths(key: str, wavelength_nm: Any, *, is_sorted: bool = True) -
     a step, both ends included, and `also` for additional ones.
     """
     if isinstance(wavelength_nm, Mapping):
-        also = as_float_array(f"{key}.also", wavelength_nm.get("also", ()))
+        also = wavelength_nm.get("also")
+        also = [] if also is None else as_1d_array(f"{key}.also", also, "numbers in nanometres")
         spaced = expand_spacing(key, wavelength_nm, others=("also",))
         wavelength_nm = np.unique(np.concatenate([spaced, also]))
     values = as_1d_array(key, wavelength_nm, "numbers in nanometres")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from splits.core.validation import check_number, format_key, invalid, suggest_name
+from splits.core.validation import check_number, format_key, invalid, suggest_name, unknown_key
 
 MAX_NUMBERS = 20_000
 """Largest length of a sequence of numbers, such as wavelengths."""
@@ -67,12 +67,17 @@ def expand_spacing(key: str, values: Mapping[str, Any], others: tuple[str, ...] 
         return _expand_geomspace(f"{key}.{GEOMSPACE_KEY}", values[GEOMSPACE_KEY])
     if GEOMSPACE_KEY in values:
         raise invalid(key, dict(values), f"{GEOMSPACE_KEY} without other keys")
-    hint = "start, stop and step give evenly spaced values; label others otherwise"
+    hint = "start, stop and step give evenly spaced values"
+    if not others:
+        hint += "; label others otherwise"
     for name in values:
-        if name not in (*STEP_KEYS, *others):
-            list_hint = "list the values instead" if name == "also" else ""
-            nearest = list_hint or suggest_name(name, [*STEP_KEYS, *others]) or hint
-            raise invalid(f"{key}.{format_key(name)}", values[name], "left out", nearest)
+        if name in (*STEP_KEYS, *others):
+            continue
+        if others:
+            raise unknown_key(f"{key}.{format_key(name)}", [*STEP_KEYS, *others])
+        list_hint = "list the values instead" if name == "also" else ""
+        nearest = list_hint or suggest_name(name, STEP_KEYS) or hint
+        raise invalid(f"{key}.{format_key(name)}", values[name], "left out", nearest)
     for name in STEP_KEYS:
         if name not in values:
             raise invalid(f"{key}.{name}", None, "given", hint)

@@ -217,6 +217,16 @@ BinNumbers = Annotated[
 ]  # fmt: skip
 
 
+def check_bins(estimator: str, polar_deg: Any, azimuth_deg: Any, n_bins: Any) -> None:
+    """Reject directions beside bins, and numbers of bins without bins."""
+    for key, given in (("polar_deg", polar_deg), ("azimuth_deg", azimuth_deg)):
+        if estimator == "bins" and given is not None:
+            values = np.asarray(given).tolist()
+            raise invalid(key, values, "left out with bins", "n_bins sets their number")
+    if estimator != "bins" and n_bins is not None:
+        raise invalid("n_bins", n_bins, "left out without estimator = bins")
+
+
 @instrument
 def goniophotometer(
     medium: Medium,
@@ -227,10 +237,10 @@ def goniophotometer(
     rays: Rays = None,
     solver: Solver = "auto",
     target: AngularTarget = "brdf",
-    polar_deg: PolarAngles = POLAR_DEG,
-    azimuth_deg: Azimuths = AZIMUTH_DEG,
+    polar_deg: PolarAngles | None = None,
+    azimuth_deg: Azimuths | None = None,
     estimator: AngularEstimator = "expansion",
-    n_bins: BinNumbers = DEFAULT_N_BINS,
+    n_bins: BinNumbers | None = None,
     stokes: IncidentStokes = False,
     seed: Seed = 1,
     max_rays: MaxRays = 1_000_000_000,
@@ -280,8 +290,8 @@ def goniophotometer(
         is next-event estimation: every scattering contributes to each direction, so the cost is
         proportional to the number of directions.
     n_bins : (int, int)
-        Numbers of bins in polar angle and in azimuth.  Results are at the centres of the bins, and
-        `polar_deg` and `azimuth_deg` are ignored.
+        Numbers of bins in polar angle and in azimuth, by default 18 and 72.  Results are at the
+        centres of the bins, so `polar_deg` and `azimuth_deg` must be left out.
     max_rays : int
         Number of rays after which a run to an error stops.  The attribute ``stop_reason`` is
         "converged", "max_rays", "fixed_rays" (where `rays` or bins set their number), "no_light"
@@ -354,10 +364,13 @@ def goniophotometer(
         has_grains = any(layer.has_grains for layer in medium.scene_layers)
         allowed = "bins with stokes" if has_grains else "bins or next_event with stokes"
         raise invalid("estimator", estimator, allowed)
-    bins = n_bins if estimator == "bins" else None
-    polar, azimuth = np.asarray(polar_deg), np.asarray(azimuth_deg)
+    check_bins(estimator, polar_deg, azimuth_deg, n_bins)
+    bins: Any = (n_bins or DEFAULT_N_BINS) if estimator == "bins" else None
     if bins is not None:
         polar, azimuth = compute_bin_centres(bins)
+    else:
+        polar = np.asarray(POLAR_DEG if polar_deg is None else polar_deg)
+        azimuth = np.asarray(AZIMUTH_DEG if azimuth_deg is None else azimuth_deg)
     n_directions = len(polar) * len(azimuth)
     if len(wavelengths) * n_directions > MAX_DATASET_VALUES:
         raise invalid(

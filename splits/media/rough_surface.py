@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 
 from splits.core.arrays import ContentEquality, as_float_array, check_increasing
-from splits.core.declarations import Quantity, declare_class
+from splits.core.declarations import Quantity, declare_class, defer_check
 from splits.core.validation import (
     check_integer,
     check_range,
@@ -162,7 +162,10 @@ Correlation = Annotated[
     Quantity("correlation of heights"),
 ]
 WaveCount = Annotated[int, Quantity("number of waves", low=1, high=MAX_WAVES)]
-BandLimit = Annotated[float | None, Quantity("largest wave number", "m-1", low=0.0, infinite=True)]
+BandLimit = Annotated[
+    float | None,
+    Quantity("largest wave number", "m-1", low=0.0, infinite=True, check=defer_check),
+]
 HeightSpectrumTable = Annotated[Any, Quantity("spectral density of heights")]
 
 
@@ -238,7 +241,7 @@ class RandomHeightField(ContentEquality):
                 "reflectance; give the largest wave number of the surface, or infinity; only the "
                 'default correlation "exponential" needs it, "gaussian" does not',
             )  # fmt: skip
-        if limit not in (None, math.inf):
+        if limit is not None and not (isinstance(limit, float) and limit == math.inf):
             limit = check_range("band_limit_per_m", limit, 1e-3 * k0, math.inf, "1/m")
         object.__setattr__(self, "band_limit_per_m", math.inf if limit is None else limit)
 
@@ -325,7 +328,7 @@ class RandomHeightField(ContentEquality):
 # Randomly rough surfaces: heights, correlation and number of waves.
 
 
-def _check_fields(_: str, given: Any) -> tuple[RandomHeightField, ...]:
+def _check_fields(given: Any) -> tuple[RandomHeightField, ...]:
     """Return the height fields of a surface, after checking each."""
     if isinstance(given, (RandomHeightField, Mapping)):
         given = [given]
@@ -350,10 +353,7 @@ def _check_fields(_: str, given: Any) -> tuple[RandomHeightField, ...]:
     return tuple(height_fields)
 
 
-Fields = Annotated[
-    Any,
-    Quantity("random height fields", check=_check_fields, schema={"type": ["object", "array"]}),
-]
+Fields = Annotated[Any, Quantity("random height fields", schema={"type": ["object", "array"]})]
 
 
 @declare_class
@@ -374,6 +374,9 @@ class RoughSurface(ContentEquality):
     """
 
     fields: Fields
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "fields", _check_fields(self.fields))
 
     @classmethod
     def from_input(cls, value: Any) -> RoughSurface:

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from splits.core.arrays import ContentEquality, check_named_numbers
-from splits.core.declarations import Quantity, declare_class
+from splits.core.declarations import Quantity, declare_class, defer_check
 from splits.core.inputs import (
     Depth,
     Pores,
@@ -75,7 +75,7 @@ Magnetite = Annotated[
     float,
     Quantity(
         "mass of magnetite per mass of sand", low=0.0, high=1.0, label="magnetite by mass",
-        hint="the sum of all mass fractions is 1",
+        check=defer_check,
     ),
 ]  # fmt: skip
 Partition = Annotated[
@@ -111,7 +111,13 @@ CoatingThickness = Annotated[
     ),
 ]  # fmt: skip
 SizeTail = Annotated[
-    float, Quantity("mass fraction outside the outermost size limits", label="tail by mass")
+    float,
+    Quantity(
+        "mass fraction outside the outermost size limits",
+        low=1e-6,
+        high=0.01,
+        label="tail by mass",
+    ),
 ]
 
 
@@ -204,7 +210,8 @@ class Sand(ContentEquality, GranularMedium):
 
     def __post_init__(self) -> None:
         hint = "the sum of all mass fractions is 1"
-        check_range("magnetite", self.magnetite, 0.0, 1.0 - self.iron_oxide, hint=hint)
+        largest = 1.0 - self.iron_oxide
+        self._put(magnetite=check_range("magnetite", self.magnetite, 0.0, largest, hint=hint))
         self._check_inputs(MINERAL_DENSITY_KG_M3)
         if self.pores and self.interpretation.water != "whole_pores":
             hint = "which pores these fluids fill is not known: leave interpretation.water out"

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.core.arrays import ContentEquality
-from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid
+from splits.core.validation import ROUNDING_TOLERANCE, invalid
 from splits.kernels.rng import make_table_probabilities
 from splits.materials import MINERAL_DENSITY_KG_M3
 from splits.media.grain_statistics import (
@@ -150,7 +150,6 @@ def make_size_distribution(
     if silt + 1.5 * clay > MAX_FINES_FRACTION + 1e-9:
         allowed = f"silt + 1.5 clay at most {MAX_FINES_FRACTION:g}"
         raise invalid("texture", texture, allowed, "more is not a sand")
-    tail_mass = check_range("size_tail", tail_mass, 1e-6, 0.01)
     cumulative = np.clip(
         [tail_mass, clay, clay + silt, 1.0 - tail_mass], tail_mass, 1.0 - tail_mass
     )

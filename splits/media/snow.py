@@ -22,6 +22,7 @@ from splits.core.declarations import (
     Quantity,
     alternative,
     declare_class,
+    defer_check,
     list_inputs,
     other_constructor,
 )
@@ -100,13 +101,18 @@ SurfaceArea = Annotated[
 ]  # fmt: skip
 OpticalRadius = Annotated[
     float,
-    Quantity("radius of spheres of the same specific surface area", "um", label="optical radius"),
+    Quantity(
+        "radius of spheres of the same specific surface area",
+        "um",
+        label="optical radius",
+        check=defer_check,
+    ),
 ]
 LiquidWater = Annotated[
     float,
     Quantity(
         "volume of water per volume of snow", label="liquid water content",
-        first_step=0.04, root_at=0.0,
+        first_step=0.04, root_at=0.0, check=defer_check,
     ),
 ]  # fmt: skip
 SnowDensity = Annotated[
@@ -114,7 +120,7 @@ SnowDensity = Annotated[
     Quantity(
         "mass of ice per volume", "kg m-3", label="density",
         low=MIN_DENSITY_KG_M3, high=ice_density(-40.0), open_high=True,
-        hint=f"ice at -1 °C has {ice_density(-1.0):g}",
+        check=defer_check,
     ),
 ]  # fmt: skip
 SnowTemperature = Annotated[
@@ -349,7 +355,8 @@ class Snow(ContentEquality, GranularMedium):
     def __post_init__(  # type: ignore[override]
         self, area: float | None, radius: float | None, liquid_water: float | None
     ) -> None:
-        _check_density(self.density_kg_m3, MIN_DENSITY_KG_M3, self.temperature_c)
+        density = _check_density(self.density_kg_m3, MIN_DENSITY_KG_M3, self.temperature_c)
+        self._put(density_kg_m3=density)
         if liquid_water is not None:
             hint = "volume of water per volume of snow, at most that of its pores"
             water = check_range(LIQUID_WATER_KEY, liquid_water, 0.0, self.porosity, hint=hint)

@@ -23,6 +23,7 @@ from splits.illumination.bands import Bands, SpectralBand, check_bands
 from splits.io.netcdf import ANCILLARY_ATTRIBUTE, make_provenance, to_netcdf_attributes
 from splits.kernels.compiler.jit import entry_point
 from splits.kernels.interpolation import interpolate
+from splits.media.parameters import describe_parameter
 from splits.media.snow_pack_input import FLAG_NAME
 from splits.retrieval.forward_model import TableForwardModel, choose_quantity, get_table_ranges
 from splits.retrieval.measurement import MAX_REFLECTANCE, Measurement, check_conditions

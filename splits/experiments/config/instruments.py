@@ -8,8 +8,9 @@ are called.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from inspect import Parameter
 from typing import Annotated, Any, Literal
@@ -34,14 +35,15 @@ from splits.core.inputs import (
 )
 from splits.core.keywords import INSTRUMENTS, declare_function
 from splits.core.progress import ProgressCallback
-from splits.core.validation import check_choice, invalid, key_prefix, unknown_key
-from splits.illumination.sky import CLEAR_SKY, sky
+from splits.core.validation import MAX_INT64, check_choice, invalid, key_prefix, unknown_key
+from splits.illumination.sky import ASTM_G173, CLEAR_SKY, list_sky_names, sky
 from splits.instruments.delay_record import (
     DEFAULT_EDGES_S,
     AcceptanceAngle,
     DelayEdges,
     FootprintRadius,
 )
+from splits.instruments.goniophotometer import check_bins
 from splits.instruments.sky_mixing import choose_wavelengths
 from splits.instruments.solver import choose_solver
 from splits.instruments.spectrophotometer import find_path_obstacle
@@ -61,10 +63,10 @@ USE_GRID_HINT = "several values belong under grid"
 MAX_STDERR = 0.5
 """Largest target error of a simulation."""
 DEFAULT_KIND = "spectrophotometer"
-DEFAULTS: dict[str, Any] = {
-    "wavelength_nm": {"start": 400, "stop": 2500, "step": 10}, "sky": CLEAR_SKY,
-}  # fmt: skip
-"""Settings of instruments that have none by default."""
+DEFAULT_WAVELENGTHS = {"start": 400, "stop": 2500, "step": 10}
+"""Wavelengths (nm) of instruments that have none by default."""
+SKIES = (*list_sky_names(), CLEAR_SKY, ASTM_G173)
+"""Names of the skies of experiments."""
 RUN_INPUTS = (
     "max_stderr", "relative_stderr", "max_rays", "threads", "kernel", "progress", "jacobian",
 )  # fmt: skip
@@ -163,6 +165,15 @@ SectionSeed = Annotated[
     int | None,
     Quantity("seed of the random numbers, by default that of the main file", low=0),
 ]
+SectionSky = Annotated[
+    str,
+    Quantity(
+        "sky, see `splits.sky`: clear, for snowpacks with the zenith angle of the sun, or another",
+        check=lambda key, name: check_choice(key, name, SKIES), schema={"enum": [*SKIES]},
+    ),
+]  # fmt: skip
+SECTION_TYPES = {"seed": (SectionSeed, None), "sky": (SectionSky, CLEAR_SKY)}
+"""Types and defaults of inputs that differ from those of the functions."""
 TABLE_TYPES: dict[str, tuple[Any, Any]] = {
     "wavelength_nm": (Wavelengths, Parameter.empty),
     "incidence_deg": (Incidence, 0.0),
@@ -175,7 +186,10 @@ TABLE_TYPES: dict[str, tuple[Any, Any]] = {
     "parts": (Parts, 8),
 }
 """Types and defaults of the inputs of a table."""
-ERROR_TYPES = {"stderr_scale": (ErrorScale, 1.0), "point_stderr_scale": (PointErrorScales, None)}
+ERROR_TYPES: dict[str, tuple[Any, Any]] = {
+    "stderr_scale": (ErrorScale, 1.0),
+    "point_stderr_scale": (PointErrorScales, None),
+}
 """Types and defaults of the inputs of instruments with a target error."""
 
 FUNCTIONS: dict[str, Callable[..., xr.Dataset]] = {
@@ -192,15 +206,14 @@ def list_section_inputs(kind: str) -> dict[str, Input]:
     inputs = {} if kind == TABLE else dict(list_inputs(FUNCTIONS[kind]))
     if {"max_stderr", "relative_stderr", "rays"} & inputs.keys() and "incidence_deg" in inputs:
         more = ERROR_TYPES | ({"rays": (Rays, None)} if "rays" in inputs else {})
-    if "seed" in inputs:
-        more = {**more, "seed": (SectionSeed, None)}
+    more = more | {name: pair for name, pair in SECTION_TYPES.items() if name in inputs}
     for name, (hint, default) in more.items():
         quantity = find_quantity(hint)
         assert quantity is not None
         inputs[name] = Input(quantity, TypeAdapter(hint), default)
-    for name, default in DEFAULTS.items():
-        if name in inputs and inputs[name].default is Parameter.empty:
-            inputs[name] = inputs[name]._replace(default=default)
+    wavelengths = inputs.get("wavelength_nm")
+    if wavelengths and wavelengths.default is Parameter.empty:
+        inputs["wavelength_nm"] = wavelengths._replace(default=DEFAULT_WAVELENGTHS)
     return {name: one for name, one in inputs.items() if name not in RUN_INPUTS}
 
 
@@ -217,7 +230,7 @@ class Instrument:
     """
 
     kind: str = DEFAULT_KIND
-    settings: Mapping[str, Any] = None  # type: ignore[assignment]
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
     def from_content(cls, content: Any) -> Instrument:
@@ -230,7 +243,7 @@ class Instrument:
         kind = check_choice("instrument.kind", content.get("kind", DEFAULT_KIND), KINDS)
         settings = {str(key): value for key, value in content.items() if key != "kind"}
         inputs = list_section_inputs(kind)
-        for key, value in settings.items():
+        for key, value in [*settings.items()]:
             if key not in inputs:
                 owners = [one for one in KINDS if key in list_section_inputs(one)]
                 if not owners:
@@ -239,26 +252,29 @@ class Instrument:
                 raise invalid(f"instrument.{key}", value, f"left out for {kind}", hint)
             if key == "incidence_deg" and isinstance(value, list | tuple):
                 raise invalid(f"instrument.{key}", value, "one angle or diffuse", USE_GRID_HINT)
-            if value is not None:
+            value = settings[key] = _read_whole_number(value)
+            if value is not None or inputs[key].default is not None:
                 inputs[key].check(f"instrument.{key}", value)
         for key, one in inputs.items():
             if one.default is Parameter.empty and settings.get(key) is None:
                 raise invalid(f"instrument.{key}", None, "given", str(one.quantity))
         instrument = cls(kind, {key: one for key, one in settings.items() if one is not None})
-        instrument._check_errors()
+        instrument._check_combinations()
         return instrument
 
-    def _check_errors(self) -> None:
-        """Reject factors of an error where the number of rays is fixed."""
+    def _check_combinations(self) -> None:
+        """Reject settings that exclude each other."""
         has_rays, is_binned = "rays" in self.settings, self.get("estimator") == "bins"
         for key in ERROR_TYPES:
             if key in self.settings and (has_rays or is_binned) and self.get(key) != 1.0:
                 allowed = f"left out with {'rays' if has_rays else 'bins'}"
                 hint = "the number of rays is fixed there, not the error"
                 raise invalid(f"instrument.{key}", self.get(key), allowed, hint)
-        if self.kind == TABLE:
-            with key_prefix("instrument"):
+        with key_prefix("instrument"):
+            if self.kind == TABLE:
                 self.list_quantities()
+            if self.kind == "goniophotometer":
+                check_bins(*map(self.get, ("estimator", "polar_deg", "azimuth_deg", "n_bins")))
 
     def list_quantities(self) -> tuple[str, ...]:
         """Return the quantities of a table."""
@@ -287,7 +303,9 @@ class Instrument:
             return np.array([550.0])
         given = self.get("wavelength_nm")
         if given is None:
-            return choose_wavelengths(None, sky(self.get("sky")), 2)
+            name = self.get("sky")
+            # The wavelengths of a clear sky are the same for any position of the sun.
+            return choose_wavelengths(None, sky(name, 0.0 if name == CLEAR_SKY else None), 2)
         return check_wavelengths("instrument.wavelength_nm", given)
 
     def get_incidence(self) -> float | str:
@@ -302,8 +320,12 @@ class Instrument:
 
     def get_views(self) -> dict[str, tuple[float, ...]]:
         """Return the axes of directions that a table has besides those of the grid."""
-        axes = {name: self.settings.get(name) for name in VIEW_AXES if self.kind == TABLE}
-        return {name: tuple(angles) for name, angles in axes.items() if angles is not None}
+        inputs = list_section_inputs(self.kind)
+        given = [name for name in VIEW_AXES if self.kind == TABLE and name in self.settings]
+        return {
+            name: tuple(inputs[name].check(f"instrument.{name}", self.settings[name]).tolist())
+            for name in given
+        }
 
     def select_point(self, position: int) -> Instrument:
         """Return the instrument at a point of a grid, with the target error of this point."""
@@ -320,11 +342,10 @@ class Instrument:
 
     def list_arguments(self) -> dict[str, Any]:
         """Return the keyword arguments of the instrument's function."""
-        wavelengths = {}
-        if self.get("wavelength_nm") is not None:
-            wavelengths["wavelength_nm"] = self.get_wavelengths()
         own = {k: v for k, v in self.settings.items() if k not in ("seed", *ERROR_TYPES)}
-        return {**own, **wavelengths}
+        if self.get("wavelength_nm") is not None:
+            own["wavelength_nm"] = self.get_wavelengths()
+        return own | ({"sky": self.get("sky")} if self.get("sky") else {})
 
     def choose_solver(self, media: Iterable[Medium], max_stderr: float = math.inf) -> str:
         """Return the solver for all media of a spectrophotometer or of a table."""
@@ -336,6 +357,17 @@ class Instrument:
             )  # fmt: skip
         obstacle = find_path_obstacle(self.get("estimator"), self.get("stokes"))
         return choose_solver(solver, media, wavelengths, obstacle, max_stderr=max_stderr)
+
+    def check_sky(self, *, has_packs: bool) -> None:
+        """Reject a sky whose sun is not where snowpacks, or any other medium, need it."""
+        name = self.get("sky")
+        if has_packs and name == ASTM_G173:
+            hint = f"the sun of {ASTM_G173} does not move"
+            raise invalid("instrument.sky", name, f"{CLEAR_SKY} or a sky of SNICAR", hint)
+        if not has_packs and name == CLEAR_SKY:
+            allowed = f"{ASTM_G173} or a sky of SNICAR, such as midlatitude_winter"
+            hint = "only snowpacks of a file have the zenith angle of the sun that it needs"
+            raise invalid("instrument.sky", name, allowed, hint)
 
     def check_grid(self, grid: Mapping[str, Mapping[str, Any]], *, is_single: bool) -> None:
         """Reject a grid that the instrument does not allow.
@@ -357,6 +389,13 @@ class Instrument:
         varied = {key: list(given) for key, given in grid.items() if len(given) > 1}
         if self.kind == "refractive_index" and varied:
             raise invalid("grid", varied, f"of one value for {self.kind}")
+
+
+def _read_whole_number(value: Any) -> Any:
+    """Return a whole number for one that YAML reads as another type; others unchanged."""
+    is_float = isinstance(value, float) and value.is_integer() and abs(value) < MAX_INT64
+    is_text = isinstance(value, str) and re.fullmatch(r"\d{1,3}(_\d{3})+", value)
+    return int(value) if is_float or is_text else value
 
 
 def make_instrument_schemas() -> dict[str, dict[str, Any]]:

@@ -130,6 +130,7 @@ class SimulationConfig(ConfigSection):
         kind, instrument = get_kind(self.medium), self.instrument
         check_choice("medium.kind", kind, (*MEDIUM_CLASSES, PACKS_KIND))
         instrument.check_grid(self.grid, is_single=not (self.is_in_parts or self.fit))
+        instrument.check_sky(has_packs=self.has_packs)
         if self.has_packs:
             for key in ("grid", "fit"):
                 if getattr(self, key):

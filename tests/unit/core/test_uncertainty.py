@@ -247,11 +247,14 @@ CALLS = {
     ("goniophotometer", "max_rays"): ((LAYER, W, 60), {"relative_stderr": 1e-3, **ONE_ROUND}),
     ("hdrf", "solver_error"): ((NATURAL, SKY, W), {"relative_stderr": 1e-4, **ORDINATES}),
     ("irradiance_profile", "solver_error"): (
-        (NATURAL, W, [0.02]), {"max_stderr": 1e-6, **ORDINATES},
+        (NATURAL, W), {"depth_m": [0.02], "max_stderr": 1e-6, **ORDINATES},
     ),
-    ("irradiance_profile", "max_rays"): ((LAYER, W, [0.5]), {"max_stderr": 1e-3, **ONE_ROUND}),
+    ("irradiance_profile", "max_rays"): (
+        (LAYER, W), {"depth_m": [0.5], "max_stderr": 1e-3, **ONE_ROUND},
+    ),
     ("radiation_profile", "solver_error"): (
-        (NATURAL, SKY, [0.02], W), {"max_stderr": 1e-6, "total_w_m2": 400, **ORDINATES},
+        (NATURAL, SKY, W),
+        {"depth_m": [0.02], "max_stderr": 1e-6, "total_w_m2": 400, **ORDINATES},
     ),
     ("spectrophotometer", "solver_error"): ((NATURAL, W), {"max_stderr": 1e-6, **ORDINATES}),
     ("spectrophotometer", "max_rays"): ((LAYER, W), {"max_stderr": 1e-4, **ONE_ROUND}),

@@ -175,7 +175,7 @@ RANGE_ENDS = {
     "refractive_index": (lambda x: make_refractive_index("quartz")(x), 198.0, -1),
     "user index": (lambda x: user_index()[0][0] and make_refractive_index("ice", {
         "wavelength_nm": [400, 800], "n": [1.3, 1.4], "k": [0, 0]})(x), 800.0, 1),
-    "wavelength_nm": (check_wavelengths, 200.0, -1),
+    "wavelength_nm": (lambda x: check_wavelengths("wavelength_nm", x), 200.0, -1),
     "polar_deg": (lambda x: check_polar_angles("polar_deg", [x]), 0.0, -1),
     "sky": (lambda x: splits.sky(SKY, 50).compute_direct_fraction(np.array([x])), 800.0, 1),
     "zenith_deg": (lambda x: splits.sky(SKY, x).zenith_deg, 89.0, 1),

@@ -43,7 +43,7 @@ def test_angles_and_wavelengths_are_decimal(tmp_path):
     path = tmp_path / "made.yaml"
     path.write_text("instrument: {incidence_deg: 045, wavelength_nm: [0500, 0700]}\n", "utf-8")
     instrument = load_experiment(path).instrument
-    assert instrument.incidence_deg == 45.0 and instrument.wavelength_nm == (500.0, 700.0)
+    assert instrument.get_incidence() == 45 and [*instrument.get_wavelengths()] == [500, 700]
     path.write_text("instrument: {incidence_deg: 1:15}\n", "utf-8")
     with pytest.raises(ConfigError, match="incidence_deg = '1:15': must be an angle in degrees"):
         load_experiment(path)

@@ -9,10 +9,10 @@ import pytest
 from shipped import CONFIG
 
 from splits import Snow
+from splits.core.inputs import check_wavelengths
 from splits.core.validation import ConfigError
 from splits.experiments import ExperimentConfig, load_experiments, load_settings
 from splits.experiments.config.experiment import RESERVED_NAMES
-from splits.experiments.config.instruments import WavelengthGrid
 from splits.experiments.config.load import read_yaml
 from splits.experiments.config.media import make_label
 from splits.experiments.config.messages import validate_content
@@ -138,16 +138,17 @@ def test_invalid_simulations_are_rejected(content, message):
 
 
 def test_wavelength_grids_include_both_ends():
-    assert WavelengthGrid(start=400, stop=500, step=50).to_array().tolist() == [400, 450, 500]
-    assert WavelengthGrid(start=0.1, stop=0.3, step=0.1).to_array() == pytest.approx(
-        [0.1, 0.2, 0.3]
-    )
-    assert WavelengthGrid(start=400, stop=400, step=1, also=(842.25,)).to_array().tolist() == [
-        400, 842.25,
-    ]  # fmt: skip
+    given = {"start": 400, "stop": 500, "step": 50}
+    for change, expected in (
+        ({}, [400, 450, 500]),
+        ({"stop": 400, "step": 0.1}, [400]),
+        ({"stop": 400.3, "step": 0.1}, [400, 400.1, 400.2, 400.3]),
+        ({"stop": 400, "also": [842.25]}, [400, 842.25]),
+    ):
+        assert check_wavelengths("wavelength_nm", given | change).tolist() == expected
     for invalid in ({"stop": 300}, {"step": 1e-9}):
         with pytest.raises(ValueError, match=f"wavelength_nm.{next(iter(invalid))}"):
-            WavelengthGrid(**{"start": 400, "stop": 500, "step": 1, **invalid}).to_array()
+            check_wavelengths("wavelength_nm", given | invalid)
 
 
 def test_captions_and_figures_do_not_affect_simulations():

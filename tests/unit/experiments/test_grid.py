@@ -6,7 +6,6 @@ import pytest
 import xarray as xr
 
 import splits
-from splits.core.keywords import list_keywords
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run
@@ -52,7 +51,7 @@ def small_lens():
 
 
 def test_every_parameter_has_a_long_name_and_units():
-    keywords = {name for medium in MEDIUM_CLASSES.values() for name in list_keywords(medium)}
+    keywords = {name for medium in MEDIUM_CLASSES.values() for name in list_inputs(medium)}
     described = keywords | {"medium", "incidence_deg", *DERIVED_QUANTITIES}
     assert set(list_quantities()) == described
     assert all(one.long_name and one.unit for one in list_quantities().values())

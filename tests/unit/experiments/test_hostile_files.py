@@ -60,12 +60,12 @@ FILES = {
     "figure: {ylim: [1, 1]}": "figure.ylim = [1.0, 1.0]: must be low < high",
     "figure: {ylim: [0, .nan]}": "figure.ylim[1] = nan: must be a finite number",
     "figure: {quantity: []}": "figure.quantity = []: must be at least one, without repetition",
-    "instrument: {seed: 9223372036854775808}": "instrument.seed = 9223372036854775808: must be "
-        "below 9223372036854775808",
+    "instrument: {seed: 9223372036854775808}":
+        "instrument.seed = 9223372036854775808: must be a whole number from 0 to 92233",
     "instrument: {kind: beam_spread, rays: 9223372036854775808}": "instrument.rays = 92233",
     "instrument: {kind: beam_spread, half_width_m: 1e7}":
-        "instrument.half_width_m = 10000000.0: must be in [1e-09, 1e+06] m",
-    LENS + "half_width_m: 1e7, screen_depth_m: [1]}": "instrument.half_width_m = 10000000.0: must",
+        "instrument.half_width_m = 10000000: must be in [1e-09, 1e+06] m",
+    LENS + "half_width_m: 1e7, screen_depth_m: [1]}": "instrument.half_width_m = 10000000: must",
     LENS + "centre_on: origin, rays: 100000000, screen_depth_m: [1]}":
         "instrument.rays = 100000000",
     "instrument: {kind: goniophotometer, wavelength_nm: {start: 300, stop: 10000, step: 1}}":

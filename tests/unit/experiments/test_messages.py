@@ -18,7 +18,6 @@ MEDIA = CONFIG / "media"
 WAVES = {"rms_height_m": 1, "wave_number_per_m": 0.1, "waves": 8, "correlation": "gaussian"}
 ROUGH = {"medium": {"kind": "particle_layer", "depth_m": 100, "surface": WAVES}}
 ONE_LAYER = {"wavelength_nm": [550]}
-WAVELENGTHS = "must be a mapping of keys to values or a list"
 
 
 def read_message(tmp_path, content):
@@ -34,21 +33,14 @@ def read_message(tmp_path, content):
 
 
 WRONG_TYPES = {
-    "instrument: {wavelength_nm: 550}":
-        f"instrument.wavelength_nm = 550: {WAVELENGTHS} (write [550])",
-    "instrument: {wavelength_nm: blue}": f"instrument.wavelength_nm = 'blue': {WAVELENGTHS}",
     "instrument: {wavelength_nm: [500, blue]}":
-        "instrument.wavelength_nm[1] = 'blue': must be a number",
-    "instrument: {wavelength_nm: {start: 400, stop: 500}}":
-        "instrument.wavelength_nm.step = None: must be given",
+        "instrument.wavelength_nm = 'blue': must be numbers in nanometres (this is text, not a "
+        "number)",
     "instrument: {wavelength_nm: {start: 400, stop: .inf, step: 1}}":
         "instrument.wavelength_nm.stop = inf: must be a finite number",
     "instrument: {wavelength_nm: {start: 400, stop: 500, stepp: 1}}":
         "instrument.wavelength_nm.stepp: unknown key, must be one of start, stop, step, also "
         "(did you mean step?)",
-    "instrument: {wavelength_nm: {start: 400, stop: 705, step: 50}}":
-        "instrument.wavelength_nm.stop = 705.0: must be a whole number of steps from start, such "
-        "as 700 or 750",
     "grid: {density_kg_m3: {start: 300, stop: 400, stepp: 50}}":
         "grid.density_kg_m3.stepp = 50: must be left out (did you mean step?)",
     "grid: {density_kg_m3: {strat: 300, stop: 400, step: 50}}":
@@ -64,40 +56,40 @@ WRONG_TYPES = {
     "grid: {density_kg_m3: {start: 300, stop: 410, step: 50}}":
         "grid.density_kg_m3.stop = 410.0: must be a whole number of steps from start, such as "
         "400 or 450",
-    "instrument: {kind: lens, screen_depth_m: 1}":
-        "instrument.screen_depth_m = 1: must be a list (write [1])",
-    "instrument: {kind: beam_spread, rays: 1.5}": "instrument.rays = 1.5: must be a whole number",
+    "instrument: {kind: lens, radius_m: 1, screen_depth_m: 0}":
+        "instrument.screen_depth_m = 0.0: must be in (0, 1e+09] m",
+    "instrument: {kind: beam_spread, rays: 1.5}":
+        "instrument.rays = 1.5: must be a whole number of at least 1",
     "instrument: {kind: beam_spread, rays: many}":
-        "instrument.rays = 'many': must be a whole number",
-    "instrument: {kind: beam_spread, rays: true}": "instrument.rays = True: must be a whole number",
+        "instrument.rays = 'many': must be a whole number of at least 1",
+    "instrument: {kind: beam_spread, rays: true}":
+        "instrument.rays = True: must be a whole number of at least 1",
     "instrument: {kind: goniophotometer, polar_deg: [true, 10]}":
-        "instrument.polar_deg[0] = True: must be a number",
+        "instrument.polar_deg = True: must be numbers in degrees",
     "instrument: {wavelength_nm: [true, 500]}":
-        "instrument.wavelength_nm[0] = True: must be a number",
+        "instrument.wavelength_nm = True: must be numbers in nanometres",
     "fit: {measured: a.csv, ranges: {clay: [false, true]}}":
         "fit.ranges.clay[0] = False: must be a number",
     "figure: {quantity: [brdf, brdf]}":
         "figure.quantity = ['brdf', 'brdf']: must be at least one, without repetition",
-    "instrument: {kind: table, quantities: []}":
-        "instrument.quantities = []: must be at least one, without repetition",
     "instrument: {kind: table, quantities: [reflectance, reflectance]}":
-        "instrument.quantities = ['reflectance', 'reflectance']: must be at least one, without "
-        "repetition",
+        "instrument.quantities = ['reflectance', 'reflectance']: must be a list of different "
+        "reflectance or transmittance",
     "instrument: {kind: table, quantities: [transmittance]}\n"
     "medium: {kind: natural_snow, depth_m: 1}\ngrid: {optical_radius_um: [100, 200]}\n"
     "figure: {quantity: reflectance}":
         "figure.quantity = 'reflectance': must be one of transmittance",
-    "instrument: {kind: beam_spread, rays: 0}": "instrument.rays = 0: must be at least 1",
+    "instrument: {kind: beam_spread, rays: 0}":
+        "instrument.rays = 0: must be a whole number of at least 1",
     "instrument: {kind: goniophotometre}":
-        "instrument.kind = 'goniophotometre': must be one of spectrophotometer, albedo, "
-        "goniophotometer, beam_spread, time_of_flight, refractive_index, surface_map, lens, "
-        "table, return_table (did you mean goniophotometer?)",
+        "instrument.kind = 'goniophotometre': must be one of albedo, beam_spread, "
+        "goniophotometer, hdrf, irradiance_profile, lens, radiation_profile, refractive_index, "
+        "return_table, single_scattering, spectrophotometer, surface_map, table, time_of_flight "
+        "(did you mean goniophotometer?)",
     "instrument: {kind: goniophotometer, n_bins: [5]}":
-        "instrument.n_bins = [5]: must be a list of 2 values",
+        "instrument.n_bins = [5]: must be two whole numbers from 1 to 1000",
     "instrument: {kind: table, radius_m: 3}":
         "instrument.radius_m = 3: must be left out for table (it belongs to lens)",
-    "instrument: {kind: lens, radius_m: 1}":
-        "instrument.screen_depth_m = None: must be given",
     "instrument: 5": "instrument = 5: must be a mapping of keys to values",
     "figure: {ylim: [0, 1, 2]}": "figure.ylim = [0, 1, 2]: must be a list of 2 values",
     "figure: {select: {saturation: [0]}}":
@@ -116,7 +108,7 @@ def test_wrong_types_are_described(tmp_path, text):
 
 def test_a_misspelt_figure_is_reported(tmp_path):
     text = read_message(tmp_path, "figure: {kind: swatchs}")
-    assert text.startswith("figure.kind = 'swatchs': must be one of spectra, points")
+    assert text.startswith("figure.kind = 'swatchs': must be one of bins, fit, ")
     assert text.endswith("(did you mean swatches?)")
 
 
@@ -126,7 +118,7 @@ def test_whole_numbers_may_be_written_with_an_exponent(tmp_path, rays):
     path.write_text(
         f"instrument: {{kind: beam_spread, wavelength_nm: [500], rays: {rays}}}\n", "utf-8"
     )
-    assert load_experiment(path, MEDIA).instrument.rays == 100_000
+    assert load_experiment(path, MEDIA).instrument.get("rays") == 100_000
 
 
 @pytest.mark.parametrize(
@@ -152,7 +144,7 @@ KEY_LOCATIONS = [
     ({"instrument": {"wavelength_nm": [100]}}, "instrument.wavelength_nm = 100.0: must be in"),
     ({"instrument": {"wavelength_nm": [500, 400]}}, "instrument.wavelength_nm = [500.0, 400.0]"),
     ({"instrument": {"kind": "goniophotometer", "estimator": "bins", "n_bins": [0, 2]}},
-     "instrument.n_bins = (0, 2): must be"),
+     "instrument.n_bins = [0, 2]: must be"),
     ({"medium": {"kind": "sand"}, "fit": {"measured": "x.csv", "ranges": {"clay": [1, 0]}}},
      "fit.ranges.clay (low) = 1.0: must be in"),
     ({"fit": {"measured": "sand_reflectance_jhu.csv", "ranges": {"magnetit": [0, 1]}}},
@@ -212,8 +204,6 @@ MISTAKES_OF_RUNS = [
       "screen_depth_m": [1], "centre_on": "origin"}}, "medium = 'sand': must be"),
     ({"instrument": {"kind": "spectrophotometer", "solver": "discrete_ordinates",
       "estimator": "analog"}}, "instrument.solver = 'discrete_ordinates': must be"),
-    ({"instrument": {"kind": "beam_spread", "incidence_deg": "diffuse", "wavelength_nm": [500]}},
-     "instrument.incidence_deg = 'diffuse': must be"),
     ({"medium": {"depth_m": float("inf")}, "instrument": {"kind": "beam_spread",
       "wavelength_nm": [500]}}, "medium.depth_m = inf: must be finite"),
 ]  # fmt: skip

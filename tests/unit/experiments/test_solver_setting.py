@@ -38,7 +38,7 @@ def start_text(folder, text, solver="discrete_ordinates"):
 def test_default_is_auto(tmp_path):
     for text in (SPECTRUM, DIRECTIONS, TABLE + WATER):
         experiment = load_text(tmp_path, SNOW + text.replace("solver: SOLVER, ", ""))
-        assert experiment.instrument.solver == "auto"
+        assert experiment.instrument.get("solver") == "auto"
 
 
 @pytest.mark.parametrize("medium", [SNOW, DEEP])

@@ -25,7 +25,7 @@ medium:
   grain_size_um: [750, 300]
 instrument:
   kind: goniophotometre
-  wavelength_nm: 0.55
+  wavelength_nm: 550 nm
   incidence_deg: 95
   radius_m: 3
   target: brfd
@@ -46,6 +46,7 @@ NOT_PARSED = "parsers report duplicate keys or keep one of them; a schema has th
 NO_FORMULAS = "a schema cannot typeset formulas"
 NO_ORDER = "a schema cannot compare two numbers"
 NO_COMPARISON = "the value is valid, but not beside that of another key"
+NO_RANGE = "only the medium knows the range, which depends on several numbers"
 MISTAKES = [
     ("title: again\n", "", "line 25: not YAML ('title' given twice, in lines 2 and 25)",
      NOT_PARSED),
@@ -54,7 +55,7 @@ MISTAKES = [
      "retrieve_return (did you mean caption?)",
      IN_SCHEMA),
     ("plan\n", "plane\n", "line 21: figure.kind = 'principal_plan': must be one of "
-     f"{', '.join(get_args(FigureKind))} (did you mean principal_plane?)",
+     f"{', '.join(sorted(get_args(FigureKind)))} (did you mean principal_plane?)",
      IN_SCHEMA),
     ("$x^$", "$x^2$", "line 23: figure.legend = '$x^$': must be text that matplotlib can typeset "
      "(write \\$ for a dollar sign)", NO_FORMULAS),
@@ -66,17 +67,17 @@ MISTAKES = [
      "refractive_index, return_table, single_scattering, spectrophotometer, surface_map, table, "
      "time_of_flight (did you mean goniophotometer?)",
      IN_SCHEMA),
-    ("0.55", "550", "line 11: instrument.wavelength_nm = 0.55: must be in [200, 100000] nm "
-     "(in micrometres? write 550)", IN_SCHEMA),
-    ("95", "45", "line 12: instrument.incidence_deg = 95: must be in [0, 89.9999] degrees",
-     IN_SCHEMA),
     ("  radius_m: 3\n", "", "line 13: instrument.radius_m = 3: must be left out for "
      "goniophotometer (it belongs to lens)", IN_SCHEMA),
+    ("550 nm", "550", "line 11: instrument.wavelength_nm = '550 nm': must be numbers in nanometres "
+     "(this is text, not a number)", IN_SCHEMA),
+    ("95", "45", "line 12: instrument.incidence_deg = 95: must be in [0, 89.9999] degrees",
+     IN_SCHEMA),
     ("brfd", "brdf", "line 13: instrument.target = 'brfd': must be one of brdf, btdf (did you "
      "mean brdf?)", IN_SCHEMA),
     ("[180, 0]", "[0, 180]", "line 14: instrument.azimuth_deg = [180.0, 0.0]: must be strictly "
      "increasing (numbers 1 and 2 of 2)", NO_ORDER),
-    ("  n_bins: [18, 72]\n", "", "line 15: instrument.n_bins = (18, 72): must be left out without "
+    ("  n_bins: [18, 72]\n", "", "line 15: instrument.n_bins = [18, 72]: must be left out without "
      "estimator = bins", NO_COMPARISON),
     ("[]", "[-5]", "line 17: grid.temperature_c = []: must be a list of at least one value",
      IN_SCHEMA),

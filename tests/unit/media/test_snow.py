@@ -27,37 +27,6 @@ from splits.media.parameters import override_keywords
 from splits.media.snow import NATURAL_GRAIN_SHAPE
 
 ORDER = "min <= mean <= max <= 1"
-INVALID_SNOWS = [
-    ("grain_size_um", (750, 300), "1 <= min <= max <= 100000"),
-    ("grain_size_um", (0.5, 300), "1 <= min <= max <= 100000"),
-    ("grain_size_um", (300, 2e5), "1 <= min <= max <= 100000"),
-    ("grain_size_um", (1, 2000), "max <= 1000 min"),
-    ("grain_size_um", (300,), "2 numbers (min, max)"),
-    ("grain_size_um", 300, "2 numbers (min, max)"),
-    ("grain_size_um", "30", "2 numbers (min, max)"),
-    ("facetness", (-0.1, 0.4, 0.3, 0.1), f"0 <= {ORDER}"),
-    ("facetness", (0.2, 0.4, 0.5, 0.1), f"0 <= {ORDER}"),
-    ("facetness", (0.2, 1.1, 0.5, 0.1), f"0 <= {ORDER}"),
-    ("facetness", (0.2, 0.4, 0.3), "4 numbers (min, max, mean, sd)"),
-    ("sphericity", (0.05, 0.9, 0.8, 0.1), f"0.1 <= {ORDER}"),
-    ("sphericity", (0.9, 0.6, 0.8, 0.1), f"0.1 <= {ORDER}"),
-    ("saturation", 1.2, "[0, 1]"),
-    ("saturation", -0.1, "[0, 1]"),
-    ("saturation", True, "[0, 1]"),
-    ("saturation", "wet", "[0, 1]"),
-    ("saturation", float("nan"), "[0, 1]"),
-    ("density_kg_m3", 950.0, "916.9"),
-    ("density_kg_m3", 917, "916.9"),
-    ("density_kg_m3", 0.0, "916.9"),
-    ("density_kg_m3", 5e-324, "1e-12, 922.8"),
-    ("temperature_c", 1.0, "[-40, 0]"),
-    ("temperature_c", -41.0, "[-40, 0]"),
-    ("depth_m", -0.1, "(0, 10000]"),
-    ("depth_m", float("-inf"), "(0, 10000]"),
-    ("refractive_index", 1.31, "mapping"),
-    ("interpretation", "projected", "must be one of geometric"),
-]
-
 NAMES = [field.name for field in fields(Interpretation)]
 
 
@@ -111,25 +80,6 @@ def test_semi_axis_interpretation_doubles_the_grains():
         )
 
 
-@pytest.mark.parametrize(("key", "value", "allowed"), INVALID_SNOWS)
-def test_invalid_values_are_rejected_with_key_and_range(key, value, allowed):
-    with pytest.raises(ValueError, match=f"^{key}") as error:
-        Snow(**{key: value})
-    assert repr(value) in str(error.value)
-    assert allowed in str(error.value)
-
-
-@pytest.mark.parametrize("key", ["facetness", "sphericity"])
-def test_negative_standard_deviations_are_rejected(key):
-    with pytest.raises(ValueError, match=rf"^{key} \(sd\) = -0.1: must be in \[0, 1\]"):
-        Snow(**{key: (0.2, 0.8, 0.5, -0.1)})
-
-
-def test_unknown_keywords_are_rejected():
-    with pytest.raises(TypeError, match="saturaton"):
-        Snow(saturaton=0.1)
-
-
 def test_indices_of_unknown_materials_are_rejected():
     with pytest.raises(ValueError, match=r"refractive_index = 'sand'.*ice, water"):
         Snow(refractive_index={"sand": 1.5})
@@ -137,10 +87,11 @@ def test_indices_of_unknown_materials_are_rejected():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_invalid_interpretations_are_rejected_by_name(name):
-    allowed = ", ".join(INTERPRETATION_CHOICES[name])
-    with pytest.raises(ValueError, match=f"^interpretation.{name} = 'neither': .*{allowed}"):
+    allowed = ", ".join(sorted(INTERPRETATION_CHOICES[name]))
+    message = f"{name} = 'neither': must be one of {allowed}"
+    with pytest.raises(ValueError, match=f"^interpretation.{message}"):
         Snow(interpretation={name: "neither"})
-    with pytest.raises(ValueError, match=f"^{name} = 'neither': .*{allowed}"):
+    with pytest.raises(ValueError, match=f"^{message}"):
         Interpretation(**{name: "neither"})
     with pytest.raises(ValueError, match=f"did you mean {name}"):
         Snow(interpretation={f"{name}x": INTERPRETATION_CHOICES[name][0]})

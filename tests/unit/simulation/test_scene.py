@@ -8,16 +8,12 @@ import pytest
 import xarray as xr
 
 import splits
+from splits.core.declarations import list_inputs
 from splits.core.validation import InvalidValue
-from splits.experiments.config.instruments import Goniophotometer
+from splits.experiments.config.instruments import Instrument
 from splits.kernels.scene import Scene
 from splits.simulation import shared_paths
-from splits.simulation.scene import (
-    IncidentPolarization,
-    build_scene,
-    check_stokes,
-    requests_polarization,
-)
+from splits.simulation.scene import IncidentPolarization, build_scene, check_stokes
 from splits.simulation.shared_paths import compute_path_signature
 
 GRAINS_AND_PARTICLES = splits.Stack(
@@ -75,13 +71,14 @@ def test_particles_and_their_matrix_must_be_the_same(altered):
 SNOW = splits.Snow()
 LAYER = splits.ParticleLayer(ground=None)
 POLARIZED = splits.ParticleLayer(polarized=True, phase_function="rayleigh", ground=None)
+STOKES = list_inputs(splits.spectrophotometer)["stokes"]
 
 
 @pytest.mark.parametrize("stokes", [False, np.False_, np.array(False), xr.DataArray(False)])
 def test_polarization_is_off_by_default(stokes):
-    assert not requests_polarization(stokes)
-    assert check_stokes(stokes, SNOW, 0.0) is None
-    assert check_stokes(stokes, POLARIZED, 0.0) == IncidentPolarization()
+    assert STOKES.check("stokes", stokes) is False
+    assert check_stokes(STOKES.check("stokes", stokes), SNOW, 0.0) is None
+    assert check_stokes(STOKES.check("stokes", stokes), POLARIZED, 0.0) == IncidentPolarization()
 
 
 @pytest.mark.parametrize(
@@ -97,7 +94,7 @@ def test_polarization_is_off_by_default(stokes):
 )
 def test_stokes_vectors_are_relative_to_the_intensity(stokes, expected):
     for medium in (SNOW, POLARIZED, splits.Stack([POLARIZED, SNOW])):
-        assert check_stokes(stokes, medium, 30.0) == expected
+        assert check_stokes(STOKES.check("stokes", stokes), medium, 30.0) == expected
 
 
 @pytest.mark.parametrize(
@@ -116,7 +113,7 @@ def test_stokes_vectors_are_relative_to_the_intensity(stokes, expected):
 )
 def test_messages(stokes, medium, incidence, message):
     with pytest.raises(InvalidValue, match=message):
-        check_stokes(stokes, medium, incidence)
+        check_stokes(STOKES.check("stokes", stokes), medium, incidence)
 
 
 def test_the_reference_is_perpendicular_to_the_beam_in_the_plane_of_incidence():
@@ -132,9 +129,9 @@ def test_the_reference_is_perpendicular_to_the_beam_in_the_plane_of_incidence():
 def test_settings_are_as_strict_as_arguments(value):
     settings = {"kind": "goniophotometer", "wavelength_nm": [550], "estimator": "bins"}
     with pytest.raises(ValueError, match="must be true, false, or I, Q, U, V"):
-        Goniophotometer(**settings, stokes=value)
+        Instrument.from_content(settings | {"stokes": value})
     for accepted in (True, [1, 0.5, 0, 0]):
-        assert Goniophotometer(**settings, stokes=accepted).stokes
+        assert Instrument.from_content(settings | {"stokes": accepted}).get("stokes")
 
 
 def test_false_of_numpy_leaves_the_solver_alone():

@@ -6,6 +6,7 @@ import pytest
 import xarray as xr
 
 import splits
+from splits.core.declarations import list_inputs
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run

@@ -521,7 +521,7 @@ class other_constructor:
         @functools.wraps(self.complete)
         def construct(*values: Given.args, **keywords: Given.kwargs) -> Result:
             if values:
-                first, name = short_repr(values[0]), next(name for name in reversed(names) if names[name].default is None)
+                first, name = short_repr(values[0]), next(n for n, one in names.items() if one.kind is one.KEYWORD_ONLY)
                 raise TypeError(f"{first}: must have a keyword, such as {name}={first}")
             for name in keywords:
                 if name not in names:

@@ -45,7 +45,7 @@ def make_point(**more):
     return {SIZE: 120.0, SOOT: 30.0, "incidence_deg": 20.0, **more}
 
 
-def make_snowpacks():
+def make_snow_packs():
     columns = {"thickness_m": [0.2, 0.3], "density_kg_m3": [200, None], SIZE: [100, 200]}
     table = pd.DataFrame({"time": ["a", "b"], "layer": 0, **columns, "sun_zenith_deg": 50.0})
     return splits.SnowPacks(table, ground=0.2)
@@ -79,11 +79,11 @@ def make_image():
 ORDINATES = {"solver": "discrete_ordinates"}
 
 RESULTS = {
-    "SnowPacks": lambda: make_snowpacks().dataset,
+    "SnowPacks": lambda: make_snow_packs().dataset,
     "spectrophotometer of snowpacks": lambda: splits.spectrophotometer(
-        make_snowpacks(), PAIR, "sun"
+        make_snow_packs(), PAIR, "sun"
     ),
-    "albedo of snowpacks": lambda: splits.albedo(make_snowpacks(), SKY, [500, 800]),
+    "albedo of snowpacks": lambda: splits.albedo(make_snow_packs(), SKY, [500, 800]),
     "spectrophotometer, ordinates": lambda: splits.spectrophotometer(
         make_snow(), PAIR, jacobian=[SIZE, SOOT], **ORDINATES
     ),

@@ -45,7 +45,7 @@ RECOGNIZED_ARGUMENTS: dict[str, Callable[[Any], bool]] = {
 def suggest_order(
     error: InvalidValue, name: str, names: Sequence[str], values: Sequence[Any]
 ) -> InvalidValue:
-    """Return an error with the order of arguments as a hint if another one would suit its key.
+    """Return an error with the order of arguments as a hint if some of them are exchanged.
 
     Parameters
     ----------
@@ -59,8 +59,12 @@ def suggest_order(
     """
     given = dict(zip(names, values, strict=False))
     key = re.split(r"\W", error.key, maxsplit=1)[0]
-    recognize = RECOGNIZED_ARGUMENTS.get(key, lambda value: True)
-    if key not in given or recognize(given[key]) or not any(map(recognize, given.values())):
+    # Another argument than that of the error may be recognized.
+    is_exchanged = any(
+        not recognize(given[one]) and any(map(recognize, given.values()))
+        for one, recognize in RECOGNIZED_ARGUMENTS.items() if one in given
+    )  # fmt: skip
+    if key not in given or not is_exchanged:
         return error
     order = f"the order is {name}({', '.join(one for one in given if one != 'self')})"
     return type(error)(error.key, error.value, error.allowed, order)

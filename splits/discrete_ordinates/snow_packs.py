@@ -31,7 +31,7 @@ from splits.media.snow_packs import SnowPackArrays
 # Optical inputs of many snowpacks of natural snow, from arrays of their properties.
 
 
-class PackMaterials(NamedTuple):
+class SnowPackMaterials(NamedTuple):
     """Optical constants of natural snow at wavelengths, common to all snowpacks.
 
     Attributes
@@ -55,7 +55,7 @@ class PackMaterials(NamedTuple):
     @classmethod
     def from_wavelengths(
         cls, wavelength_nm: np.ndarray, impurities: tuple[str, ...]
-    ) -> PackMaterials:
+    ) -> SnowPackMaterials:
         """Return the constants at wavelengths (nm), with types of impurities."""
         snow = Snow.natural(specific_surface_area_m2_kg=MAX_SURFACE_AREA_M2_KG)
         ice, water = (snow.refractive_index[name](wavelength_nm) for name in ("ice", "water"))
@@ -79,7 +79,7 @@ def find_spectral_obstacle(wavelength_nm: np.ndarray, *, wet: bool) -> str | Non
     return find_obstacle(fine, wavelength_nm)
 
 
-def find_unsupported(arrays: SnowPackArrays, materials: PackMaterials) -> np.ndarray:
+def find_unsupported(arrays: SnowPackArrays, materials: SnowPackMaterials) -> np.ndarray:
     """Return which snowpacks are outside the tables of grains, bool, shape (snowpacks,).
 
     They have more water than the table of wet grains, or grains that absorb too strongly.
@@ -101,8 +101,8 @@ def compute_saturation(arrays: SnowPackArrays) -> np.ndarray:
     return np.minimum(arrays.liquid_water_content / porosity, 1.0)
 
 
-def make_snowpacks(
-    arrays: SnowPackArrays, rows: np.ndarray, ground: np.ndarray, materials: PackMaterials
+def make_snow_packs(
+    arrays: SnowPackArrays, rows: np.ndarray, ground: np.ndarray, materials: SnowPackMaterials
 ) -> GranularStack:
     """Return some of the snowpacks, all of the same number of layers.
 
@@ -112,7 +112,7 @@ def make_snowpacks(
     rows : int, shape (snowpacks,)
         Their positions in the arrays.
     ground : float, shape (snowpacks, wavelengths)
-    materials : PackMaterials
+    materials : SnowPackMaterials
     """
     saturation = compute_saturation(arrays)[rows]
     ice_density = interpolate_ice_density(arrays.temperature_c[rows])
@@ -141,7 +141,7 @@ def make_snowpacks(
 
 
 def _compute_grain_absorption(
-    arrays: SnowPackArrays, materials: PackMaterials, rows: np.ndarray | slice, layer: int
+    arrays: SnowPackArrays, materials: SnowPackMaterials, rows: np.ndarray | slice, layer: int
 ) -> np.ndarray:
     """Return the absorption coefficient of the grains times their mean chord, of one layer.
 

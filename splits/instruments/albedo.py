@@ -27,7 +27,7 @@ from splits.instruments.sky_mixing import (
     make_sky_attributes,
     mix_direct_and_diffuse,
 )
-from splits.instruments.snow_packs import compute_pack_albedo
+from splits.instruments.snow_packs import compute_snow_pack_albedo
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.media.medium import Medium
 from splits.media.snow_packs import SnowPacks
@@ -100,7 +100,7 @@ def albedo(
     """
     run = RunOptions.start(seed, threads, kernel, progress)
     if isinstance(medium, SnowPacks):
-        return compute_pack_albedo(medium, sky, wavelength_nm, max_stderr, solver, bands, run)
+        return compute_snow_pack_albedo(medium, sky, wavelength_nm, max_stderr, solver, bands, run)
     sky_spectrum = as_sky(sky)
     wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 2)
     named = sky_spectrum.make_bands(bands)

@@ -16,11 +16,11 @@ from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import invalid
 from splits.discrete_ordinates.snow_packs import (
     MAX_ROWS,
-    PackMaterials,
+    SnowPackMaterials,
     SpectraSolution,
     find_spectral_obstacle,
     find_unsupported,
-    make_snowpacks,
+    make_snow_packs,
     solve_spectra,
 )
 from splits.illumination.bands import SpectralBand
@@ -53,7 +53,7 @@ MIN_TASKS = 8
 
 
 @dataclass(frozen=True)
-class PackProgress(Progress):
+class SnowPackProgress(Progress):
     """State of a run over snowpacks.
 
     Attributes
@@ -69,7 +69,7 @@ class PackProgress(Progress):
         return f"{self.done} of {self.total} snowpacks, {self.seconds_left:.0f} s left"
 
 
-class PackSpectra(NamedTuple):
+class SnowPackSpectra(NamedTuple):
     """Spectra of all snowpacks; NaN for those without result.
 
     Attributes
@@ -94,7 +94,7 @@ class PackSpectra(NamedTuple):
         return np.minimum(self.error, np.maximum(values, np.finfo(float).eps))
 
 
-def check_pack_solver(solver: Any) -> None:
+def check_snow_pack_solver(solver: Any) -> None:
     """Check the solver for snowpacks, which are discrete ordinates."""
     if solver != MONTE_CARLO:
         return
@@ -114,10 +114,10 @@ def compute_beam_cosines(packs: SnowPacks, incidence: float | str) -> np.ndarray
     return np.cos(np.radians(np.broadcast_to(angle, (n_good,))))[:, np.newaxis]
 
 
-def solve_packs(
+def solve_snow_packs(
     packs: SnowPacks, wavelength_nm: np.ndarray, cosines: np.ndarray, max_error: float,
     run: RunOptions,
-) -> PackSpectra:  # fmt: skip
+) -> SnowPackSpectra:  # fmt: skip
     """Return the spectra of all good snowpacks.
 
     Parameters
@@ -141,7 +141,7 @@ def solve_packs(
         if obstacle:
             hint = f"for discrete ordinates, snow {obstacle.removeprefix('it ')}"
             raise invalid("wavelength_nm", wavelength_nm.tolist(), "within the tables", hint)
-    materials = PackMaterials.from_wavelengths(wavelength_nm, packs.impurities)
+    materials = SnowPackMaterials.from_wavelengths(wavelength_nm, packs.impurities)
     ground = packs.compute_ground_albedo(wavelength_nm)
     unsupported = find_unsupported(arrays, materials)
     flags = packs.dataset[FLAG_NAME].values.copy()
@@ -149,7 +149,7 @@ def solve_packs(
     parts = list(_divide(is_wet, arrays.n_layers, ~unsupported, wavelength_nm.size, run.threads))
 
     def solve(rows: np.ndarray) -> SpectraSolution:
-        snowpacks = make_snowpacks(arrays, rows, ground[rows], materials)
+        snowpacks = make_snow_packs(arrays, rows, ground[rows], materials)
         return solve_spectra(snowpacks, cosines[rows], max_error)
 
     shape = (len(packs), wavelength_nm.size)
@@ -180,9 +180,9 @@ def solve_packs(
             if report is not None:
                 seconds, total = time.perf_counter() - run.start_time, sum(map(len, parts))
                 left = seconds * (total - done) / done
-                report(PackProgress(0, np.inf, max_error, seconds, left, done, total))
+                report(SnowPackProgress(0, np.inf, max_error, seconds, left, done, total))
     attributes = {"solver": DISCRETE_ORDINATES, **largest}
-    return PackSpectra(reflectance, transmittance, error, flags, attributes)
+    return SnowPackSpectra(reflectance, transmittance, error, flags, attributes)
 
 
 def _divide(
@@ -197,7 +197,7 @@ def _divide(
                 yield group[start : start + per_part]
 
 
-def make_pack_dataset(
+def make_snow_pack_dataset(
     packs: SnowPacks, flags: np.ndarray, variables: dict[str, Variable], axes: dict[str, Any]
 ) -> xr.Dataset:
     """Return a dataset over snowpacks, with their flags and zenith angles of the sun.
@@ -235,7 +235,7 @@ def make_pack_dataset(
 # Hemispherical reflectance, transmittance and absorptance of the snowpacks of a season.
 
 
-def compute_pack_spectra(
+def compute_snow_pack_spectra(
     packs: SnowPacks, wavelength_nm: Any, incidence_deg: Any, max_stderr: Any, solver: Any,
     run: RunOptions,
 ) -> xr.Dataset:  # fmt: skip
@@ -248,7 +248,7 @@ def compute_pack_spectra(
         As given by the user.
     run : RunOptions
     """
-    check_pack_solver(solver)
+    check_snow_pack_solver(solver)
     incidence: float | str = SUN
     if isinstance(incidence_deg, str) and incidence_deg == SUN:
         if ZENITH_KEY not in packs.dataset:
@@ -260,7 +260,7 @@ def compute_pack_spectra(
     else:
         incidence = incidence_deg
     cosines = compute_beam_cosines(packs, incidence)
-    spectra = solve_packs(packs, wavelength_nm, cosines, max_stderr, run)
+    spectra = solve_snow_packs(packs, wavelength_nm, cosines, max_stderr, run)
     illumination = "hemispherical" if incidence == DIFFUSE else "directional"
     column = -1 if incidence == DIFFUSE else 0
     reflectance, transmittance = (
@@ -276,12 +276,12 @@ def compute_pack_spectra(
         np.nanmax(variables[f"{name}_stderr"][1], initial=0.0) for name in QUANTITY_LABELS
     )
     attributes = {
-        **make_pack_attributes(packs, run, "Virtual spectrophotometer", "spectrophotometer"),
+        **make_snow_pack_attributes(packs, run, "Virtual spectrophotometer", "spectrophotometer"),
         "incidence_deg": "sun zenith of each snowpack" if incidence == SUN else incidence,
         **make_error_attributes(spectra, max_stderr, float(largest)),
     }
     axes = {"wavelength": make_wavelength_coordinate(wavelength_nm)}
-    return make_pack_dataset(packs, spectra.flags, variables, axes).assign_attrs(attributes)
+    return make_snow_pack_dataset(packs, spectra.flags, variables, axes).assign_attrs(attributes)
 
 
 def check_no_paths(estimator: Any, jacobian: Any) -> None:
@@ -292,7 +292,7 @@ def check_no_paths(estimator: Any, jacobian: Any) -> None:
         raise invalid("jacobian", list(jacobian), "left out for SnowPacks")
 
 
-def make_pack_attributes(
+def make_snow_pack_attributes(
     packs: SnowPacks, run: RunOptions, title: str, instrument: str
 ) -> dict[str, Any]:
     """Return the attributes of a dataset of snowpacks at the end of a run."""
@@ -304,7 +304,7 @@ def make_pack_attributes(
 
 
 def make_error_attributes(
-    spectra: PackSpectra, max_stderr: float, max_stderr_reached: float
+    spectra: SnowPackSpectra, max_stderr: float, max_stderr_reached: float
 ) -> dict[str, Any]:
     """Return the attributes of the solver and of its errors."""
     return {
@@ -369,7 +369,7 @@ def make_skies(value: Any, packs: SnowPacks) -> tuple[list[Sky], np.ndarray, flo
 # Spectral and band albedo of the snowpacks of a season under skies.
 
 
-def compute_pack_albedo(
+def compute_snow_pack_albedo(
     packs: SnowPacks, sky: Any, wavelength_nm: Any, max_stderr: Any, solver: Any, bands: Any,
     run: RunOptions,
 ) -> xr.Dataset:  # fmt: skip
@@ -382,7 +382,7 @@ def compute_pack_albedo(
         As given by the user.
     run : RunOptions
     """
-    check_pack_solver(solver)
+    check_snow_pack_solver(solver)
     skies, number, incidence = make_skies(sky, packs)
     wavelengths = choose_wavelengths(wavelength_nm, skies[0], 2)
     for one in skies:
@@ -390,7 +390,7 @@ def compute_pack_albedo(
     named = skies[0].make_bands(bands)
     skies[0].check_bands(named, wavelengths)
     cosines = compute_beam_cosines(packs, incidence)
-    spectra = solve_packs(packs, wavelengths, cosines, max_stderr, run)
+    spectra = solve_snow_packs(packs, wavelengths, cosines, max_stderr, run)
     good = np.flatnonzero(packs.is_good)
     # Without direct light there is no beam, and both columns are that of diffuse light.
     beam, diffuse = (spectra.reflectance[..., column] for column in (0, -1))
@@ -429,7 +429,7 @@ def compute_pack_albedo(
         "irradiance_covered": (band_dims, covered, covered_attributes),
     }
     attributes = {
-        **make_pack_attributes(packs, run, "Albedo under a sky", "albedo"),
+        **make_snow_pack_attributes(packs, run, "Albedo under a sky", "albedo"),
         **make_sky_attributes(skies[0]),
     }
     if incidence == SUN:
@@ -438,4 +438,4 @@ def compute_pack_albedo(
     attributes |= make_error_attributes(spectra, max_stderr, float(np.nanmax(stderr, initial=0.0)))
     attributes |= {f"band_{name}_sha256": one.sha256 for name, one in named.items() if one.sha256}
     axes = {"wavelength": make_wavelength_coordinate(wavelengths), "band": list(named)}
-    return make_pack_dataset(packs, spectra.flags, variables, axes).assign_attrs(attributes)
+    return make_snow_pack_dataset(packs, spectra.flags, variables, axes).assign_attrs(attributes)

@@ -27,7 +27,7 @@ from splits.core.keywords import instrument
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
 from splits.core.validation import invalid, to_text_keys
-from splits.instruments.snow_packs import SUN, check_no_paths, compute_pack_spectra
+from splits.instruments.snow_packs import SUN, check_no_paths, compute_snow_pack_spectra
 from splits.instruments.solver import (
     DISCRETE_ORDINATES,
     choose_solver,
@@ -80,16 +80,16 @@ SpectralEstimator = Annotated[
 ]
 
 
-def _check_pack_incidence(key: str, value: Any) -> Any:
-    # Snowpacks of a season have angles of their own, which `compute_pack_spectra` checks.
+def _check_snow_pack_incidence(key: str, value: Any) -> Any:
+    # Snowpacks of a season have angles of their own, which `compute_snow_pack_spectra` checks.
     is_single = isinstance(value, str) or np.ndim(value) == 0
     return check_incidence(key, value) if is_single and value != SUN else value
 
 
-PackIncidence = Annotated[
+SnowPackIncidence = Annotated[
     Numbers | str,
     Quantity(
-        "angle of incidence", "degree", first_step=4.0, check=_check_pack_incidence,
+        "angle of incidence", "degree", first_step=4.0, check=_check_snow_pack_incidence,
         schema={"anyOf": [ANGLE_SCHEMA, {"enum": [DIFFUSE, SUN]}]},
     ),
 ]  # fmt: skip
@@ -99,7 +99,7 @@ PackIncidence = Annotated[
 def spectrophotometer(
     medium: Medium | Mapping[str, Medium] | SnowPacks,
     wavelength_nm: Wavelengths,
-    incidence_deg: PackIncidence = 0.0,
+    incidence_deg: SnowPackIncidence = 0.0,
     *,
     max_stderr: StandardError = 0.002,
     solver: Solver = "auto",
@@ -230,7 +230,9 @@ def spectrophotometer(
     wavelengths = np.asarray(wavelength_nm)
     if isinstance(medium, SnowPacks):
         check_no_paths(estimator, jacobian)
-        return compute_pack_spectra(medium, wavelengths, incidence_deg, max_stderr, solver, run)
+        return compute_snow_pack_spectra(
+            medium, wavelengths, incidence_deg, max_stderr, solver, run
+        )
     incidence = check_incidence("incidence_deg", incidence_deg)
     is_mapping, analog = isinstance(medium, Mapping), estimator == "analog"
     media: dict[str, Medium] = {}

@@ -196,7 +196,7 @@ def read_crocus(
 # Snowpacks from a file of any supported format.
 
 CAAML_SUFFIXES = (".caaml", ".xml")
-PACK_SUFFIXES = (".csv", *NETCDF_SUFFIXES, *CAAML_SUFFIXES)
+SNOW_PACK_SUFFIXES = (".csv", *NETCDF_SUFFIXES, *CAAML_SUFFIXES)
 """Suffixes of files of snowpacks."""
 
 
@@ -236,8 +236,8 @@ def read_snow_packs(
     files = [expand_path(one, "file") for one in given]
     suffixes = {one.suffix.lower() for one in files}
     are_caaml = suffixes <= {*CAAML_SUFFIXES}
-    if not suffixes <= {*PACK_SUFFIXES} or (len(files) != 1 and not are_caaml) or not files:
-        raise invalid("file", file, f"a file with one of {', '.join(PACK_SUFFIXES)}")
+    if not suffixes <= {*SNOW_PACK_SUFFIXES} or (len(files) != 1 and not are_caaml) or not files:
+        raise invalid("file", file, f"a file with one of {', '.join(SNOW_PACK_SUFFIXES)}")
     for one in files:
         if not one.is_file():
             raise invalid("file", str(one), "a file that exists", f"looked in {Path.cwd()}")

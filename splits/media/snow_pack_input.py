@@ -52,7 +52,7 @@ GROUND_ATTRIBUTE = "ground"
 _TABLE_ATTRIBUTES = ("ground_wavelength_nm", "ground_values")
 
 
-class PackGround(NamedTuple):
+class SnowPackGround(NamedTuple):
     """Ground below snowpacks.
 
     Attributes
@@ -70,7 +70,7 @@ class PackGround(NamedTuple):
     wavelength_nm: np.ndarray | None = None
 
     @classmethod
-    def from_input(cls, value: Any, label: str, labels: pd.Index) -> PackGround:
+    def from_input(cls, value: Any, label: str, labels: pd.Index) -> SnowPackGround:
         """Return the ground for a user's value, see `splits.SnowPacks`.
 
         Parameters
@@ -112,7 +112,7 @@ class PackGround(NamedTuple):
         return cls(None, numbers, wavelength_nm)
 
     @classmethod
-    def from_attributes(cls, attributes: Mapping[str, Any]) -> PackGround:
+    def from_attributes(cls, attributes: Mapping[str, Any]) -> SnowPackGround:
         """Return the common ground in attributes, see `make_attributes`."""
         if GROUND_ATTRIBUTE not in attributes:
             return cls()
@@ -127,8 +127,8 @@ class PackGround(NamedTuple):
 
     @classmethod
     def from_names(
-        cls, names: np.ndarray, attributes: Mapping[str, Any], albedo: PackGround | None
-    ) -> PackGround:
+        cls, names: np.ndarray, attributes: Mapping[str, Any], albedo: SnowPackGround | None
+    ) -> SnowPackGround:
         """Return the ground of snowpacks by its names, which differ after a concatenation.
 
         Parameters
@@ -137,7 +137,7 @@ class PackGround(NamedTuple):
             See `get_name`.
         attributes : mapping
             Those of `make_attributes` of one of the grounds.
-        albedo : PackGround or None
+        albedo : SnowPackGround or None
             Albedo for each snowpack, used where a name is missing.
         """
         is_named = ~pd.isna(names)
@@ -268,7 +268,7 @@ class SnowPackInput(NamedTuple):
     layered : set of str
         Names of the variables that were given for each layer, not for a snowpack as a whole.
     sun_zenith_deg : float, shape (snowpacks,), or None
-    ground : PackGround
+    ground : SnowPackGround
     """
 
     label: str
@@ -276,7 +276,7 @@ class SnowPackInput(NamedTuple):
     values: dict[str, np.ndarray]
     layered: set[str]
     sun_zenith_deg: np.ndarray | None
-    ground: PackGround
+    ground: SnowPackGround
 
 
 def describe_variable(name: str) -> tuple[str, str]:
@@ -383,12 +383,12 @@ def _normalize_coordinates(data: xr.Dataset, label: str) -> xr.Dataset:
     return data
 
 
-def _read_ground(data: xr.Dataset, label: str, given: Any) -> tuple[PackGround, xr.Dataset]:
+def _read_ground(data: xr.Dataset, label: str, given: Any) -> tuple[SnowPackGround, xr.Dataset]:
     """Return the ground that is given, or else that of a dataset, and the dataset without it."""
     index = data.get_index(label)
     rest = data.drop_vars([GROUND_KEY, GROUND_ATTRIBUTE, WAVELENGTH_DIM], errors="ignore")
     if given is not None:
-        return PackGround.from_input(given, label, index), rest
+        return SnowPackGround.from_input(given, label, index), rest
     albedo = None
     if GROUND_KEY in data:
         variable = data[GROUND_KEY].drop_vars(
@@ -396,13 +396,13 @@ def _read_ground(data: xr.Dataset, label: str, given: Any) -> tuple[PackGround, 
         )
         if not variable.ndim:
             variable = variable.expand_dims({label: index})
-        albedo = PackGround.from_input(variable, label, index)
+        albedo = SnowPackGround.from_input(variable, label, index)
     if GROUND_ATTRIBUTE not in data:
-        return albedo or PackGround.from_attributes(data.attrs), rest
+        return albedo or SnowPackGround.from_attributes(data.attrs), rest
     names = data[GROUND_ATTRIBUTE]
     if names.dims != (label,):
         raise invalid(f"{GROUND_ATTRIBUTE} dimensions", names.dims, f"over {label}")
-    return PackGround.from_names(names.values, data.attrs, albedo), rest
+    return SnowPackGround.from_names(names.values, data.attrs, albedo), rest
 
 
 def check_names(given: Iterable[Hashable]) -> None:

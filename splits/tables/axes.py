@@ -207,20 +207,17 @@ def _check_grid_axis(name: str, values_given: Any) -> tuple[Any, ...]:
             hint += f", or give the argument {name}={values_given!r} and leave it out of the grid"
         raise invalid(key, values_given, allowed, hint)
     values = [as_scalar(value) for value in values_given]
-    if not values:
-        raise invalid(key, values, allowed)
-    if any(isinstance(value, str) for value in values):
-        if not all(isinstance(value, str) for value in values):
-            hint = "not both in one axis: only numbers are interpolated"
-            raise invalid(key, values, allowed, hint)
-        if len(set(values)) < len(values):
-            raise invalid(key, values, allowed)
+    are_texts = {isinstance(value, str) for value in values}
+    if len(are_texts) != 1 or (are_texts == {True} and len(set(values)) < len(values)):
+        hint = "not both in one axis: only numbers are interpolated" if len(are_texts) > 1 else ""
+        raise invalid(key, values, allowed, hint)
+    if are_texts == {True}:
         return tuple(values)
     allowed = "different, increasing numbers"
-    numbers = as_1d_array(key, values, allowed).tolist()
-    if any(lower >= upper for lower, upper in itertools.pairwise(numbers)):
-        raise invalid(key, numbers, allowed)
-    return tuple(numbers)
+    numbers = as_1d_array(key, values, allowed)
+    if (np.diff(numbers) <= 0.0).any():
+        raise invalid(key, numbers.tolist(), allowed)
+    return tuple(numbers.tolist())
 
 
 def _make_coordinate(name: str, axis_values: tuple[Any, ...]) -> tuple[np.ndarray, dict[str, str]]:
@@ -403,10 +400,10 @@ def _sort_axis(dataset: xr.Dataset, name: str) -> xr.Dataset:
     # Axes converted by pandas may have the dtype object.
     values = np.array(dataset[name].values.tolist())
     text = values.dtype.kind in "OUS"
-    if not text and not (values.dtype.kind in "iuf" and np.isfinite(values).all()):
-        raise invalid(f"table.{name}", values.tolist(), "numbers, or texts")
-    if len(set(values.tolist())) < values.size:
-        raise invalid(f"table.{name}", values.tolist(), "different values")
+    is_valid = text or (values.dtype.kind in "iuf" and np.isfinite(values).all())
+    if not is_valid or len(set(values.tolist())) < values.size:
+        allowed = "different values" if is_valid else "numbers, or texts"
+        raise invalid(f"table.{name}", values.tolist(), allowed)
     if dataset[name].dtype.kind not in "fUS":
         axis = (name, values if text else values.astype(float), dataset[name].attrs)
         dataset = dataset.assign_coords({name: axis})

@@ -55,11 +55,17 @@ def read_message(function, *values, **keywords):
     return message
 
 
+def list_positional(function):
+    """Return the names of the arguments that may be given without a keyword."""
+    parameters = inspect.signature(function).parameters
+    keyword_only = inspect.Parameter.KEYWORD_ONLY
+    return [name for name in make_arguments(function) if parameters[name].kind != keyword_only]
+
+
 def list_swaps():
     functions = [*INSTRUMENTS, splits.build_table, splits.retrieve, splits.save]
     for function in functions:
-        arguments = make_arguments(function)
-        names = list(arguments)
+        names = list_positional(function)
         for one in range(len(names)):
             for other in range(one + 1, len(names)):
                 if {names[one], names[other]} & RECOGNIZED_ARGUMENTS.keys():
@@ -70,10 +76,10 @@ def list_swaps():
     ("function", "one", "other"), [*list_swaps()], ids=lambda x: getattr(x, "__name__", None)
 )
 def test_exchanged_arguments_show_the_order(function, one, other):
-    arguments = make_arguments(function)
-    names, values = list(arguments), list(arguments.values())
+    arguments, names = make_arguments(function), list_positional(function)
+    values = [arguments.pop(name) for name in names]
     values[one], values[other] = values[other], values[one]
-    message = read_message(function, *values)
+    message = read_message(function, *values, **arguments)
     assert f"(the order is {function.__name__}({', '.join(names)}" in message
     assert "micrometres" not in message
 

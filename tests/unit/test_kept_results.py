@@ -45,7 +45,7 @@ def make_point(**more):
     return {SIZE: 120.0, SOOT: 30.0, "incidence_deg": 20.0, **more}
 
 
-def make_snowpacks():
+def make_snow_packs():
     columns = {"thickness_m": [0.2, 0.3], "density_kg_m3": [200, None], SIZE: [100, 200]}
     table = pd.DataFrame({"time": ["a", "b"], "layer": 0, **columns, "sun_zenith_deg": 50.0})
     return splits.SnowPacks(table, ground=0.2)
@@ -79,11 +79,11 @@ def make_image():
 ORDINATES = {"solver": "discrete_ordinates"}
 
 RESULTS = {
-    "SnowPacks": lambda: make_snowpacks().dataset,
+    "SnowPacks": lambda: make_snow_packs().dataset,
     "spectrophotometer of snowpacks": lambda: splits.spectrophotometer(
-        make_snowpacks(), PAIR, "sun"
+        make_snow_packs(), PAIR, "sun"
     ),
-    "albedo of snowpacks": lambda: splits.albedo(make_snowpacks(), SKY, [500, 800]),
+    "albedo of snowpacks": lambda: splits.albedo(make_snow_packs(), SKY, [500, 800]),
     "spectrophotometer, ordinates": lambda: splits.spectrophotometer(
         make_snow(), PAIR, jacobian=[SIZE, SOOT], **ORDINATES
     ),
@@ -150,6 +150,11 @@ RESULTS = {
             ([0.0, 1e-10, 1e-9], [2e9, 1e8]), make_return_table(), ["optical_radius_um"], 1e8
         ).dataset
     ),
+    "select_principal_plane": lambda: splits.select_principal_plane(
+        splits.goniophotometer(
+            make_snow(), [1300], 30.0, polar_deg=[0.0, 40.0], azimuth_deg=[0.0, 180.0], **ORDINATES
+        )
+    ),
     "retrieve_map": lambda: splits.retrieve_map(
         make_image(), make_snowlike_table(), FREE_PARAMETERS, 0.01, fixed=FIXED
     ),
@@ -165,8 +170,8 @@ RESULTS = {
 NO_DATASET = {
     "Interpretation", "ParticleLayer", "Progress", "ProgressBar", "RoughSurface", "Sand",
     "SandInterpretation", "Sky", "Snow", "Stack", "__version__", "list_media", "load",
-    "load_medium", "open_table", "read_caaml", "read_crocus", "read_snow_packs", "save",
-    "sensor_bands", "sky",
+    "compute_difference", "draw", "load_medium", "make_colour_table", "open_table", "read_caaml",
+    "read_crocus", "read_snow_packs", "save", "sensor_bands", "sky",
 }  # fmt: skip
 """Public names of inputs, of reading and writing, and of progress reports."""
 
@@ -243,7 +248,7 @@ def test_pixels_with_gaps_are_nan_and_flagged(tmp_path):
     )
     splits.save(result, tmp_path / "map.nc")
     loaded = splits.load(tmp_path / "map.nc")
-    assert np.isnan(loaded[SIZE][0, 1]) and loaded.flags[0, 1] == FLAGS["gap"]
+    assert np.isnan(loaded[SIZE][0, 1]) and loaded.quality_flag[0, 1] == FLAGS["gap"]
     assert np.isfinite(loaded[SIZE]).sum() == 3
     raw = xr.open_dataset(tmp_path / "map.nc", mask_and_scale=False)
     assert np.isnan(raw[SIZE].attrs["_FillValue"])

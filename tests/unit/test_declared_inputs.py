@@ -242,9 +242,9 @@ SECTIONS = {
     "instrument: {incidence_deg: 30}\ngrid: {incidence_deg: [0, 60]}":
         "line 1: instrument.incidence_deg = 30: must be left out (grid.incidence_deg has its "
         "values)",
-    "instrument: {rays: 1000}":
-        "line 1: instrument.rays = 1000: must be left out for spectrophotometer (it belongs to "
-        "goniophotometer, beam_spread, lens, single_scattering, time_of_flight, return_table)",
+    "instrument: {radius_m: 3}":
+        "line 1: instrument.radius_m = 3: must be left out for spectrophotometer (it belongs to "
+        "lens)",
     "instrument: {stderr_scale: '2'}":
         "line 1: instrument.stderr_scale = '2': must be in [0.01, 100] (write 2, without quotes)",
     "instrument: {point_stderr_scale: [1, 2, 3]}\ngrid: {depth_m: [0.1, 0.2]}":

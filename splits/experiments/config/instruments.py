@@ -383,7 +383,7 @@ def make_instrument_schemas() -> dict[str, dict[str, Any]]:
         inputs = list_section_inputs(kind)
         properties |= {name: one.adapter.json_schema() for name, one in inputs.items()}
         if "sky" in inputs:
-            properties["sky"] = {"enum": [*SKIES]}
+            properties["sky"] |= {"type": "string", "enum": [*SKIES]}
         schemas[kind] = {
             "type": "object", "properties": properties, "additionalProperties": False,
             "required": [n for n, one in inputs.items() if one.default is Parameter.empty],

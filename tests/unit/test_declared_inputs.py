@@ -205,6 +205,42 @@ CALLS = {
         "depth_m = 0.2: must be in (0, 0.12) m (top and bottom are always included)",
     "irradiance_profile(Snow(), [500], depth_m=[])":
         "depth_m = []: must be numbers in metres, at least one",
+    "spectrophotometer(Snow(), [])":
+        "wavelength_nm = []: must be numbers in nanometres, at least one",
+    "spectrophotometer(Snow(), [500, 500])":
+        "wavelength_nm = [500.0, 500.0]: must be strictly increasing (numbers 1 and 2 of 2)",
+    'spectrophotometer(Snow(), "green")':
+        "wavelength_nm = 'green': must be numbers in nanometres (this is text, not a number)",
+    "spectrophotometer(Snow(), [500, 1e6])":
+        "wavelength_nm = 1000000.0: must be in [200, 100000] nm",
+    "spectrophotometer(Snow(), [500], -1)": "incidence_deg = -1: must be in [0, 89.9999] degrees",
+    "spectrophotometer(Snow(), [500], None)":
+        "incidence_deg = None: must be in [0, 89.9999] degrees",
+    "spectrophotometer(Snow(), [500], seed=2**63)":
+        "seed = 9223372036854775808: must be a whole number from 0 to 9223372036854775807",
+    "spectrophotometer(Snow(), [500], threads=0)":
+        "threads = 0: must be a whole number of at least 1",
+    'spectrophotometer(Snow(), [500], estimator="spektral")':
+        "estimator = 'spektral': must be one of analog, spectral (did you mean spectral?)",
+    'spectrophotometer(Snow(), [500], kernel="vector")':
+        "kernel = 'vector': must be one of auto, scalar, vectorized (did you mean vectorized?)",
+    'goniophotometer(Snow(), [500], target="brfd")':
+        "target = 'brfd': must be one of brdf, btdf (did you mean brdf?)",
+    "goniophotometer(Snow(), [500], azimuth_deg=[])":
+        "azimuth_deg = []: must be numbers in degrees, at least one",
+    'goniophotometer(Snow(), [500], estimator="bins", n_bins=7)':
+        "n_bins = 7: must be two whole numbers from 1 to 1000",
+    "lens(Snow(), radius_m=1, screen_depth_m=[2.0, 1.0])":
+        "screen_depth_m = [2.0, 1.0]: must be strictly increasing (numbers 1 and 2 of 2)",
+    'lens(Snow(), radius_m=1, screen_depth_m=["deep"])':
+        "screen_depth_m = 'deep': must be numbers in metres (this is text, not a number)",
+    "lens(Snow(), radius_m=0, screen_depth_m=[1.0])": "radius_m = 0: must be in (0, 1e+06] m",
+    'lens(Snow(), radius_m=1, screen_depth_m=[1.0], centre_on="valley")':
+        "centre_on = 'valley': must be one of crest, origin, trough",
+    "lens(Snow(), radius_m=1, screen_depth_m=[1.0], rays=2)":
+        "rays = 2: must be a whole number of at least 3",
+    "lens(Snow(), radius_m=1, screen_depth_m=[1.0], half_width_m=0.0)":
+        "half_width_m = 0.0: must be in [1e-09, 1e+06] m",
 }  # fmt: skip
 """Messages of calls; … stands for names."""
 

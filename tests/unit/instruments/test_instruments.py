@@ -188,31 +188,6 @@ def test_table_has_all_instruments():
 QUANTITIES = ("reflectance", "transmittance", "absorptance")
 WAVELENGTHS = [500.0, 1030.0, 1500.0]
 THIN_SNOW = splits.Snow(depth_m=0.001)
-INVALID_CALLS = [
-    ("wavelength_nm", 100, "in [200, 100000] nm"),
-    ("wavelength_nm", [500, 1e6], "in [200, 100000] nm"),
-    ("wavelength_nm", [], "numbers in nanometres, at least one"),
-    ("wavelength_nm", [600.0, 500.0], "strictly increasing"),
-    ("wavelength_nm", [500.0, 500.0], "strictly increasing"),
-    ("wavelength_nm", [500.0, float("nan")], "numbers in nanometres"),
-    ("wavelength_nm", "green", "numbers in nanometres"),
-    ("incidence_deg", 90, "in [0, 89.9999] degrees"),
-    ("incidence_deg", -1, "in [0, 89.9999] degrees"),
-    ("incidence_deg", None, "in [0, 89.9999] degrees"),
-    ("incidence_deg", "difuse", "did you mean diffuse?"),
-    ("max_stderr", 0, "in [1e-06, 0.5]"),
-    ("max_stderr", 0.6, "in [1e-06, 0.5]"),
-    ("seed", -1, "a whole number of at least 0"),
-    ("seed", True, "a whole number of at least 0"),
-    ("seed", 1.0, "a whole number of at least 0"),
-    ("seed", 2**63, "a whole number from 0 to 9223372036854775807"),
-    ("max_rays", 0, "a whole number of at least 1"),
-    ("threads", 0, "a whole number of at least 1"),
-    ("estimator", "spektral", "did you mean spectral?"),
-    ("kernel", "vector", "did you mean vectorized?"),
-]
-
-
 def measure(**changes):
     settings = {"wavelength_nm": WAVELENGTHS, "max_stderr": 0.5, "threads": 1, **changes}
     return splits.spectrophotometer(THIN_SNOW, **settings)
@@ -295,14 +270,6 @@ def test_the_maximum_of_rays_stops_the_run():
     stopped = measure(max_stderr=1e-6, max_rays=1)
     assert stopped.attrs["stop_reason"] == "max_rays"
     assert stopped.attrs["max_stderr_reached"] > 1e-6
-
-
-@pytest.mark.parametrize(("key", "value", "allowed"), INVALID_CALLS)
-def test_invalid_arguments_are_rejected_with_key_and_range(key, value, allowed):
-    with pytest.raises(ValueError, match=f"^{key} = ") as error:
-        measure(**{key: value})
-    assert allowed in str(error.value)
-    assert "\n" not in str(error.value)
 
 
 def test_wavelengths_outside_the_tables_are_rejected():

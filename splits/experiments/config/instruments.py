@@ -34,7 +34,14 @@ from splits.core.inputs import (
 )
 from splits.core.keywords import INSTRUMENTS, declare_function
 from splits.core.progress import ProgressCallback
-from splits.core.validation import MAX_INT64, check_choice, invalid, key_prefix, unknown_key
+from splits.core.validation import (
+    MAX_INT64,
+    InvalidValue,
+    check_choice,
+    invalid,
+    key_prefix,
+    unknown_key,
+)
 from splits.illumination.sky import ASTM_G173, CLEAR_SKY, list_sky_names, sky
 from splits.instruments.delay_record import AcceptanceAngle, DelayEdges, FootprintRadius
 from splits.instruments.goniophotometer import check_bins
@@ -230,7 +237,7 @@ class Instrument:
             if key == "sky":
                 check_choice(f"instrument.{key}", value, SKIES)
             if value is not None or (key not in NULLABLE and inputs[key].default is not None):
-                inputs[key].check(f"instrument.{key}", value)
+                _check_setting(inputs[key], f"instrument.{key}", value)
         for key, one in inputs.items():
             if one.default is Parameter.empty and settings.get(key) is None:
                 raise invalid(f"instrument.{key}", None, "given", str(one.quantity))
@@ -366,6 +373,16 @@ class Instrument:
         varied = {key: list(given) for key, given in grid.items() if len(given) > 1}
         if self.kind == "refractive_index" and varied:
             raise invalid("grid", varied, f"of one value for {self.kind}")
+
+
+def _check_setting(declared: Input, key: str, value: Any) -> None:
+    """Check a setting; a text of several numbers is a list without brackets."""
+    try:
+        declared.check(key, value)
+    except InvalidValue as error:
+        if isinstance(value, str) and "," in value and error.allowed.startswith("numbers"):
+            raise invalid(key, value, error.allowed, f"write [{value}]") from None
+        raise
 
 
 def _read_whole_number(value: Any) -> Any:

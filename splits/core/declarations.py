@@ -120,10 +120,16 @@ class Quantity:
         """Return a number after checking that it is in the range."""
         if self.infinite and isinstance(value, float) and value == math.inf:
             return math.inf
-        return check_range(
-            key, value, self.low, self.high, UNIT_SYMBOLS.get(self.unit, self.unit),
-            open_low=self.open_low, open_high=self.open_high, hint=self.hint,
-        )  # fmt: skip
+        try:
+            return check_range(
+                key, value, self.low, self.high, UNIT_SYMBOLS.get(self.unit, self.unit),
+                open_low=self.open_low, open_high=self.open_high, hint=self.hint,
+            )  # fmt: skip
+        except InvalidValue as error:
+            if not self.infinite or str(value).lower().strip("+.") != "inf":
+                raise
+            hint = "infinite is .inf in YAML, math.inf in Python"
+            raise invalid(key, value, error.allowed, hint) from None
 
     def check_integer(self, key: str, value: Any) -> int:
         """Return a whole number after checking that it is in the range."""

@@ -50,7 +50,8 @@ CALLS = {
     "Snow(temperature_c=268.15)":
         "temperature_c = 268.15: must be in [-40, 0] °C (in kelvin? write -5)",
     "Snow(depth_m=-math.inf)": "depth_m = -inf: must be in (0, 10000] m",
-    'Snow(depth_m="inf")': "depth_m = 'inf': must be in (0, 10000] m (this is text, not a number)",
+    'Snow(depth_m="inf")':
+        "depth_m = 'inf': must be in (0, 10000] m (infinite is .inf in YAML, math.inf in Python)",
     "Snow(saturation=5)": "saturation = 5: must be in [0, 1] (in per cent? write 0.05)",
     "Snow(saturation=np.nan)": "saturation = nan: must be in [0, 1]",
     "Snow(saturation=np.bool_(True))": "saturation = True: must be in [0, 1]",

@@ -64,6 +64,8 @@ CALLS = {
     "Snow(grain_size_um=(1, 2000))": "grain_size_um = (1, 2000): must be max <= 1000 min",
     "Snow(grain_size_um=np.ma.masked_array([300.0, 750.0], [True, False]))":
         "grain_size_um (min) = masked: must be a finite number",
+    "Snow(facetness=np.ma.masked)":
+        "facetness = masked: must be 4 numbers (min, max, mean, sd)",
     "Snow(facetness=0.3)": "facetness = 0.3: must be 4 numbers (min, max, mean, sd)",
     "Snow(facetness=(0.4, 0.2, 0.3, 0.1))":
         "facetness = (0.4, 0.2, 0.3, 0.1): must be 0 <= min <= mean <= max <= 1 (min, max, "

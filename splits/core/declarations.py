@@ -474,7 +474,8 @@ class other_constructor:
         @functools.wraps(self.complete)
         def construct(*values: Given.args, **keywords: Given.kwargs) -> Result:
             if values:
-                first, name = short_repr(values[0]), next(iter(owner.ALTERNATIVES | names))
+                alternatives = getattr(owner, "ALTERNATIVES", {})
+                first, name = short_repr(values[0]), next(iter(alternatives | names))
                 raise TypeError(f"{first}: must have a keyword, such as {name}={first}")
             for name in keywords:
                 if name not in names:

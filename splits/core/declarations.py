@@ -427,8 +427,8 @@ def declare_class(declared: Class) -> Class:
         try:
             construct(self, **given)
         except ValidationError as error:
-            raise describe_error(error, content=given) from None
-        except FileNotFoundError as error:
+            raise describe_error(error, content=given).with_traceback(None) from None
+        except (InvalidValue, FileNotFoundError) as error:
             raise error.with_traceback(None) from None
 
     signature = [

@@ -158,10 +158,16 @@ class Quantity:
         """Return a number after checking that it is in the range."""
         if self.infinite and isinstance(value, float) and value == math.inf:
             return math.inf
-        return check_range(
-            key, value, self.low, self.high, UNIT_SYMBOLS.get(self.unit, self.unit),
-            open_low=self.open_low, open_high=self.open_high, hint=self.hint,
-        )  # fmt: skip
+        try:
+            return check_range(
+                key, value, self.low, self.high, UNIT_SYMBOLS.get(self.unit, self.unit),
+                open_low=self.open_low, open_high=self.open_high, hint=self.hint,
+            )  # fmt: skip
+        except InvalidValue as error:
+            if not self.infinite or str(value).lower().strip("+.") != "inf":
+                raise
+            hint = "infinite is .inf in YAML, math.inf in Python"
+            raise invalid(key, value, error.allowed, hint) from None
 
     def check_integer(self, key: str, value: Any) -> int:
         """Return a whole number after checking that it is in the range."""
@@ -474,8 +480,8 @@ def declare_class(declared: Class) -> Class:
         try:
             construct(self, **given)
         except ValidationError as error:
-            raise describe_error(error, content=given) from None
-        except FileNotFoundError as error:
+            raise describe_error(error, content=given).with_traceback(None) from None
+        except (InvalidValue, FileNotFoundError) as error:
             raise error.with_traceback(None) from None
 
     signature = [
@@ -521,7 +527,8 @@ class other_constructor:
         @functools.wraps(self.complete)
         def construct(*values: Given.args, **keywords: Given.kwargs) -> Result:
             if values:
-                first, name = short_repr(values[0]), next(n for n, one in names.items() if one.kind is one.KEYWORD_ONLY)
+                alternatives = getattr(owner, "ALTERNATIVES", {})
+                first, name = short_repr(values[0]), next(iter(alternatives | names))
                 raise TypeError(f"{first}: must have a keyword, such as {name}={first}")
             for name in keywords:
                 if name not in names:

@@ -343,7 +343,8 @@ def sky(
 def _check_sky(key: str, value: Any) -> Any:
     """Return a sky of a user after checking its name, if it is one."""
     known = [*list_sky_names(), CLEAR_SKY, ASTM_G173]
-    if isinstance(value, str) and value not in known and not is_csv_path(value):
+    is_other = not (isinstance(to_columns(value), Sky | Mapping | Path) or callable(value))
+    if is_other and not (isinstance(value, str) and (value in known or is_csv_path(value))):
         allowed = "one of " + ", ".join(known) + ", a mapping or a .csv file"
         raise invalid(key, value, allowed, suggest_name(value, known))
     return value

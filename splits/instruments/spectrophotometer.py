@@ -82,8 +82,8 @@ SpectralEstimator = Annotated[
 
 def _check_snow_pack_incidence(key: str, value: Any) -> Any:
     # Snowpacks of a season have angles of their own, which `compute_snow_pack_spectra` checks.
-    is_single = isinstance(value, str) or np.ndim(value) == 0
-    return check_incidence(key, value) if is_single and value != SUN else value
+    is_single = value != SUN if isinstance(value, str) else np.ndim(value) == 0
+    return check_incidence(key, value) if is_single else value
 
 
 SnowPackIncidence = Annotated[

@@ -50,7 +50,8 @@ CALLS = {
     "Snow(temperature_c=268.15)":
         "temperature_c = 268.15: must be in [-40, 0] °C (in kelvin? write -5)",
     "Snow(depth_m=-math.inf)": "depth_m = -inf: must be in (0, 10000] m",
-    'Snow(depth_m="inf")': "depth_m = 'inf': must be in (0, 10000] m (this is text, not a number)",
+    'Snow(depth_m="inf")':
+        "depth_m = 'inf': must be in (0, 10000] m (infinite is .inf in YAML, math.inf in Python)",
     "Snow(saturation=5)": "saturation = 5: must be in [0, 1] (in per cent? write 0.05)",
     "Snow(saturation=np.nan)": "saturation = nan: must be in [0, 1]",
     "Snow(saturation=np.bool_(True))": "saturation = True: must be in [0, 1]",
@@ -63,6 +64,8 @@ CALLS = {
     "Snow(grain_size_um=(1, 2000))": "grain_size_um = (1, 2000): must be max <= 1000 min",
     "Snow(grain_size_um=np.ma.masked_array([300.0, 750.0], [True, False]))":
         "grain_size_um (min) = masked: must be a finite number",
+    "Snow(facetness=np.ma.masked)":
+        "facetness = masked: must be 4 numbers (min, max, mean, sd)",
     "Snow(facetness=0.3)": "facetness = 0.3: must be 4 numbers (min, max, mean, sd)",
     "Snow(facetness=(0.4, 0.2, 0.3, 0.1))":
         "facetness = (0.4, 0.2, 0.3, 0.1): must be 0 <= min <= mean <= max <= 1 (min, max, "
@@ -205,6 +208,42 @@ CALLS = {
         "depth_m = 0.2: must be in (0, 0.12) m (top and bottom are always included)",
     "irradiance_profile(Snow(), [500], depth_m=[])":
         "depth_m = []: must be numbers in metres, at least one",
+    "spectrophotometer(Snow(), [])":
+        "wavelength_nm = []: must be numbers in nanometres, at least one",
+    "spectrophotometer(Snow(), [500, 500])":
+        "wavelength_nm = [500.0, 500.0]: must be strictly increasing (numbers 1 and 2 of 2)",
+    'spectrophotometer(Snow(), "green")':
+        "wavelength_nm = 'green': must be numbers in nanometres (this is text, not a number)",
+    "spectrophotometer(Snow(), [500, 1e6])":
+        "wavelength_nm = 1000000.0: must be in [200, 100000] nm",
+    "spectrophotometer(Snow(), [500], -1)": "incidence_deg = -1: must be in [0, 89.9999] degrees",
+    "spectrophotometer(Snow(), [500], None)":
+        "incidence_deg = None: must be in [0, 89.9999] degrees",
+    "spectrophotometer(Snow(), [500], seed=2**63)":
+        "seed = 9223372036854775808: must be a whole number from 0 to 9223372036854775807",
+    "spectrophotometer(Snow(), [500], threads=0)":
+        "threads = 0: must be a whole number of at least 1",
+    'spectrophotometer(Snow(), [500], estimator="spektral")':
+        "estimator = 'spektral': must be one of analog, spectral (did you mean spectral?)",
+    'spectrophotometer(Snow(), [500], kernel="vector")':
+        "kernel = 'vector': must be one of auto, scalar, vectorized (did you mean vectorized?)",
+    'goniophotometer(Snow(), [500], target="brfd")':
+        "target = 'brfd': must be one of brdf, btdf (did you mean brdf?)",
+    "goniophotometer(Snow(), [500], azimuth_deg=[])":
+        "azimuth_deg = []: must be numbers in degrees, at least one",
+    'goniophotometer(Snow(), [500], estimator="bins", n_bins=7)':
+        "n_bins = 7: must be two whole numbers from 1 to 1000",
+    "lens(Snow(), radius_m=1, screen_depth_m=[2.0, 1.0])":
+        "screen_depth_m = [2.0, 1.0]: must be strictly increasing (numbers 1 and 2 of 2)",
+    'lens(Snow(), radius_m=1, screen_depth_m=["deep"])':
+        "screen_depth_m = 'deep': must be numbers in metres (this is text, not a number)",
+    "lens(Snow(), radius_m=0, screen_depth_m=[1.0])": "radius_m = 0: must be in (0, 1e+06] m",
+    'lens(Snow(), radius_m=1, screen_depth_m=[1.0], centre_on="valley")':
+        "centre_on = 'valley': must be one of crest, origin, trough",
+    "lens(Snow(), radius_m=1, screen_depth_m=[1.0], rays=2)":
+        "rays = 2: must be a whole number of at least 3",
+    "lens(Snow(), radius_m=1, screen_depth_m=[1.0], half_width_m=0.0)":
+        "half_width_m = 0.0: must be in [1e-09, 1e+06] m",
 }  # fmt: skip
 """Messages of calls; … stands for names."""
 
@@ -242,9 +281,9 @@ SECTIONS = {
     "instrument: {incidence_deg: 30}\ngrid: {incidence_deg: [0, 60]}":
         "line 1: instrument.incidence_deg = 30: must be left out (grid.incidence_deg has its "
         "values)",
-    "instrument: {rays: 1000}":
-        "line 1: instrument.rays = 1000: must be left out for spectrophotometer (it belongs to "
-        "goniophotometer, beam_spread, lens, single_scattering, time_of_flight, return_table)",
+    "instrument: {radius_m: 3}":
+        "line 1: instrument.radius_m = 3: must be left out for spectrophotometer (it belongs to "
+        "lens)",
     "instrument: {stderr_scale: '2'}":
         "line 1: instrument.stderr_scale = '2': must be in [0.01, 100] (write 2, without quotes)",
     "instrument: {point_stderr_scale: [1, 2, 3]}\ngrid: {depth_m: [0.1, 0.2]}":

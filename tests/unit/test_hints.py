@@ -182,7 +182,7 @@ def test_wavelengths_in_micrometres_have_a_hint():
     [
         (splits.Snow.natural, (20,), "20: must have a keyword, such as specific_surface_area"),
         (splits.sky, ("clear", 40, 1e5), "100000.0: must have a keyword, such as pressure_pa"),
-        (splits.spectrophotometer, (SNOW, [500], 0, 0.01, 1, "auto"), "such as solver='auto'"),
+        (splits.spectrophotometer, (SNOW, [500], 0, 0.01, 1, "auto"), "such as max_stderr=0.01"),
     ],
 )
 def test_surplus_values_need_a_keyword(function, values, hint):

@@ -35,7 +35,14 @@ from splits.core.inputs import (
 )
 from splits.core.keywords import INSTRUMENTS, declare_function
 from splits.core.progress import ProgressCallback
-from splits.core.validation import MAX_INT64, check_choice, invalid, key_prefix, unknown_key
+from splits.core.validation import (
+    MAX_INT64,
+    InvalidValue,
+    check_choice,
+    invalid,
+    key_prefix,
+    unknown_key,
+)
 from splits.illumination.sky import ASTM_G173, CLEAR_SKY, list_sky_names, sky
 from splits.instruments.delay_record import (
     DEFAULT_EDGES_S,
@@ -169,7 +176,7 @@ SectionSky = Annotated[
     str,
     Quantity(
         "sky, see `splits.sky`: clear, for snowpacks with the zenith angle of the sun, or another",
-        check=lambda key, name: check_choice(key, name, SKIES), schema={"enum": [*SKIES]},
+        check=lambda key, name: check_choice(key, name, SKIES), schema={"type": "string", "enum": [*SKIES]},
     ),
 ]  # fmt: skip
 SECTION_TYPES = {"seed": (SectionSeed, None), "sky": (SectionSky, CLEAR_SKY)}
@@ -254,7 +261,7 @@ class Instrument:
                 raise invalid(f"instrument.{key}", value, "one angle or diffuse", USE_GRID_HINT)
             value = settings[key] = _read_whole_number(value)
             if value is not None or inputs[key].default is not None:
-                inputs[key].check(f"instrument.{key}", value)
+                _check_setting(inputs[key], f"instrument.{key}", value)
         for key, one in inputs.items():
             if one.default is Parameter.empty and settings.get(key) is None:
                 raise invalid(f"instrument.{key}", None, "given", str(one.quantity))
@@ -389,6 +396,16 @@ class Instrument:
         varied = {key: list(given) for key, given in grid.items() if len(given) > 1}
         if self.kind == "refractive_index" and varied:
             raise invalid("grid", varied, f"of one value for {self.kind}")
+
+
+def _check_setting(declared: Input, key: str, value: Any) -> None:
+    """Check a setting; a text of several numbers is a list without brackets."""
+    try:
+        declared.check(key, value)
+    except InvalidValue as error:
+        if isinstance(value, str) and "," in value and error.allowed.startswith("numbers"):
+            raise invalid(key, value, error.allowed, f"write [{value}]") from None
+        raise
 
 
 def _read_whole_number(value: Any) -> Any:

@@ -374,26 +374,6 @@ def test_surface_maps_have_the_expected_slopes():
     assert abs(squares.mean() - expected**2) < 4.0 * stderr
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (([-1.0], 1.0), "screen_depth_m"),
-        (([2.0, 1.0], 1.0), "screen_depth_m"),
-        ((["deep"], 1.0), "screen_depth_m"),
-        (([1.0], 0.0), "radius_m"),
-        (([1.0], 1.0, {"centre_on": "valley"}), "centre_on"),
-        (([1.0], 1.0, {"rays": 2}), "rays"),
-        (([1.0], 1.0, {"centre_on": "origin", "waves": [(1.0, 2.0)]}), "waves"),
-        (([1.0], 1.0, {"half_width_m": 0.0}), "half_width_m"),
-    ],
-)
-def test_invalid_lens_arguments_are_rejected(arguments, message):
-    depths, radius, *options = arguments
-    settings = {"half_width_m": 5.0, **(options[0] if options else {})}
-    with pytest.raises(ValueError, match=message):
-        splits.lens(WATER, screen_depth_m=depths, radius_m=radius, **settings)
-
-
 def test_smooth_layers_are_rejected():
     for call in (lambda m: splits.lens(m, screen_depth_m=[1.0], radius_m=1.0, centre_on="origin"),
                  lambda m: splits.surface_map(m, half_width_m=1.0)):  # fmt: skip

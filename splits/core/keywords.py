@@ -59,8 +59,12 @@ def suggest_order(
     """
     given = dict(zip(names, values, strict=False))
     key = re.split(r"\W", error.key, maxsplit=1)[0]
-    recognize = RECOGNIZED_ARGUMENTS.get(key, lambda value: True)
-    if key not in given or recognize(given[key]) or not any(map(recognize, given.values())):
+    misplaced = [
+        name for name in given.keys() & RECOGNIZED_ARGUMENTS.keys()
+        if not RECOGNIZED_ARGUMENTS[name](given[name])
+        and any(map(RECOGNIZED_ARGUMENTS[name], given.values()))
+    ]  # fmt: skip
+    if key not in given or not misplaced:
         return error
     order = f"the order is {name}({', '.join(one for one in given if one != 'self')})"
     return type(error)(error.key, error.value, error.allowed, order)

@@ -533,7 +533,10 @@ class other_constructor:
             for name in keywords:
                 if name not in names:
                     raise unknown_key(name, names)
-            return owner(**self.complete(owner, keywords))  # type: ignore[call-arg]
+            try:
+                return owner(**self.complete(owner, keywords))  # type: ignore[call-arg]
+            except (InvalidValue, FileNotFoundError) as error:
+                raise error.with_traceback(None) from None
 
         shown = [
             one.replace(kind=one.KEYWORD_ONLY, default=self.defaults.get(name, one.default))

@@ -148,7 +148,7 @@ def test_all_scalar_types_are_accepted(value):
     assert (
         check_incidence("incidence_deg", value) == check_beam_angle("incidence_deg", value) == 30.0
     )
-    assert check_wavelengths(500.0 + 0 * value).tolist() == [500.0]
+    assert check_wavelengths("wavelength_nm", 500.0 + 0 * value).tolist() == [500.0]
     assert splits.Snow(density_kg_m3=value * 10).density_kg_m3 == 300.0
     if not isinstance(value, float | np.float32) and np.asarray(value).dtype.kind == "i":
         assert check_integer("rays", value, 1) == 30

@@ -176,7 +176,8 @@ SectionSky = Annotated[
     str,
     Quantity(
         "sky, see `splits.sky`: clear, for snowpacks with the zenith angle of the sun, or another",
-        check=lambda key, name: check_choice(key, name, SKIES), schema={"type": "string", "enum": [*SKIES]},
+        check=lambda key, name: check_choice(key, name, SKIES),
+        schema={"type": "string", "enum": [*SKIES]},
     ),
 ]  # fmt: skip
 SECTION_TYPES = {"seed": (SectionSeed, None), "sky": (SectionSky, CLEAR_SKY)}

@@ -47,12 +47,6 @@ def make_arguments(function):
     }
 
 
-def list_positional(function):
-    """Return the names of required arguments that need no keyword."""
-    parameters = inspect.signature(function).parameters
-    return [n for n in make_arguments(function) if parameters[n].kind != parameters[n].KEYWORD_ONLY]
-
-
 def read_message(function, *values, **keywords):
     with pytest.raises((ValueError, TypeError)) as caught:
         function(*values, **keywords)

@@ -319,9 +319,13 @@ def check_named_numbers(
     """
     allowed = f"{len(names)} numbers ({', '.join(names)})"
     value = as_scalar(value)
-    is_other = isinstance(value, (str, bytes, Set, Mapping)) or not isinstance(value, Iterable)
     # A masked scalar has no dimension to iterate over.
-    if is_other or getattr(value, "shape", None) == ():
+    is_scalar = getattr(value, "shape", None) == ()
+    if (
+        is_scalar
+        or isinstance(value, str | bytes | Set | Mapping)
+        or not isinstance(value, Iterable)
+    ):
         raise invalid(key, value, allowed)
     values = tuple(itertools.islice(value, len(names) + 1))
     if len(values) != len(names):

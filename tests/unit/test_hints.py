@@ -64,7 +64,6 @@ def read_message(function, *values, **keywords):
 def list_swaps():
     functions = [*INSTRUMENTS, splits.build_table, splits.retrieve, splits.save]
     for function in functions:
-        arguments = make_arguments(function)
         names = list_positional(function)
         for one in range(len(names)):
             for other in range(one + 1, len(names)):

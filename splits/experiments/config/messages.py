@@ -22,8 +22,8 @@ def validate_content(model: type[SectionType], content: Any) -> SectionType:
         return model.model_validate(content)
     except ValidationError as error:
         described = describe_error(error, content=content)
-    parts = (described.allowed, described.hint) if isinstance(described, InvalidValue) else ()
-    if parts == (MAPPING, ""):
+    has_hint = getattr(described, "hint", "")
+    if isinstance(described, InvalidValue) and described.allowed == MAPPING and not has_hint:
         hint = suggest_mapping(described.key, described.value, ())
         described = invalid(described.key, described.value, MAPPING, hint)
     raise described

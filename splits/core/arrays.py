@@ -321,11 +321,8 @@ def check_named_numbers(
     value = as_scalar(value)
     # A masked scalar has no dimension to iterate over.
     is_scalar = getattr(value, "shape", None) == ()
-    if (
-        is_scalar
-        or isinstance(value, str | bytes | Set | Mapping)
-        or not isinstance(value, Iterable)
-    ):
+    is_other = isinstance(value, (str, bytes, Set, Mapping))
+    if is_other or is_scalar or not isinstance(value, Iterable):
         raise invalid(key, value, allowed)
     values = tuple(itertools.islice(value, len(names) + 1))
     if len(values) != len(names):

@@ -22,8 +22,7 @@ def validate_content(model: type[SectionType], content: Any) -> SectionType:
         return model.model_validate(content)
     except ValidationError as error:
         described = describe_error(error, content=content)
-    has_hint = getattr(described, "hint", "")
-    if isinstance(described, InvalidValue) and described.allowed == MAPPING and not has_hint:
+    if isinstance(described, InvalidValue) and (described.allowed, described.hint) == (MAPPING, ""):
         hint = suggest_mapping(described.key, described.value, ())
         described = invalid(described.key, described.value, MAPPING, hint)
     raise described

@@ -386,6 +386,9 @@ class Instrument:
         if "incidence_deg" in grid and "incidence_deg" not in inputs:
             given, allowed = [*grid["incidence_deg"].values()], f"left out for {self.kind}"
             raise invalid("grid.incidence_deg", given, allowed)
+        if "incidence_deg" in grid and self.get_incidence() != 0.0:
+            allowed = "left out, because grid.incidence_deg sets it"
+            raise invalid("instrument.incidence_deg", self.get_incidence(), allowed)
         scales, n_points = self.get("point_stderr_scale"), math.prod(map(len, grid.values()))
         if scales is not None and (len(scales) != n_points or not is_single):
             allowed = f"{n_points} numbers, one for each point of the grid"

@@ -17,7 +17,7 @@ from splits.kernels.scene import Scene
 from splits.kernels.transport.history import trace_to_detectors
 from splits.kernels.transport.next_event import ABOVE, BELOW, Detectors
 from splits.media.medium import Medium, ParticleMedium
-from splits.simulation.scene import get_bottom_albedo
+from splits.simulation.scene import get_ground_albedo
 from splits.simulation.spectral_nodes import make_separate_nodes
 from splits.simulation.strata import Evaluation, StoppingRule, Stratum
 from splits.simulation.tally import LOST_MESSAGE, RAYS_PER_CHUNK, allow_for_unseen_rays
@@ -57,7 +57,7 @@ def get_detected_layers(medium: Medium) -> tuple[ParticleMedium, ...]:
         raise _reject_estimator("for this phase_function", hint)
     if len(layers) > 1 and any(peak is not None for peak in peaks):
         raise _reject_estimator("for this phase_function", "narrow peaks require a single layer")
-    if medium.reflecting_ground is not None and get_bottom_albedo(medium) is None:
+    if medium.reflecting_ground is not None and get_ground_albedo(medium) is None:
         is_stack = medium.lowest_layer is not medium
         kind = "the ground of a stack" if is_stack else "a ground that depends on wavelength"
         raise _reject_estimator(f"over {kind}")
@@ -245,9 +245,9 @@ class DetectorTally(AngularTally):
         # Light that reaches the ground has other angles than at detectors outside.
         self.undefined_variables = () if self.has_lower_side else ("btdf",)
         scatters = any(one.single_scattering_albedo * one.extinction_per_m > 0.0 for one in layers)
-        self.no_signal = scene.opaque is not None or not (scatters or scene.bottom_albedo)
+        self.no_signal = scene.opaque is not None or not (scatters or scene.ground_albedo)
         conservative = all(layer.single_scattering_albedo == 1.0 for layer in layers)
-        self.lossless = conservative and scene.bottom_albedo == 1.0
+        self.lossless = conservative and scene.ground_albedo == 1.0
         self.values_per_row = math.prod(self.shape) + 4
         self.sums, self.sums_of_squares, self.max_scores = np.zeros((3, self.values_per_row))
         self.sums_of_products = np.zeros((*self.shape[:2], 3))

@@ -65,7 +65,7 @@ from splits.simulation.scene import (
     compute_material_constants,
     compute_optical_constants,
     describe_polarization,
-    get_bottom_albedo,
+    get_ground_albedo,
 )
 from splits.simulation.shared_paths import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_nodes import choose_nodes
@@ -350,8 +350,8 @@ def goniophotometer(
     """
     check_medium(medium, allow_semi_infinite=solver != MONTE_CARLO)
     wavelengths, incidence = np.asarray(wavelength_nm), incidence_deg
-    bottom_albedo = get_bottom_albedo(medium)
-    has_ground = medium.reflecting_ground is not None and bottom_albedo is None
+    ground_albedo = get_ground_albedo(medium)
+    has_ground = medium.reflecting_ground is not None and ground_albedo is None
     side = TARGET_SIDES[target]
     if has_ground and side == 1:
         raise invalid("target", target, "brdf over a ground", "no light leaves through a ground")
@@ -391,7 +391,7 @@ def goniophotometer(
             chosen = MONTE_CARLO
     if chosen == MONTE_CARLO:
         check_medium(medium)
-        scene = build_scene(medium, incidence, False, polarization, bottom_albedo)
+        scene = build_scene(medium, incidence, False, polarization, ground_albedo)
         tally = _make_angular_tally(medium, scene, incidence, request, estimator, bins)
         # Bins have no error that a run could reach.
         is_fixed = rays is not None or bins is not None
@@ -436,7 +436,7 @@ def _make_angular_tally(
         layers = get_detected_layers(medium)
         detectors = make_detectors(layers, scene, polar, azimuth)
         return DetectorTally(layers, scene, detectors, target, len(wavelengths))
-    is_counted = scene.bottom_albedo is None
+    is_counted = scene.ground_albedo is None
     compute = compute_optical_constants if is_counted else compute_material_constants
     index, absorption = compute(medium, wavelengths)
     tolerance = INTERPOLATION_FRACTION * relative_stderr

@@ -306,7 +306,7 @@ class Scene(NamedTuple):
     ground_contact : True or None
         Whether the ground is in contact with the matrix of the lowest layer; otherwise the lower
         boundary of the sample is an interface.
-    bottom_albedo : float or None
+    ground_albedo : float or None
         Albedo of a ground whose absorption is analog, for the directions of the light that it
         absorbs; it replaces the column of the ground.
     stokes : Stokes or None
@@ -327,7 +327,7 @@ class Scene(NamedTuple):
     ground_column: int
     record_crossings: bool
     ground_contact: bool | None = None
-    bottom_albedo: float | None = None
+    ground_albedo: float | None = None
     stokes: Stokes | None = None
     height_fields: Any = None
     opaque: bool | None = None

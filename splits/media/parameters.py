@@ -47,7 +47,7 @@ _LAYER_PATTERN = re.compile(r"layers\.(\d+)\.(.+)")
 
 
 @cache
-def list_quantities() -> dict[str, Quantity]:
+def list_declared_quantities() -> dict[str, Quantity]:
     """Return the meaning of the inputs of all media, of the light and of derived quantities."""
     quantities: dict[str, Quantity] = {}
     for medium in MEDIA:
@@ -63,12 +63,12 @@ def list_quantities() -> dict[str, Quantity]:
 
 def get_quantity(key: str) -> Quantity:
     """Return the meaning of a keyword; an unknown one, of a user's function, means its name."""
-    return list_quantities().get(key) or Quantity(key.replace("_", " "))
+    return list_declared_quantities().get(key) or Quantity(key.replace("_", " "))
 
 
 def list_amounts() -> list[str]:
     """Return the keywords that are mappings of amounts by kind."""
-    return [name for name, quantity in list_quantities().items() if quantity.kinds]
+    return [name for name, quantity in list_declared_quantities().items() if quantity.kinds]
 
 
 def parse_layer_parameter(parameter: str) -> tuple[int, str] | None:
@@ -132,7 +132,7 @@ def list_parameters(medium: Any) -> list[str]:
             for n in list_parameters(layer)
         ]
     values = {f.name: getattr(medium, f.name) for f in fields(medium)}
-    quantities = {n: one for n, one in list_quantities().items() if n in values}
+    quantities = {n: one for n, one in list_declared_quantities().items() if n in values}
     parameters = [n for n, v in values.items() if isinstance(v, Real) and not isinstance(v, bool)]
     parameters += [name for name, one in quantities.items() if one.is_distribution]
     parameters += getattr(medium, "ALTERNATIVES", ())

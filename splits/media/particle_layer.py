@@ -355,12 +355,12 @@ def _read_elements(columns: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
 # Particle layer.
 
 CLEARANCE_SIGMA = 8.0
-"""Minimum distance between the mean surface and the bottom, in standard deviations of height."""
+"""Minimum distance between the mean surface and the ground, in standard deviations of height."""
 
 SEMI_INFINITE_TRANSPORT_MFP = 40.0
 """Depth that replaces infinity in a conservative layer, in transport mean free paths.
 
-The influence of the bottom on the reflected light has decayed by exp(−40) there.
+The influence of the ground on the reflected light has decayed by exp(−40) there.
 """
 
 MAX_OPTICAL_DISTANCE = 5e5
@@ -429,7 +429,7 @@ LayerThickness = Annotated[
 class ParticleLayer(ContentEquality, ParticleMedium):
     """Homogeneous layer of small particles in a transparent matrix.
 
-    The properties do not depend on wavelength.
+    The properties do not depend on wavelength, except those of the ground.
 
     Parameters
     ----------

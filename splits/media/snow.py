@@ -138,10 +138,9 @@ def to_shortest_keywords(snow: Any, inputs: Mapping[str, Any]) -> dict[str, Any]
     default_size = type(snow)().grain_size_um
     ratios = [largest / smallest for smallest, largest in (snow.grain_size_um, default_size)]
     scaled = abs(ratios[0] / ratios[1] - 1.0) < 1e-9
-    for own, measured in (
-        ("grain_size_um", (SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY)),
-        ("saturation", (LIQUID_WATER_KEY,)),
-    ):
+    alternatives = type(snow).ALTERNATIVES
+    for own in dict.fromkeys(alternatives.values()):
+        measured = [name for name, replaced in alternatives.items() if replaced == own]
         if own in inputs and (scaled or own != "grain_size_um"):
             best = min((*measured, own), key=lambda name: count_digits(getattr(snow, name)))
             del shortest[own]

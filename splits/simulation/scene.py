@@ -202,7 +202,7 @@ def compute_optical_constants(medium: Medium, wavelength_nm: np.ndarray) -> Opti
     )
 
 
-def get_bottom_albedo(medium: Medium) -> float | None:
+def get_ground_albedo(medium: Medium) -> float | None:
     """Return the albedo of a reflecting ground whose absorption may be analog, otherwise None.
 
     It is in contact with a layer of particles, and the same at all wavelengths.  Light that it
@@ -220,13 +220,13 @@ def build_scene(
     incidence_deg: float | str,
     analog: bool,
     polarization: IncidentPolarization | None = None,
-    bottom_albedo: float | None = None,
+    ground_albedo: float | None = None,
 ) -> Scene:
     """Return an illuminated medium.
 
     `analog` samples absorption at each segment; `polarization` is that of the incident light, None
     for runs without it.  Polarized layers of particles require it: unpolarized light by default.
-    With `bottom_albedo`, see `get_bottom_albedo`, the absorption by the ground is analog.
+    With `ground_albedo`, see `get_ground_albedo`, the absorption by the ground is analog.
     """
     media = medium.scene_layers
     if polarization is None and medium.polarized:
@@ -239,7 +239,7 @@ def build_scene(
     source = Source(1.0, 1.0)
     if incidence_deg != "diffuse":
         source = Source(float(np.cos(np.radians(float(incidence_deg)))), 0.0)
-    has_ground = medium.reflecting_ground is not None and bottom_albedo is None
+    has_ground = medium.reflecting_ground is not None and ground_albedo is None
     height_fields = make_height_fields(medium)
     return Scene(
         source,
@@ -250,7 +250,7 @@ def build_scene(
         int(first_materials[-1]) if has_ground else NO_GROUND,
         False,
         ground_contact=None if media[-1].scene_bottom.ground is None else True,
-        bottom_albedo=bottom_albedo,
+        ground_albedo=ground_albedo,
         stokes=None if polarization is None else polarization.make_stokes(incidence_deg),
         height_fields=height_fields,
         opaque=True if any(layer.opaque for layer in media) else None,

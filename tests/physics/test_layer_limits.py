@@ -17,7 +17,7 @@ from splits.kernels.interface import fresnel
 from splits.kernels.scene import make_bounding_optics
 from splits.kernels.transport.history import trace_to_detectors
 from splits.kernels.transport.next_event import ABOVE
-from splits.simulation.scene import build_scene, compute_optical_constants
+from splits.simulation.scene import build_scene, compute_material_constants
 
 NM = [550.0]
 CONSERVATIVE = {"single_scattering_albedo": 1.0, "ground": 1.0}
@@ -273,12 +273,12 @@ def test_local_estimation_above_a_bottom_has_no_btdf():
 
 @pytest.mark.parametrize("max_order", [0, 1])
 def test_next_event_estimation_ends_at_the_largest_order(max_order):
-    """The bottom counts as one order of scattering; without particles it is the only one."""
+    """The ground counts as one order of scattering; without particles it is the only one."""
     layer = splits.ParticleLayer(optical_thickness=0.0, refractive_index=1.0, ground=0.5)
-    scene, zenith = build_scene(layer, 50.0, False), np.array([0.0])
+    scene, zenith = build_scene(layer, 50.0, False, ground_albedo=0.5), np.array([0.0])
     detectors = make_detectors([layer], scene, zenith, zenith)
     scene = scene._replace(detectors=detectors)
-    index, absorption = compute_optical_constants(layer, np.array(NM))
+    index, absorption = compute_material_constants(layer, np.array(NM))
     optics, totals = make_bounding_optics(index[0], absorption), np.zeros((2, 2))
     trace_to_detectors(1, np.array([0, 0, 100, max_order]), scene, optics, totals)
     expected = 0.5 / math.pi if max_order == 1 else 0.0

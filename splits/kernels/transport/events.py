@@ -150,7 +150,7 @@ def cross_interface(state, ray, scene, optics, path_lengths, crossings):
     next_layer = find_adjacent_layer(ray.layer, ray.direction)
     inside = 0 <= next_layer < layers.collision_coefficient.size
     # A ground that absorbs all light is an exit.
-    reflects = scene.ground_column != NO_GROUND or scene.bottom_albedo is not None
+    reflects = scene.ground_column != NO_GROUND or scene.ground_albedo is not None
     exit_status = TO_GROUND if reflects else TRANSMITTED
     if scene.ground_contact is not None and next_layer == layers.collision_coefficient.size:
         return replace(ray, status=exit_status)
@@ -227,8 +227,8 @@ def absorb_at_ground(state, ray, scene, optics, path_lengths):
     −ln(albedo), so that a hit is a segment of length 1.
     """
     ray = replace(ray, status=ALIVE)
-    if scene.bottom_albedo is not None:
-        absorbed = uniform(state) >= scene.bottom_albedo
+    if scene.ground_albedo is not None:
+        absorbed = uniform(state) >= scene.ground_albedo
         return replace(ray, status=TRANSMITTED if absorbed else ALIVE)
     ray = attenuate(state, ray, 1.0, scene.ground_column, optics, scene.rules.analog, path_lengths)
     # Light that the ground absorbs counts as transmitted.

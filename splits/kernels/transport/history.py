@@ -160,7 +160,7 @@ def trace_ray(state, scene, optics, path_lengths, crossings, rough_top, max_orde
         if ray.status == ALIVE:
             ray = trace_history(state, ray, scene, optics, path_lengths, crossings, rough_top)
             continue
-        if crossings is not None and scene.bottom_albedo is None and not scene.rules.analog:
+        if crossings is not None and scene.ground_albedo is None and not scene.rules.analog:
             code = encode_crossing(n_boundaries - 2, False)
             append_crossing(crossings, code, ray.weight, path_lengths)
         ray = reflect_from_ground(state, ray, scene, optics, path_lengths)

@@ -450,9 +450,9 @@ def score_scattering_at_detector(state, detectors, layers, phase, peak_order, ra
 def score_ground(state, scene, ray):
     """Score light that the ground reflects at all detectors above."""
     detectors, layers, stokes = scene.detectors, scene.layers, ray.stokes
-    if scene.bottom_albedo is None:
+    if scene.ground_albedo is None:
         return
-    weight, phase = ray.weight * scene.bottom_albedo, detectors.phase
+    weight, phase = ray.weight * scene.ground_albedo, detectors.phase
     layer = layers.collision_coefficient.size - 1
     depth = compute_optical_depth(layers, layer, layers.boundaries[layer + 1])
     for k in range(detectors.plane.shape[0]):

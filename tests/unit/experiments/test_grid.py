@@ -12,7 +12,7 @@ from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.media.kinds import MEDIUM_CLASSES
-from splits.media.parameters import DERIVED_QUANTITIES, list_quantities
+from splits.media.parameters import DERIVED_QUANTITIES, list_declared_quantities
 
 WAVES = {"rms_height_m": 0.01, "wave_number_per_m": 20, "waves": 8, "correlation": "gaussian"}
 LENS = {
@@ -54,8 +54,8 @@ def small_lens():
 def test_every_parameter_has_a_long_name_and_units():
     keywords = {name for medium in MEDIUM_CLASSES.values() for name in list_inputs(medium)}
     described = keywords | {"medium", "incidence_deg", *DERIVED_QUANTITIES}
-    assert set(list_quantities()) == described
-    assert all(one.long_name and one.unit for one in list_quantities().values())
+    assert set(list_declared_quantities()) == described
+    assert all(one.long_name and one.unit for one in list_declared_quantities().values())
 
 
 def test_ranges_have_numeric_means():

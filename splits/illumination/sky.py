@@ -16,7 +16,7 @@ from splits.core.arrays import ContentEquality, check_array_range
 from splits.core.declarations import Quantity
 from splits.core.keywords import declare_function
 from splits.core.optional import import_optional
-from splits.core.validation import check_range, invalid, suggest_name
+from splits.core.validation import InvalidValue, check_range, invalid, suggest_name
 from splits.illumination.bands import SpectralBand, as_bands, interpolate_locally
 from splits.materials.csv_table import (
     is_csv_path,
@@ -326,7 +326,8 @@ def sky(
             raise invalid("zenith_deg", None, ZENITH_REQUIREMENT, hint)
         content = np.stack([user_sky.wavelength_nm, user_sky.direct, user_sky.diffuse])
         return replace(user_sky, sha256=digest or hashlib.sha256(content.tobytes()).hexdigest())
-    _check_sky("sky", spectrum)
+    if name not in list_sky_names():
+        raise _make_sky_error("sky", spectrum)
     table = _load_snicar_skies()
     irradiance = table[name].to_numpy()
     light = (irradiance, np.zeros_like(irradiance))
@@ -340,13 +341,19 @@ def sky(
     )
 
 
+def _make_sky_error(key: str, value: object) -> InvalidValue:
+    """Return the error of a value that is no sky."""
+    known = [*list_sky_names(), CLEAR_SKY, ASTM_G173]
+    allowed = "one of " + ", ".join(known) + ", a mapping or a .csv file"
+    return invalid(key, value, allowed, suggest_name(value, known))
+
+
 def _check_sky(key: str, value: Any) -> Any:
     """Return a sky of a user after checking its name, if it is one."""
-    known = [*list_sky_names(), CLEAR_SKY, ASTM_G173]
+    known = (*list_sky_names(), CLEAR_SKY, ASTM_G173)
     is_other = not (isinstance(to_columns(value), Sky | Mapping | Path) or callable(value))
     if is_other and not (isinstance(value, str) and (value in known or is_csv_path(value))):
-        allowed = "one of " + ", ".join(known) + ", a mapping or a .csv file"
-        raise invalid(key, value, allowed, suggest_name(value, known))
+        raise _make_sky_error(key, value)
     return value
 
 

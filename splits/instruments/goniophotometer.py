@@ -207,10 +207,21 @@ def _check_n_bins(key: str, n_bins: Any) -> tuple[int, int]:
     return polar, azimuth
 
 
+ViewPolarAngles = Annotated[
+    PolarAngles | None,
+    Quantity("angle from the normal, by default 0 to 87.5 in steps of 2.5", "degree"),
+]
+ViewAzimuths = Annotated[
+    Azimuths | None,
+    Quantity(
+        "angle from the direction in which the beam travels, by default 0 to 355 in steps of 5",
+        "degree",
+    ),
+]
 BinNumbers = Annotated[
     tuple[int, int],
     Quantity(
-        "numbers of angular bins from the horizon to the zenith, and in azimuth",
+        "numbers of angular bins from the horizon to the zenith, and in azimuth, by default 18, 72",
         check=_check_n_bins,
         schema=describe_numbers("polar", "azimuth", type="integer", minimum=1, maximum=1000),
     ),
@@ -237,8 +248,8 @@ def goniophotometer(
     rays: Rays = None,
     solver: Solver = "auto",
     target: AngularTarget = "brdf",
-    polar_deg: PolarAngles | None = None,
-    azimuth_deg: Azimuths | None = None,
+    polar_deg: ViewPolarAngles = None,
+    azimuth_deg: ViewAzimuths = None,
     estimator: AngularEstimator = "expansion",
     n_bins: BinNumbers | None = None,
     stokes: IncidentStokes = False,

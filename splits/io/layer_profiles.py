@@ -135,7 +135,7 @@ LIMIT_TOLERANCE_M = 1e-4
 TOP_DOWN = "top down"
 
 
-class Quantity(NamedTuple):
+class FileQuantity(NamedTuple):
     """Number in a file: its unit in the schema and in `splits`, and where others are stated.
 
     Attributes
@@ -155,13 +155,13 @@ class Quantity(NamedTuple):
 
 
 QUANTITIES = {
-    "depth": Quantity("cm", "m", ("uomdepth",)),
-    "depthTop": Quantity("cm", "m", ("uomdepthtop", "uomdepth")),
-    "thickness": Quantity("cm", "m", ("uomthickness", "uomdepth")),
-    "density": Quantity("kgm-3", "kg m-3", ("uomdensity",)),
-    "specSurfArea": Quantity("m2kg-1", "m2 kg-1", ("uomspecsurfarea",)),
-    "lwc": Quantity("% by Vol", "1", ("uomlwc",)),
-    "snowTemp": Quantity("degC", "degC", ("uomsnowtemp", "uomtemp"), -np.inf),
+    "depth": FileQuantity("cm", "m", ("uomdepth",)),
+    "depthTop": FileQuantity("cm", "m", ("uomdepthtop", "uomdepth")),
+    "thickness": FileQuantity("cm", "m", ("uomthickness", "uomdepth")),
+    "density": FileQuantity("kgm-3", "kg m-3", ("uomdensity",)),
+    "specSurfArea": FileQuantity("m2kg-1", "m2 kg-1", ("uomspecsurfarea",)),
+    "lwc": FileQuantity("% by Vol", "1", ("uomlwc",)),
+    "snowTemp": FileQuantity("degC", "degC", ("uomsnowtemp", "uomtemp"), -np.inf),
 }
 """Numbers by the name of their element."""
 PROFILES = {

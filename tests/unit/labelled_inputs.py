@@ -293,10 +293,11 @@ def make_cases(folder: Path) -> dict[str, Any]:
     optics = make_optics(noise=1e-3)
     pulse = columns(delay_s=[0.0, 1e-4, 3e-4], power=ALBEDOS)
     return {
-        "Snow": (wet, snow),
+        "Snow": (wet, {**snow, "interpretation": []}),
         "Snow.natural": ({"grain_size_um": (64.0, 128.0), "depth_m": 0.05, **wet},
                          {**snow, "interpretation": []}),
         "Sand": ({**wet, "interpretation": {"water": "whole_pores"}}, {
+            "interpretation": [],
             "partition": [named([0.25, 0.5, 0.25], ["pure", "mixed", "coated"])],
             "texture": [named([0.0, 0.125, 0.875], ["clay", "silt", "sand"])],
             "roundness": [], "sphericity": [shape],
@@ -307,6 +308,7 @@ def make_cases(folder: Path) -> dict[str, Any]:
         "ParticleLayer": ({"depth_m": 100.0}, {
             "surface": [surface], "scattering_matrix": matrices,
             "phase_function": [columns(frame=False, cosine=[-1.0, 0.0, 1.0], density=ALBEDOS)],
+            "ground": ground,
         }),
         "RoughSurface": ({}, {"fields": [surface]}),
         "Stack": ({"layers": [SNOW]}, {"ground": ground, "layers": []}),
@@ -342,6 +344,9 @@ def make_cases(folder: Path) -> dict[str, Any]:
         "open_table": ({}, {"path": []}),
         "load_medium": ({}, {"name": [], "keywords": []}),
         "save": ({}, {"dataset": [], "path": []}),
+        **dict.fromkeys(("compute_difference", "make_colour_table", "select_principal_plane"),
+                        ({}, {"dataset": []})),
+        "draw": ({}, {"dataset": [], "section": []}),
         "Table": ({}, {"dataset": [labelled(table)]}),
         "Table.at_view": ({"polar_deg": 20.0, "azimuth_deg": 30.0}, {
             "diffuse_fraction": [named([0.25, 0.5], [500.0, 900.0])]}),
@@ -375,7 +380,7 @@ def make_cases(folder: Path) -> dict[str, Any]:
         "single_scattering": ({"medium": SNOW, **FEW_RAYS}, {"wavelength_nm": [axis(*NM)]}),
         "time_of_flight": ({"medium": SNOW, "wavelength_nm": NM, **FEW_RAYS}, {
             "wavelength_nm": [axis(*NM)], "delay_s": [axis(0.0, 1e-4, 4e-4)],
-            "depths_m": [axis(0.001, 0.002)],
+            "depth_m": [axis(0.001, 0.002)],
             "pulse": [pulse._replace(value=None, permuted=[])]}),
         "build_table": ({"make": lambda saturation: NATURAL, "grid": {"saturation": [0.0]},
                          "wavelength_nm": NM, **QUICK}, {

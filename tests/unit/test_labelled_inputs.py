@@ -2,7 +2,9 @@
 
 import inspect
 import re
+import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -15,7 +17,9 @@ from splits.io.netcdf import drop_run_specific_attributes
 
 METHODS = {"SnowPacks": PACKS, "Table": DIRECTION_TABLE}
 """Classes whose methods take data, and an instance of each."""
-DATA_TYPES = re.compile(r"\bAny\b|ndarray|xr\.|pd\.|Path|Mapping\[str, (?!Medium)|tuple\[")
+DATA_TYPES = re.compile(
+    r"\bAny\b|ndarray|xr\.|pd\.|Path|Mapping\[str, (?!.*Medium)|tuple\[|Sequence\[float\]|xarray"
+)
 """Annotations of parameters that take arrays, datasets, tables, mappings or files."""
 OTHER_PROGRAMS = "to_"
 """Prefix of methods that convert tables for other programs."""
@@ -35,13 +39,21 @@ def list_callables() -> dict[str, Any]:
     return found
 
 
+def describe_type(function: Any, annotation: Any) -> str:
+    """Return the text of an annotation, with declared types in full."""
+    with suppress(NameError, TypeError):
+        return str(eval(annotation, vars(sys.modules[function.__module__])))
+    return str(annotation)
+
+
 def list_inputs() -> list[tuple[str, str]]:
     """Return all parameters that take data, as pairs of callable and parameter."""
     return [
         (name, parameter.name)
         for name, function in list_callables().items()
         for parameter in inspect.signature(function).parameters.values()
-        if parameter.name != "self" and DATA_TYPES.search(str(parameter.annotation))
+        if parameter.name != "self"
+        and DATA_TYPES.search(describe_type(function, parameter.annotation))
     ]
 
 

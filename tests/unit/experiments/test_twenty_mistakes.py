@@ -67,12 +67,12 @@ MISTAKES = [
      "refractive_index, return_table, single_scattering, spectrophotometer, surface_map, table, "
      "time_of_flight (did you mean goniophotometer?)",
      IN_SCHEMA),
-    ("  radius_m: 3\n", "", "line 13: instrument.radius_m = 3: must be left out for "
-     "goniophotometer (it belongs to lens)", IN_SCHEMA),
     ("550 nm", "550", "line 11: instrument.wavelength_nm = '550 nm': must be numbers in nanometres "
      "(this is text, not a number)", IN_SCHEMA),
     ("95", "45", "line 12: instrument.incidence_deg = 95: must be in [0, 89.9999] degrees",
      IN_SCHEMA),
+    ("  radius_m: 3\n", "", "line 13: instrument.radius_m = 3: must be left out for "
+     "goniophotometer (it belongs to lens)", IN_SCHEMA),
     ("brfd", "brdf", "line 13: instrument.target = 'brfd': must be one of brdf, btdf (did you "
      "mean brdf?)", IN_SCHEMA),
     ("[180, 0]", "[0, 180]", "line 14: instrument.azimuth_deg = [180.0, 0.0]: must be strictly "

@@ -178,7 +178,7 @@ def test_a_full_coating_has_no_kaolinite(oxide):
         ({"partition": (0.5, 0.6, -0.1)}, r"^partition = \(0.5, 0.6, -0.1\): .*at least 0"),
         ({"partition": (0.5, 0.5)}, r"^partition = .*3 numbers \(pure, mixed, coated\)"),
         ({"magnetite": 0.98}, r"^magnetite = 0.98: must be in \[0, 0.97\]"),
-        ({"magnetite": -0.1}, r"^magnetite = -0.1: must be in \[0, 1\]"),
+        ({"magnetite": -0.1}, r"^magnetite = -0.1: must be in \[0, 0.97\]"),
         ({"iron_oxide": 1.1}, r"^iron_oxide = 1.1: must be in \[0, 1\]"),
         ({"hematite_ratio": -0.1}, r"^hematite_ratio = -0.1: must be in \[0, 1\]"),
     ],

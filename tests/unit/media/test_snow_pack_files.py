@@ -139,7 +139,7 @@ def test_several_files_are_one_dataset(tmp_path):
     assert named.dataset.file.values.tolist() == ["a.xml", "b.xml", "c.xml"]
     with pytest.raises(InvalidValue, match="time = '2024-02-01 10:30:00': must be different"):
         splits.read_caaml([paths[0], paths[0]])
-    with pytest.raises(InvalidValue, match="label = 'site': must be one of time, file"):
+    with pytest.raises(InvalidValue, match="label = 'site': must be one of file, time"):
         splits.read_caaml(paths, label="site")
     with pytest.raises(InvalidValue, match=r"path = .*at least one file"):
         splits.read_caaml([])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from splits.core.inputs import ResultDataset
+from splits.core.inputs import POLAR_ANGLE, ResultDataset
 from splits.core.keywords import declare_function
 from splits.core.validation import invalid, join_names
 
@@ -47,7 +47,8 @@ def select_principal_plane(dataset: ResultDataset) -> xr.Dataset:
     # The zenith is in both halves; the forward one keeps it.
     back = back.isel(angle=back.angle.values < 0.0)
     plane = xr.concat([back, forward], "angle", data_vars="minimal", coords="minimal")
-    attributes = {"units": "degree", "long_name": "angle from the normal, positive forward"}
+    attributes = POLAR_ANGLE.attributes
+    attributes["long_name"] += ", positive forward"
     return plane.assign_coords(angle=("angle", plane.angle.values, attributes))
 
 

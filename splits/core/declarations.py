@@ -140,6 +140,11 @@ class Quantity:
         return f"{self.long_name} ({self.unit})" if self.unit != "1" else self.long_name
 
     @property
+    def attributes(self) -> dict[str, str]:
+        """Long name and units of a variable or a coordinate of a dataset."""
+        return {"long_name": self.long_name, "units": self.unit}
+
+    @property
     def is_distribution(self) -> bool:
         """Whether the input is a distribution, which is shifted as a whole."""
         return self.mean is not None and self.mean >= 0

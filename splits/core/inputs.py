@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
@@ -212,42 +213,31 @@ LIST_SCHEMA = NUMBERS_SCHEMA["anyOf"][0]
 WAVELENGTHS_SCHEMA = describe_array(minimum=WAVELENGTH_RANGE_NM[0], maximum=WAVELENGTH_RANGE_NM[1])
 ANGLE_SCHEMA = {"type": "number", "minimum": 0.0, "maximum": 89.9999}
 
-Wavelengths = Annotated[
-    Numbers,
-    Quantity(
-        "wavelengths in vacuum, increasing", "nm", check=check_wavelengths,
-        schema={
-            "anyOf": [
-                *WAVELENGTHS_SCHEMA["anyOf"],
-                *describe_spacing(also=WAVELENGTHS_SCHEMA["anyOf"][0]),
-            ]
-        },
-    ),
-]  # fmt: skip
-BeamAngle = Annotated[
-    float, Quantity("angle of incidence", "degree", check=check_beam_angle, schema=ANGLE_SCHEMA)
-]
-Incidence = Annotated[
-    float | str,
-    Quantity(
-        "angle of incidence", "degree", label="incidence", first_step=4.0, check=check_incidence,
-        schema={"anyOf": [ANGLE_SCHEMA, {"const": DIFFUSE}]},
-    ),
-]  # fmt: skip
-PolarAngles = Annotated[
-    Numbers,
-    Quantity(
-        "angle from the normal", "degree", check=check_polar_angles,
-        schema=describe_array(minimum=0.0, exclusiveMaximum=90.0),
-    ),
-]  # fmt: skip
-Azimuths = Annotated[
-    Numbers,
-    Quantity(
-        "angle from the direction in which the beam travels", "degree", check=check_azimuths,
-        schema=describe_array(minimum=0.0, exclusiveMaximum=FULL_TURN_DEG),
-    ),
-]  # fmt: skip
+WAVELENGTH = Quantity(
+    "wavelength in vacuum", "nm", check=check_wavelengths,
+    schema={
+        "anyOf": [
+            *WAVELENGTHS_SCHEMA["anyOf"], *describe_spacing(also=WAVELENGTHS_SCHEMA["anyOf"][0]),
+        ]
+    },
+)  # fmt: skip
+INCIDENCE_ANGLE = Quantity(
+    "angle of incidence", "degree", label="incidence", first_step=4.0, check=check_incidence,
+    schema={"anyOf": [ANGLE_SCHEMA, {"const": DIFFUSE}]},
+)  # fmt: skip
+POLAR_ANGLE = Quantity(
+    "angle from the normal", "degree", check=check_polar_angles,
+    schema=describe_array(minimum=0.0, exclusiveMaximum=90.0),
+)  # fmt: skip
+AZIMUTH_ANGLE = Quantity(
+    "angle from the direction in which the beam travels", "degree", check=check_azimuths,
+    schema=describe_array(minimum=0.0, exclusiveMaximum=FULL_TURN_DEG),
+)  # fmt: skip
+Wavelengths = Annotated[Numbers, WAVELENGTH]
+Incidence = Annotated[float | str, INCIDENCE_ANGLE]
+BeamAngle = Annotated[float, replace(INCIDENCE_ANGLE, check=check_beam_angle, schema=ANGLE_SCHEMA)]
+PolarAngles = Annotated[Numbers, POLAR_ANGLE]
+Azimuths = Annotated[Numbers, AZIMUTH_ANGLE]
 
 
 def check_depths(key: str, values: Any) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -10,12 +11,13 @@ import xarray as xr
 
 from splits.core.declarations import Quantity
 from splits.core.inputs import (
+    AZIMUTH_ANGLE,
     MAX_DATASET_VALUES,
-    Azimuths,
+    POLAR_ANGLE,
     Incidence,
     Kernel,
     MaxRays,
-    PolarAngles,
+    Numbers,
     Rays,
     RelativeError,
     Seed,
@@ -153,15 +155,10 @@ def make_angular_dataset(
     for name, (long_name, field, side) in totals.items():
         mean, stderr = (getattr(estimate, one)[side] for one in (field, f"{field}_stderr"))
         variables |= make_variable(name, "wavelength", mean, stderr, long_name)
-    azimuth_label = "angle from the direction in which the beam travels"
     coordinates = {
         "wavelength": make_wavelength_coordinate(wavelengths),
-        "polar_deg": (
-            "polar_deg",
-            polar,
-            {"units": "degree", "long_name": "angle from the normal"},
-        ),
-        "azimuth_deg": ("azimuth_deg", azimuth, {"units": "degree", "long_name": azimuth_label}),
+        "polar_deg": ("polar_deg", polar, POLAR_ANGLE.attributes),
+        "azimuth_deg": ("azimuth_deg", azimuth, AZIMUTH_ANGLE.attributes),
     }
     # Without a BTDF, its polarization is undefined, too.
     kept = {
@@ -208,15 +205,12 @@ def _check_n_bins(key: str, n_bins: Any) -> tuple[int, int]:
 
 
 ViewPolarAngles = Annotated[
-    PolarAngles | None,
-    Quantity("angle from the normal, by default 0 to 87.5 in steps of 2.5", "degree"),
+    Numbers | None,
+    replace(POLAR_ANGLE, long_name=f"{POLAR_ANGLE.long_name}, by default 0 to 87.5 by 2.5"),
 ]
 ViewAzimuths = Annotated[
-    Azimuths | None,
-    Quantity(
-        "angle from the direction in which the beam travels, by default 0 to 355 in steps of 5",
-        "degree",
-    ),
+    Numbers | None,
+    replace(AZIMUTH_ANGLE, long_name=f"{AZIMUTH_ANGLE.long_name}, by default 0 to 355 by 5"),
 ]
 BinNumbers = Annotated[
     tuple[int, int],

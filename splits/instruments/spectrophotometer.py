@@ -13,6 +13,7 @@ from splits.core.declarations import Quantity
 from splits.core.inputs import (
     ANGLE_SCHEMA,
     DIFFUSE,
+    INCIDENCE_ANGLE,
     Kernel,
     MaxRays,
     Numbers,
@@ -88,8 +89,8 @@ def _check_snow_pack_incidence(key: str, value: Any) -> Any:
 
 SnowPackIncidence = Annotated[
     Numbers | str,
-    Quantity(
-        "angle of incidence", "degree", first_step=4.0, check=_check_snow_pack_incidence,
+    replace(
+        INCIDENCE_ANGLE, check=_check_snow_pack_incidence,
         schema={"anyOf": [ANGLE_SCHEMA, {"enum": [DIFFUSE, SUN]}]},
     ),
 ]  # fmt: skip

@@ -12,7 +12,7 @@ import xarray as xr
 
 from splits.core.arrays import align_to_labels
 from splits.core.declarations import find_quantity
-from splits.core.inputs import Depth
+from splits.core.inputs import WAVELENGTH, Depth
 from splits.core.keywords import declare_function
 from splits.core.labels import convert_times
 from splits.core.validation import (
@@ -118,10 +118,8 @@ def make_dataset(given: SnowPackInput) -> xr.Dataset:
     label.attrs.setdefault("long_name", f"label of the snowpack: {given.label}")
     dataset = coordinates.assign_coords({LAYER_DIM: (LAYER_DIM, number, attrs)}).assign(variables)
     if given.ground.wavelength_nm is not None:
-        attrs = {"long_name": "wavelength in vacuum", "units": "nm"}
-        dataset = dataset.assign_coords(
-            {WAVELENGTH_DIM: (WAVELENGTH_DIM, given.ground.wavelength_nm, attrs)}
-        )
+        coordinate = (WAVELENGTH_DIM, given.ground.wavelength_nm, WAVELENGTH.attributes)
+        dataset = dataset.assign_coords({WAVELENGTH_DIM: coordinate})
     dataset.attrs = {"title": "Snowpacks", **given.ground.make_attributes()}
     return dataset
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.core.inputs import Kernel
+from splits.core.inputs import WAVELENGTH, Kernel
 from splits.core.process import count_cpus
 from splits.core.progress import ProgressCallback
 from splits.core.provenance import hash_physics_sources
@@ -65,9 +65,5 @@ class RunOptions(NamedTuple):
 
 def make_wavelength_coordinate(wavelengths: np.ndarray) -> Variable:
     """Return the coordinate of vacuum wavelengths (nm)."""
-    attributes = {
-        "long_name": "wavelength in vacuum",
-        "units": "nm",
-        "standard_name": "radiation_wavelength",
-    }
+    attributes = {**WAVELENGTH.attributes, "standard_name": "radiation_wavelength"}
     return "wavelength", wavelengths, attributes

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Set
+from dataclasses import replace
 from numbers import Real
 from typing import Annotated, Any, NamedTuple, TypeVar
 
@@ -13,7 +14,13 @@ import xarray as xr
 
 from splits.core.arrays import as_1d_array, check_axis, check_no_gaps
 from splits.core.declarations import Quantity
-from splits.core.inputs import ANGLE_SCHEMA, DIFFUSE, check_incidence, check_polar_angles
+from splits.core.inputs import (
+    AZIMUTH_ANGLE,
+    INCIDENCE_ANGLE,
+    POLAR_ANGLE,
+    check_incidence,
+    check_polar_angles,
+)
 from splits.core.validation import as_scalar, format_key, has_surrogates, invalid, unknown_key
 from splits.io.netcdf import NETCDF_LOCK
 from splits.media.medium import Medium
@@ -146,11 +153,8 @@ Grid = Annotated[
 ]
 GridIncidence = Annotated[
     float | str,
-    Quantity(
-        "angle of incidence", "degree", check=check_single_incidence,
-        schema={"anyOf": [ANGLE_SCHEMA, {"const": DIFFUSE}]},
-    ),
-]  # fmt: skip
+    replace(INCIDENCE_ANGLE, check=check_single_incidence),
+]
 
 
 def check_axis_values(
@@ -281,10 +285,10 @@ class ViewGrid(NamedTuple):
 
     def to_coordinates(self) -> dict[str, Any]:
         """Return the angles as dataset coordinates."""
-        labels = ("angle from the normal", "angle from the direction in which the beam travels")
+        quantities = (POLAR_ANGLE, AZIMUTH_ANGLE)
         return {
-            name: (name, angles, {"long_name": label, "units": "degree"})
-            for name, angles, label in zip(VIEW_AXES, self, labels, strict=True)
+            name: (name, angles, one.attributes)
+            for name, angles, one in zip(VIEW_AXES, self, quantities, strict=True)
         }
 
     @property

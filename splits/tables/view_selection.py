@@ -7,6 +7,7 @@ Environment 103, 27).  A part of the light may be isotropic.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ import xarray as xr
 
 from splits.core.arrays import align_to_labels, check_array_range
 from splits.core.declarations import Quantity
-from splits.core.inputs import check_azimuths
+from splits.core.inputs import AZIMUTH_ANGLE, POLAR_ANGLE, check_azimuths
 from splits.core.uncertainty import make_variable
 from splits.core.validation import check_number, invalid, snap_to_limits
 from splits.tables.axes import (
@@ -44,7 +45,7 @@ LABELS = {
 }
 
 
-VIEW_POLAR = Quantity("angle from the normal", "degree", low=0.0, high=90.0, open_high=True)
+VIEW_POLAR = replace(POLAR_ANGLE, low=0.0, high=90.0, open_high=True, check=None, schema=None)
 
 
 def check_view_azimuth(key: str, azimuth_deg: Any) -> float:
@@ -56,11 +57,8 @@ def check_view_azimuth(key: str, azimuth_deg: Any) -> float:
 ViewPolar = Annotated[float, VIEW_POLAR]
 ViewAzimuth = Annotated[
     float,
-    Quantity(
-        "angle from the direction in which the beam travels", "degree", check=check_view_azimuth,
-        schema={"type": "number"},
-    ),
-]  # fmt: skip
+    replace(AZIMUTH_ANGLE, check=check_view_azimuth, schema={"type": "number"}),
+]
 FieldOfView = Annotated[
     float,
     Quantity(

@@ -543,9 +543,11 @@ class other_constructor:
             except (InvalidValue, FileNotFoundError) as error:
                 raise error.with_traceback(None) from None
 
+        # Alternatives, which users give more often, come first.
+        ordered = sorted(names.values(), key=lambda one: one.kind is not one.KEYWORD_ONLY)
         shown = [
-            one.replace(kind=one.KEYWORD_ONLY, default=self.defaults.get(name, one.default))
-            for name, one in names.items()
+            one.replace(kind=one.KEYWORD_ONLY, default=self.defaults.get(one.name, one.default))
+            for one in ordered
         ]
         construct.__signature__ = signature.replace(parameters=shown)  # type: ignore[attr-defined]
         return construct

@@ -216,7 +216,7 @@ def _read_return_dataset(measured: xr.Dataset) -> tuple[np.ndarray, xr.DataArray
     ):
         side = "both sides" if "side" in rates.dims else side
         found = f"{side}, over {', '.join(map(str, rates.dims))}"
-        raise invalid("measured", found, "reflected, over wavelength and delay", RETURN_HINT)
+        raise invalid("measured", found, "reflected, over wavelength and delay_s", RETURN_HINT)
     if not np.allclose(bounds[1:, 0], bounds[:-1, 1], rtol=ROUNDING_TOLERANCE, atol=0.0):
         raise invalid("measured.delay_s", "with gaps", "bins that follow each other")
     if rates.attrs.get("units", UNITS) != UNITS:

@@ -14,6 +14,7 @@ import signal
 import time
 from collections.abc import Callable
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import generated
@@ -181,11 +182,12 @@ def limit_rays(experiment: ExperimentConfig) -> ExperimentConfig:
     """Return the experiment with few rays, which takes less than 0.1 s per point."""
     instrument = experiment.instrument
     limits = {"rays": 1000, "realizations": 3}
-    current = {key: getattr(instrument, key, None) for key in limits}
+    current = {key: instrument.get(key) for key in limits}
     reduced = {key: min(value, limits[key]) for key, value in current.items() if value is not None}
-    if instrument.kind == "beam_spread" or getattr(instrument, "estimator", None) == "bins":
+    if instrument.kind == "beam_spread" or instrument.get("estimator") == "bins":
         reduced["rays"] = min(current["rays"] or 1000, 1000)
-    return experiment.model_copy(update={"instrument": instrument.model_copy(update=reduced)})
+    settings = {**instrument.settings, **reduced}
+    return experiment.model_copy(update={"instrument": replace(instrument, settings=settings)})
 
 
 def find_invalid_numbers(dataset) -> str:

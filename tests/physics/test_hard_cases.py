@@ -13,10 +13,10 @@ from chi2 import NEEDS_JIT, compute_z_bound, judge_z
 from scipy import integrate
 
 import splits
+from splits.core.inputs import WAVELENGTH_RANGE_NM
 from splits.kernels.interface import fresnel
 from splits.kernels.vectorized.trace import MAX_INDEX
 from splits.materials.library import _DATASET_LOADERS, load_dataset
-from splits.simulation.run_options import WAVELENGTH_RANGE_NM
 
 pytestmark = NEEDS_JIT
 

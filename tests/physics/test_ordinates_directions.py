@@ -217,14 +217,18 @@ def test_figures_accept_the_dataset():
     ("medium", "settings", "reason"),
     [
         (make_snow(saturation=0.6), {}, "a saturation of 0.6"),
-        (make_snow(), {"estimator": "bins"}, "the estimator bins needs paths"),
+        (
+            make_snow(),
+            {"estimator": "bins", "polar_deg": None, "azimuth_deg": None},
+            "the estimator bins needs paths",
+        ),
         (make_snow(), {"rays": 1000}, "a number of rays"),
         (splits.Snow(depth_m=0.1, saturation=0.0), {}, "no points"),
     ],
 )
 def test_refusals_state_the_reason(medium, settings, reason):
     with pytest.raises(ValueError, match=rf"(?s)solver.*{reason}"):
-        splits.goniophotometer(medium, WAVELENGTHS, 30.0, **FEW, **settings, **SOLVED)
+        splits.goniophotometer(medium, WAVELENGTHS, 30.0, **{**FEW, **SOLVED, **settings})
 
 
 def test_semi_infinite_snow_needs_discrete_ordinates():

@@ -250,8 +250,8 @@ def test_returns_of_the_instrument_are_accepted(table):
         assert splits.retrieve_return(one, table, [AREA], noise).values == expected.values
     in_ns = reflected.assign(return_rate=reflected.return_rate.assign_attrs(units="ns-1"))
     for wrong, message in (
-        (light, "measured = 'both sides, over side, .*delay': must be"),
-        (light.sel(side="transmitted"), "measured = 'transmitted, over delay'"),
+        (light, "measured = 'both sides, over side, .*delay_s': must be"),
+        (light.sel(side="transmitted"), "measured = 'transmitted, over delay_s'"),
         (reflected.drop_vars("delay_bounds"), "measured = 'a dataset': must be with return_rate"),
         (reflected.isel(delay_s=[0, 2]), "measured.delay_s = 'with gaps'"),
         (reflected.return_rate, "measured = 'DataArray': .*a dataset: light.sel"),

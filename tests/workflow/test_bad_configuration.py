@@ -101,13 +101,13 @@ def test_one_invalid_experiment_stops_all_jobs(project, case):
 def test_all_invalid_experiments_are_reported_at_once(project):
     project.put("good", VALID)
     project.put("one", "titel: x\n")
-    project.put("two", "instrument: {wavelength_nm: 500}\n")
+    project.put("two", "instrument: {wavelength_nm: 50}\n")
     run = project.snakemake("--cores", 1, "good")
     lines = [line for line in run.text.splitlines() if line.startswith("config/experiments")]
     assert len(lines) == 2, run.text
     assert lines[0].startswith("config/experiments/one.yaml, line 1: titel: unknown key")
     assert lines[1].startswith(
-        "config/experiments/two.yaml, line 1: instrument.wavelength_nm = 500: must"
+        "config/experiments/two.yaml, line 1: instrument.wavelength_nm = 50.0: must"
     )
     check_nothing_ran(run, project)
 

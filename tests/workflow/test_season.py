@@ -119,7 +119,7 @@ def test_a_result_that_would_replace_its_input_is_rejected(project):
          r"instrument\.solver = 'monte_carlo'"),
         ("medium: {kind: natural_snow, specific_surface_area_m2_kg: 20}\n" + SPECTRA,
          r"instrument\.incidence_deg = 'sun'"),
-        ("instrument: {kind: albedo}\n", r"medium\.kind = 'snow'.*snow_packs"),
+        ("instrument: {kind: albedo}\n", r"instrument\.sky = 'clear'.*only snowpacks of a file"),
     ],
 )  # fmt: skip
 def test_invalid_settings_are_named(tmp_path, text, message):

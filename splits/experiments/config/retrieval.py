@@ -9,7 +9,7 @@ import math
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, PlainSerializer, model_validator
 
 from splits.core.validation import check_choice, invalid, snap_to_limits
 from splits.experiments.config.sections import (
@@ -128,7 +128,7 @@ class SyntheticReturn(FiniteSection):
     truth: dict[Label, dict[str, Number]]
     """values of the free parameters by sample, and of other keywords of the medium that differ from
     those of the table; `scale` is by default 1"""
-    delay_s: DelayEdges
+    delay_s: Annotated[DelayEdges, PlainSerializer(lambda edges: edges.tolist())]
     """edges of the bins in which photons are counted (s), also as `{start, stop, step}`"""
     rays: Whole = Field(200_000, ge=1, lt=2**63)
     """number of rays of a return, which limits its accuracy besides the photons"""

@@ -42,9 +42,7 @@ EXPERIMENTS_WITH_RETRIEVAL = [name for name, e in EXPERIMENTS.items() if e.retri
 EXPERIMENTS_WITH_RETURNS = [
     name for name, e in EXPERIMENTS.items() if e.retrieve_return
 ]
-EXPERIMENTS_WITH_FIGURE = [
-    name for name, e in EXPERIMENTS.items() if e.has_figure
-]
+EXPERIMENTS_WITH_FIGURE = [name for name, e in EXPERIMENTS.items() if e.has_figure]
 
 
 def match_any(names):

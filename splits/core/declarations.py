@@ -13,9 +13,9 @@ import inspect
 import json
 import math
 import re
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import KW_ONLY, InitVar, dataclass
 from types import NoneType, UnionType
 from typing import (
@@ -37,6 +37,7 @@ from pydantic_core import CoreSchema, core_schema
 from splits.core.validation import (
     MAX_INT64,
     InvalidValue,
+    as_scalar,
     check_flag,
     check_integer,
     check_range,
@@ -161,6 +162,7 @@ class Quantity:
 
     def check_number(self, key: str, value: Any) -> float:
         """Return a number after checking that it is in the range."""
+        value = as_scalar(value)
         if self.infinite and isinstance(value, float) and value == math.inf:
             return math.inf
         try:
@@ -176,8 +178,11 @@ class Quantity:
 
     def check_integer(self, key: str, value: Any) -> int:
         """Return a whole number after checking that it is in the range."""
-        limits = [int(limit) for limit in (self.low, self.high) if math.isfinite(limit)]
-        return check_integer(key, value, *limits)
+        low, high = (
+            int(limit) if math.isfinite(limit) else MAX_INT64 if limit > 0 else -MAX_INT64
+            for limit in (self.low, self.high)
+        )
+        return check_integer(key, value, low, high)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
         """Return the schema with which pydantic checks the annotated type."""
@@ -274,17 +279,11 @@ class Input(NamedTuple):
 @functools.cache
 def list_inputs(declared: Any) -> dict[str, Input]:
     """Return the declared inputs of a class or a function by name."""
-    if isinstance(declared, type):
-        hints = get_type_hints(declared, include_extras=True)
-    else:
-        hints = inspect.get_annotations(inspect.unwrap(declared))
+    is_class = isinstance(declared, type)
+    hints = get_type_hints(declared if is_class else inspect.unwrap(declared), include_extras=True)
     inputs = {}
     for name, parameter in inspect.signature(declared).parameters.items():
         hint = hints.get(name)
-        if isinstance(hint, str):
-            # Types of other annotations may be imported only for type checkers.
-            with suppress(NameError):
-                hint = eval(hint, vars(sys.modules[declared.__module__]))
         hint = hint.type if isinstance(hint, InitVar) else hint
         quantity = find_quantity(hint)
         if quantity:
@@ -452,11 +451,15 @@ def declare_class(declared: Class) -> Class:
     `__post_init__` receives the alternatives that are given, or None, in their order.
     """
     cls: Any = declared
-    alternatives = {n: one for n, one in vars(cls).items() if isinstance(one, Alternative)}
+    alternatives = dict(getattr(cls, "_alternatives", {}))
+    alternatives |= {n: one for n, one in vars(cls).items() if isinstance(one, Alternative)}
     hints = get_type_hints(cls, include_extras=True)
     texts = dict(cls.__annotations__)
     for name in alternatives:
-        cls.__annotations__[name] = InitVar[hints[name] | None]  # type: ignore[valid-type]
+        hint = hints[name]
+        if not isinstance(hint, InitVar):
+            hint = InitVar[hint | None]  # type: ignore[valid-type]
+        cls.__annotations__[name] = hint
         setattr(cls, name, dataclasses.field(default=None, kw_only=True))
     make = pydantic.dataclasses.dataclass(
         frozen=True, eq=False, repr=False, config=ConfigDict(arbitrary_types_allowed=True)
@@ -466,6 +469,7 @@ def declare_class(declared: Class) -> Class:
         setattr(cls, name, property(getattr(cls, one.compute)))
         # `dataclasses.replace` would give it beside the input that it replaces.
         del cls.__dataclass_fields__[name]
+    cls._alternatives = alternatives
     cls.ALTERNATIVES = {name: one.replaces for name, one in alternatives.items()}
     construct = cls.__init__
     parameters = inspect.signature(cls).parameters
@@ -498,6 +502,8 @@ def declare_class(declared: Class) -> Class:
         kept = {f.name: getattr(self, f.name) for f in dataclasses.fields(cls)}
         return cls(**{n: value for n, value in kept.items() if n not in replaced}, **changes)
 
+    receiver = inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    __init__.__signature__ = inspect.Signature([receiver, *signature])  # type: ignore[attr-defined]
     cls.__init__, cls.__signature__ = __init__, inspect.Signature(signature)
     cls.__replace__ = __replace__
     return cls  # type: ignore[no-any-return]
@@ -516,6 +522,7 @@ class other_constructor:
 
     def __init__(self, defaults: Mapping[str, Any]) -> None:
         self.defaults = defaults
+        self.constructors: dict[Any, Callable[..., Any]] = {}
 
     def __call__(
         self, complete: Callable[[Any, dict[str, Any]], dict[str, Any]]
@@ -525,7 +532,13 @@ class other_constructor:
         return self
 
     def __get__(self, instance: object, owner: Callable[Given, Result]) -> Callable[Given, Result]:
-        """Return the constructor."""
+        """Return the constructor, the same at each access."""
+        if owner not in self.constructors:
+            self.constructors[owner] = self._make(owner)
+        constructor: Callable[Given, Result] = self.constructors[owner]
+        return constructor
+
+    def _make(self, owner: Callable[Given, Result]) -> Callable[Given, Result]:
         signature = inspect.signature(owner)
         names = dict(signature.parameters)
 
@@ -546,7 +559,9 @@ class other_constructor:
         # Alternatives, which users give more often, come first.
         ordered = sorted(names.values(), key=lambda one: one.kind is not one.KEYWORD_ONLY)
         shown = [
-            one.replace(kind=one.KEYWORD_ONLY, default=self.defaults.get(one.name, one.default))
+            one.replace(
+                kind=one.KEYWORD_ONLY, default=copy(self.defaults.get(one.name, one.default))
+            )
             for one in ordered
         ]
         construct.__signature__ = signature.replace(parameters=shown)  # type: ignore[attr-defined]

@@ -59,7 +59,7 @@ def check_mapping(allowed: str) -> Callable[[str, Any], Mapping[Any, Any]]:
     def check(key: str, value: Any) -> Mapping[Any, Any]:
         if not isinstance(value, Mapping):
             raise invalid(key, value, allowed)
-        return value
+        return dict(value)
 
     return check
 
@@ -262,8 +262,12 @@ def declare_numbers(
 # --------------------------------------------------------------------------------------------------
 # Accuracy, solver and options of a run.
 
-StandardError = Annotated[float, Quantity("largest standard error", low=1e-6, high=0.5)]
-RelativeError = Annotated[float, Quantity("largest relative standard error", low=1e-4, high=0.5)]
+MAX_STDERR = 0.5
+"""Largest target error of a simulation."""
+StandardError = Annotated[float, Quantity("largest standard error", low=1e-6, high=MAX_STDERR)]
+RelativeError = Annotated[
+    float, Quantity("largest relative standard error", low=1e-4, high=MAX_STDERR)
+]
 MaxRays = Annotated[int, Quantity("number of rays after which the run stops", low=1)]
 Rays = Annotated[
     int | None, Quantity("number of rays, by default as many as the target error requires", low=1)

@@ -20,6 +20,7 @@ PACKAGE_FOLDER = Path(__file__).parents[1]
 SIMULATION_SOURCES = (
     "kernels", "materials", "illumination", "media", "simulation", "discrete_ordinates",
     "instruments", "core/uncertainty.py", "core/declarations.py", "core/inputs.py",
+    "core/spacing.py",
     "tables/axes.py", "tables/block.py", "tables/plan.py", "tables/return_table.py",
     "experiments/config/instruments.py", "experiments/config/media.py",
     "experiments/config/simulation.py", "experiments/run.py", "experiments/run_table.py",

@@ -216,7 +216,9 @@ def check_number(key: str, value: object, allowed: str = "a finite number") -> f
     if isinstance(value, str):
         raise invalid(key, value, allowed, suggest_number(value) or TEXT_HINT)
     if isinstance(value, NON_NUMERIC_TYPES) or not isinstance(value, Real):
-        raise invalid(key, value, allowed)
+        is_list = isinstance(value, Iterable) and not isinstance(value, bytes | Mapping)
+        is_list = is_list and getattr(value, "shape", None) != ()
+        raise invalid(key, value, allowed, "one number, not several" if is_list else "")
     try:
         x = float(value)
     except OverflowError:

@@ -291,6 +291,8 @@ def _read_file(path: str | Path, *, lazy: bool = False) -> tuple[xr.Dataset, boo
             raise
         # Damaged bytes cause errors of almost any type in the HDF5 and netCDF libraries.
         except Exception as error:
+            if not _has_netcdf_signature(path):
+                raise invalid("path", str(path), "a netCDF file") from None
             raise DamagedFileError(path, _describe_read_error(path, error)) from None
     for variable in dataset.variables.values():
         # Otherwise a later write would repeat it, even after coordinates have changed.
@@ -324,6 +326,12 @@ def open_foreign(key: str, path: str | Path) -> Iterator[xr.Dataset]:
         except Exception as error:
             hint = _describe_read_error(path, error)
             raise invalid(key, str(path), "a netCDF file that can be read", hint) from None
+
+
+def _has_netcdf_signature(path: Path) -> bool:
+    """Return whether a file begins as netCDF files do; a damaged one may not."""
+    with path.open("rb") as file:
+        return path.suffix in NETCDF_SUFFIXES or file.read(4).startswith((b"\x89HDF", b"CDF"))
 
 
 def _describe_read_error(path: Path, error: Exception) -> str:

@@ -418,8 +418,8 @@ Depolarization = Annotated[
 ]
 Polarized = Annotated[bool, Quantity("whether the Stokes vector is traced")]
 Opaque = Annotated[bool, Quantity("whether all light transmitted by the surface is absorbed")]
-DEFAULT_GROUND = Ground.from_input(0.5)
-"""Ground of a layer that is no part of a stack."""
+DEFAULT_GROUND = Ground("albedo 0.5", "default outside of stacks", np.array([0.5]))
+"""Ground of a layer that is no part of a stack; its source differs from that of a given albedo."""
 LayerThickness = Annotated[
     float, Quantity("thickness of the sample", "m", low=1e-9, high=1e6, label="depth")
 ]

@@ -352,7 +352,10 @@ class Snow(ContentEquality, GranularMedium):
         return format_call("Snow", to_shortest_keywords(self, find_differences(self, type(self)())))
 
     def __post_init__(  # type: ignore[override]
-        self, area: float | None, radius: float | None, liquid_water: float | None
+        self,
+        area: float | None = None,
+        radius: float | None = None,
+        liquid_water: float | None = None,
     ) -> None:
         density = _check_density(self.density_kg_m3, MIN_DENSITY_KG_M3, self.temperature_c)
         self._put(density_kg_m3=density)

@@ -38,7 +38,7 @@ def _check_layers(key: str, layers: Any) -> tuple[Any, ...]:
         raise invalid(key, layers, "a list of media, top first")
     # Particle layers have their default ground only outside of stacks.
     layers = tuple(
-        replace(one, ground=None) if getattr(one, "ground", None) is DEFAULT_GROUND else one
+        replace(one, ground=None) if getattr(one, "ground", None) == DEFAULT_GROUND else one
         for one in layers
     )
     last = len(layers) - 1

@@ -14,8 +14,9 @@ from matplotlib.figure import Figure
 from splits.core.inputs import ResultDataset
 from splits.core.keywords import declare_function
 from splits.core.validation import check_choice, invalid, unknown_key
+from splits.media.snow_pack_input import FLAG_NAME
 from splits.plotting.directions import QUANTITY_LABELS, draw_hemispheres, draw_lobes
-from splits.plotting.panels import FIGURE_SETTINGS, check_settings
+from splits.plotting.panels import FIGURE_SETTINGS, INSTRUMENT_FIGURES, check_settings
 from splits.plotting.points import draw_points, draw_summary, draw_swatches
 from splits.plotting.principal_plane import draw_bin_sizes, draw_polarization, draw_principal_planes
 from splits.plotting.rough_surface import draw_lens, draw_surface
@@ -63,7 +64,8 @@ def draw(
     ----------
     dataset : xarray.Dataset
     section : mapping, optional
-        See `splits.experiments.config.figure.FigureSection`; by default spectra of reflectance.
+        Settings: ``kind`` of the figure, by default the first one of the instrument, ``quantity``
+        or several, and others of the kind, see docs/reference/configuration.md.
     measured : pandas.DataFrame, optional
         Measured values to show together with spectra.
 
@@ -78,7 +80,7 @@ def draw(
     for key in section:
         if key not in known:
             raise unknown_key(f"figure.{key}", sorted(known))
-    kind = section.get("kind") or "spectra"
+    kind = section.get("kind") or _choose_kind(dataset)
     check_choice("figure.kind", kind, FUNCTIONS)
     check_settings(kind, section)
     settings = {key: value for key, value in section.items() if value and key not in OTHER_SETTINGS}
@@ -86,6 +88,13 @@ def draw(
         settings["quantity"] = (settings["quantity"],)
     of_directions = kind in ("hemisphere", "principal_plane")
     names = [str(name) for name in dataset if name in QUANTITY_LABELS or not of_directions]
+    if kind == "spectra":
+        names = [name for name in names if "wavelength" in dataset[name].dims]
+        shown = next((name for name in names if f"{name}_stderr" in dataset), "reflectance")
+        settings.setdefault("quantity", ("reflectance" if "reflectance" in names else shown,))
+        if dataset.sizes.get("wavelength") == 1:
+            hint = "kind='points' shows single wavelengths over a grid"
+            raise invalid("wavelength", dataset.wavelength.values.tolist(), "at least two", hint)
     for name in settings.get("quantity", ()) if "band_albedo" not in names else ():
         check_choice("figure.quantity", name, names)
     if kind in POINT_KINDS:
@@ -96,6 +105,13 @@ def draw(
     with use_style():
         add_notes(figure, section.get("note") or "")
     return figure
+
+
+def _choose_kind(dataset: xr.Dataset) -> str:
+    """Return the kind of figure for the result of an instrument, by default spectra."""
+    kinds = INSTRUMENT_FIGURES.get(str(dataset.attrs.get("instrument")), ("spectra",))
+    is_season = FLAG_NAME in dataset
+    return "season" if is_season else kinds[0] if kinds[0] != "season" else "spectra"
 
 
 def _check_point(kind: str, dataset: xr.Dataset, select: Mapping[str, Any]) -> None:

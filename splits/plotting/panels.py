@@ -22,6 +22,18 @@ FIGURE_SETTINGS: dict[str, tuple[str, ...]] = {
 }
 """Settings of each kind of figure, the arguments of the function that draws it."""
 
+INSTRUMENT_FIGURES: dict[str, tuple[str, ...]] = {
+    "refractive_index": ("refractive_index",),
+    "spectrophotometer": ("spectra", "points", "swatches", "fit", "season"),
+    "albedo": ("season",),
+    "goniophotometer": ("principal_plane", "hemisphere", "lobes", "bins", "polarization"),
+    "beam_spread": ("spread",),
+    **dict.fromkeys(("time_of_flight", "return_table"), ("return", "range_bias")),
+    "surface_map": ("surface",),
+    "lens": ("lens",),
+    "table": ("summary",),
+}
+"""Kinds of figures by instrument, the default first."""
 DEFAULT_LABEL = "default"
 """Label of the reference value of a parameter, whose line is black and on top."""
 MAX_LINES = 60

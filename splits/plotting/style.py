@@ -418,6 +418,11 @@ def _describe_medium(attributes: Attributes, select: dict[str, Any]) -> list[str
             items.append(formatter(values.pop(key)))
     if opaque:
         items.append("nothing below the surface")
+    for unit, symbol in (("_ng_g", "ng/g"), ("_cells_ml", "cells/ml")):
+        for key, amount in attributes.items():
+            name = str(key).removeprefix(f"{kind}_").removesuffix(unit)
+            if key == f"{kind}_{name}{unit}" and float(amount) > 0.0:
+                items.append(f"{name.replace('_', ' ')} {format_value(amount)} {symbol}")
     values = {
         key: value for key, value in values.items() if key in select and key != "incidence_deg"
     }

@@ -190,6 +190,8 @@ def retrieve(
                 "splits.Table(splits.build_table(…)), open_table, or a snow, sand, layer or stack"
             )
             suggestion = suggest_medium(model, list_media_names())
+            if hasattr(model, "data_vars"):
+                suggestion = "splits.Table(dataset) of what splits.build_table returned"
             raise invalid("model", shown, "a Table, or a medium", suggestion or hint)
         check_choice("quantity", quantity or "reflectance", ["reflectance"])
         measurement = Measurement.from_input(measured, noise, bands)

@@ -90,7 +90,7 @@ def build_table(
     kernel: Kernel = "auto",
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
-    """Compute a table of spectra over a grid of parameters.
+    """Compute a table of spectra over a grid of parameters; `splits.Table` interpolates in it.
 
     Points that differ only in absorption, in the ground or, for semi-infinite media, in grain size
     share one ensemble of paths.  These points are identified from the media.

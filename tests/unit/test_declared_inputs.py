@@ -45,7 +45,7 @@ CALLS = {
         "density_kg_m3 = '300 kg/m3': must be in [1e-12, 916.9) kg/m3 (this is text, not a "
         "number)",
     "Snow(density_kg_m3=[200, 300])":
-        "density_kg_m3 = [200, 300]: must be in [1e-12, 916.9) kg/m3",
+        "density_kg_m3 = [200, 300]: must be in [1e-12, 916.9) kg/m3 (one number, not several)",
     "Snow(density_kg_m3=np.ma.masked)": "density_kg_m3 = masked: must be in [1e-12, 916.9) kg/m3",
     "Snow(temperature_c=268.15)":
         "temperature_c = 268.15: must be in [-40, 0] °C (in kelvin? write -5)",
@@ -331,8 +331,8 @@ SECTIONS = {
         "line 1: medium.ssa: unknown key, must be one of … (did you mean "
         "specific_surface_area_m2_kg?)",
     "medium: {density_kg_m3: [200, 300]}":
-        "line 1: medium.density_kg_m3 = [200, 300]: must be in [1e-12, 916.9) kg/m3 (several "
-        "values belong under grid)",
+        "line 1: medium.density_kg_m3 = [200, 300]: must be in [1e-12, 916.9) kg/m3 (one "
+        "number, not several) (several values belong under grid)",
     "medium: {interpretation: {boundary_fresnel: maybe}}":
         "line 1: medium.interpretation.boundary_fresnel = 'maybe': must be one of no, yes",
     "medium: {kind: stack, layers: [{depth_m: -1}]}":
@@ -475,7 +475,8 @@ def test_inputs_of_declared_classes_are_strict():
 def test_other_constructors_have_the_signature_of_the_class():
     assert (Box.blue().colour, Box.blue(colour="red").colour) == ("blue", "red")
     parameters = inspect.signature(Box.blue).parameters
-    assert list(parameters) == list(inspect.signature(Box).parameters) == list(list_inputs(Box))
+    assert list(inspect.signature(Box).parameters) == list(list_inputs(Box))
+    assert next(iter(parameters)) == "area_m2" and set(parameters) == set(list_inputs(Box))
     assert {one.kind for one in parameters.values()} == {inspect.Parameter.KEYWORD_ONLY}
     assert parameters["colour"].default == "blue" and parameters["width_m"].default == 1.0
     assert Box.blue.__doc__ == "Return a blue box."
@@ -526,7 +527,7 @@ def test_inputs_of_functions_are_those_with_a_quantity():
     undeclared = {"medium", "progress"}
     names = [one for one in inspect.signature(splits.albedo).parameters if one not in undeclared]
     assert list(inputs) == names
-    assert repr(inputs["wavelength_nm"].quantity) == "wavelengths in vacuum, increasing (nm)"
+    assert repr(inputs["wavelength_nm"].quantity) == "wavelength in vacuum (nm)"
     defaults = {name: one.default for name, one in inputs.items() if one.has_default}
     assert defaults["max_stderr"] == 0.005 and "bands" not in defaults and "sky" not in defaults
     assert inputs["bands"].check("bands", None) is None

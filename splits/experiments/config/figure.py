@@ -18,7 +18,7 @@ from splits.experiments.config.sections import (
     accept_single,
     check_different,
 )
-from splits.plotting.panels import check_settings
+from splits.plotting.panels import INSTRUMENT_FIGURES, check_settings
 from splits.tables.axes import ALL_QUANTITIES
 
 if TYPE_CHECKING:
@@ -34,18 +34,6 @@ FigureKind = Literal[
     "polarization", "return", "range_bias", "summary", "season", "none",
 ]  # fmt: skip
 
-INSTRUMENT_FIGURES: dict[str, tuple[str, ...]] = {
-    "refractive_index": ("refractive_index",),
-    "spectrophotometer": ("spectra", "points", "swatches", "fit", "season"),
-    "albedo": ("season",),
-    "goniophotometer": ("principal_plane", "hemisphere", "lobes", "bins", "polarization"),
-    "beam_spread": ("spread",),
-    **dict.fromkeys(("time_of_flight", "return_table"), ("return", "range_bias")),
-    "surface_map": ("surface",),
-    "lens": ("lens",),
-    "table": ("summary",),
-}
-"""Kinds of figures by instrument, the default first."""
 INSTRUMENT_QUANTITIES: dict[str, tuple[str, ...]] = {
     "spectrophotometer": ("reflectance", "transmittance", "absorptance", "mean_grain_distance"),
     "goniophotometer": ("brdf", "btdf", "reflectance_factor", "anisotropy_factor", "brdf_dolp"),

@@ -22,6 +22,7 @@ from pydantic import TypeAdapter
 import splits.instruments  # noqa: F401  registers the instruments
 from splits.core.declarations import Input, Quantity, find_quantity, list_inputs
 from splits.core.inputs import (
+    MAX_STDERR,
     Azimuths,
     Incidence,
     PolarAngles,
@@ -67,8 +68,6 @@ from splits.tables.plan import choose_table_solver
 from splits.tables.return_table import build_return_table
 
 USE_GRID_HINT = "several values belong under grid"
-MAX_STDERR = 0.5
-"""Largest target error of a simulation."""
 DEFAULT_KIND = "spectrophotometer"
 DEFAULT_WAVELENGTHS = {"start": 400, "stop": 2500, "step": 10}
 """Wavelengths (nm) of instruments that have none by default."""

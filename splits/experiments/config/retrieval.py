@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, PlainSerializer, model_validator
 
+from splits.core.inputs import RayCount
 from splits.core.validation import check_choice, invalid, snap_to_limits
 from splits.experiments.config.sections import (
     FiniteSection,
@@ -130,7 +131,7 @@ class SyntheticReturn(FiniteSection):
     those of the table; `scale` is by default 1"""
     delay_s: Annotated[DelayEdges, PlainSerializer(lambda edges: edges.tolist())]
     """edges of the bins in which photons are counted (s), also as `{start, stop, step}`"""
-    rays: Whole = Field(200_000, ge=1, lt=2**63)
+    rays: RayCount = 200_000
     """number of rays of a return, which limits its accuracy besides the photons"""
     seed_offset: Whole = Field(1, ge=1, lt=2**31)
     """difference of the seed from that of the table; returns and table are independent"""

@@ -11,7 +11,6 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
-    Field,
     Strict,
     ValidationInfo,
     WithJsonSchema,
@@ -19,6 +18,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from splits.core.inputs import MaxRays, RelativeError, StandardError
 from splits.core.validation import invalid, unknown_key
 
 MAX_LABEL_CHARS = 80
@@ -136,10 +136,10 @@ class FiniteSection(ConfigSection):
 class Accuracy(ConfigSection):
     """Target standard errors and the limit of rays of simulations."""
 
-    max_stderr: Number = Field(ge=1e-6, le=0.5)
+    max_stderr: StandardError
     """largest standard error of a hemispherical quantity"""
-    relative_stderr: Number = Field(0.02, ge=1e-4, le=0.5)
+    relative_stderr: RelativeError = 0.02
     """largest relative standard error of a value by direction or position"""
-    max_rays: Annotated[int, Field(ge=1, lt=2**63), NO_SWITCH] | None = None
+    max_rays: MaxRays | None = None
     """largest number of rays per spectrum, or per set of spectra that share paths, even if the
     target error is not reached; by default that of the instrument"""

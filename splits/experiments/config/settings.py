@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from splits.analysis.measured import read_measured, read_published
+from splits.core.inputs import Seed
 from splits.core.provenance import hash_files
 from splits.core.validation import (
     ConfigError,
@@ -38,7 +39,6 @@ from splits.experiments.config.sections import (
     ConfigSection,
     Label,
     Title,
-    Whole,
     check_path,
 )
 from splits.experiments.config.simulation import NAME_PATTERN, NAME_RULE
@@ -392,7 +392,7 @@ class Settings(ConfigSection):
     """accuracy level of the run, one of the names under `accuracies`"""
     accuracies: dict[Annotated[str, AfterValidator(_check_accuracy_name)], Accuracy]
     """target errors by name"""
-    seed: Whole = Field(1, ge=0, lt=2**63)
+    seed: Seed = 1
     """seed of all random numbers; the same seed gives the same results"""
     experiments_folder: Folder = "config/experiments"
     """folder of the experiments; a path without `{ } < >`, like the other folders"""

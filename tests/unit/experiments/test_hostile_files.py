@@ -119,5 +119,5 @@ def test_settings_above_63_bits_are_rejected(key):
     settings = {"accuracies": {"standard": {"max_stderr": 0.1}}}
     section = settings if key == "seed" else settings["accuracies"]["standard"]
     section[key] = 2**63
-    with pytest.raises(ConfigError, match=rf"{key} = 9223372036854775808: must be below"):
+    with pytest.raises(ConfigError, match=rf"{key} = 9223372036854775808: must be a whole"):
         load_settings(settings)

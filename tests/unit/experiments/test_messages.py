@@ -241,9 +241,10 @@ def test_all_invalid_files_are_reported_at_once(tmp_path):
         ({"experiments": 5}, 'experiments = 5: must be "everything" or a list'),
         ({"seed": True}, "seed = True: must be a whole number"),
         ({"accuracies": {"standard": {"max_stderr": "low"}}},
-         "accuracies.standard.max_stderr = 'low': must be a number"),
+         "accuracies.standard.max_stderr = 'low': must be in [1e-06, 0.5] (this is text, "
+         "not a number)"),
         ({"accuracies": {"standard": {"max_stderr": 2}}},
-         "accuracies.standard.max_stderr = 2: must be at most 0.5"),
+         "accuracies.standard.max_stderr = 2: must be in [1e-06, 0.5]"),
     ],
 )  # fmt: skip
 def test_settings_of_wrong_types_are_described(change, message):
@@ -256,8 +257,8 @@ def test_settings_of_the_file_are_located(tmp_path):
     path = tmp_path / "config.yaml"
     path.write_text("seed: 1\naccuracies:\n  standard: {max_stderr: 2}\n", "utf-8")
     content = read_yaml(path)
-    message = "accuracies.standard.max_stderr = 2: must be at most 0.5"
-    with pytest.raises(ConfigError, match=f"^{re.escape(str(path))}, line 3: {message}"):
+    message = "accuracies.standard.max_stderr = 2: must be in [1e-06, 0.5]"
+    with pytest.raises(ConfigError, match=f"^{re.escape(f'{path}, line 3: {message}')}"):
         load_settings(content, str(path))
     with pytest.raises(ConfigError, match=f"^{re.escape(str(path))}: seed = -1"):
         load_settings({**content, "seed": -1, "accuracies": {}}, str(path))

@@ -516,9 +516,11 @@ def test_instruments_for_transmitted_light_reject_a_ground():
 
 def test_particle_layers_have_a_ground_of_their_own_outside_of_stacks():
     layer = splits.ParticleLayer()
-    assert layer == splits.ParticleLayer(ground=0.5) and layer.describe()["ground"] == "albedo 0.5"
-    stack = splits.Stack([layer, splits.Snow()], ground="black")
-    assert stack.layers[0] == splits.ParticleLayer(ground="open")
+    assert layer.describe() == splits.ParticleLayer(ground=0.5).describe()
+    assert layer.describe()["ground"] == "albedo 0.5"
+    for one in (layer, copy.deepcopy(layer), pickle.loads(pickle.dumps(layer))):
+        stack = splits.Stack([one, splits.Snow()], ground="black")
+        assert stack.layers[0] == splits.ParticleLayer(ground="open")
     with pytest.raises(ValueError, match=r"layers\[0\].ground = 0.5: must be left out"):
         splits.Stack([splits.ParticleLayer(ground=0.5), splits.Snow()])
 

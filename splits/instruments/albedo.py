@@ -68,14 +68,14 @@ def albedo(
     max_stderr : float
         Largest standard error of the reflectance at any wavelength, separately for direct sunlight
         and for diffuse light, 1e-6 to 0.5.  The albedo combines both, so its error is at most this.
-    seed : int
-        Non-negative; diffuse light uses the next one.
     solver : {"auto", "discrete_ordinates", "monte_carlo"}
         As for `splits.spectrophotometer`.
     bands : mapping or str, optional
         Names of bands to their limits (nm): ``{"visible": (305, 700)}``; or to a spectral response,
         a mapping of ``wavelength_nm`` and ``response`` or the path of a CSV file with these
         columns; or the name of a sensor, see `splits.sensor_bands`.
+    seed : int
+        Non-negative; diffuse light uses the next one.
     max_rays, threads, kernel
         As for `splits.spectrophotometer`.
     progress : callable or bool, optional

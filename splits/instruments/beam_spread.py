@@ -222,11 +222,11 @@ def beam_spread(
         Incidence angle of the beam, 0 to 89.9999 degrees.
     rays : int
         Number of rays, rounded up.
-    seed : int
-        Non-negative; results with the same seed are identical on any number of threads.
     half_width_m : float, optional
         Half of the side length of the maps; by default the largest of the radii within which 75 %
         of the reflected light leaves, estimated from a first round of rays.
+    seed : int
+        Non-negative; results with the same seed are identical on any number of threads.
     threads : int, optional
         Default: every CPU that this process may use.
     kernel : {"auto", "vectorized", "scalar"}

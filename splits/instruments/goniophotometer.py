@@ -265,14 +265,12 @@ def goniophotometer(
         Incidence angle of the beam, 0 to 89.9999 degrees, or isotropic radiance (for the estimator
         ``expansion`` only).  Above 89.9 degrees a run takes minutes, because few sampled grains fit
         below the boundary.
-    rays : int, optional
-        Number of rays, rounded up; by default the number that `relative_stderr` requires.
-    seed : int
-        Non-negative; results with the same seed are identical on any number of threads.
     relative_stderr : float
         Largest standard error relative to the value, 1e-4 to 0.5, for polar angles up to
         `splits.instruments.goniophotometer.MAX_CONVERGED_POLAR_DEG`; with ``next_event``, for
         all.  It has no effect on bins.
+    rays : int, optional
+        Number of rays, rounded up; by default the number that `relative_stderr` requires.
     solver : {"auto", "discrete_ordinates", "monte_carlo"}
         "discrete_ordinates" solves the equation of radiative transfer in plane layers of point
         grains, such as modelled natural snow (`splits.Snow.natural`), which may be semi-infinite:
@@ -297,6 +295,13 @@ def goniophotometer(
     n_bins : (int, int)
         Numbers of bins in polar angle and in azimuth, by default 18 and 72.  Results are at the
         centres of the bins, so `polar_deg` and `azimuth_deg` must be left out.
+    stokes : bool or array_like
+        Whether polarization is traced, with the estimators "bins" and "next_event", or the Stokes
+        vector (I, Q, U, V) of the incident light, with the plane of incidence as reference; True is
+        unpolarized light.  Layers of particles need ``polarized=True``, which traces polarization
+        without this keyword, too; see docs/theory/polarization.md.
+    seed : int
+        Non-negative; results with the same seed are identical on any number of threads.
     max_rays : int
         Number of rays after which a run to an error stops.  The attribute ``stop_reason`` is
         "converged", "max_rays", "fixed_rays" (where `rays` or bins set their number), "no_light"
@@ -306,11 +311,6 @@ def goniophotometer(
         use bins.  "unresolved_lobe" means that the run has converged except for directions in a
         lobe, where terms that are insignificant individually keep the reported error above the
         requested one (see ``relative_stderr_reached``); request a smaller error.
-    stokes : bool or array_like
-        Whether polarization is traced, with the estimators "bins" and "next_event", or the Stokes
-        vector (I, Q, U, V) of the incident light, with the plane of incidence as reference; True is
-        unpolarized light.  Layers of particles need ``polarized=True``, which traces polarization
-        without this keyword, too; see docs/theory/polarization.md.
     threads : int, optional
         Default: every CPU that this process may use.
     kernel : {"auto", "vectorized", "scalar"}

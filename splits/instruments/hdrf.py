@@ -65,14 +65,14 @@ def hdrf(
     relative_stderr : float
         Largest standard error relative to the value, separately for direct sunlight and for diffuse
         light, see `splits.goniophotometer`.
-    seed : int
-        Non-negative; diffuse light uses the next one.
     solver : {"auto", "discrete_ordinates", "monte_carlo"}
         As for `splits.goniophotometer`.
     polar_deg, azimuth_deg : array_like
         Directions of view, see `splits.goniophotometer`; azimuth 0 is forward, away from the sun.
     bands : mapping or str, optional
         As for `splits.albedo`.
+    seed : int
+        Non-negative; diffuse light uses the next one.
     max_rays, threads, kernel
         As for `splits.goniophotometer`.
     progress : callable or bool, optional

@@ -61,21 +61,21 @@ def irradiance_profile(
         For example `splits.Snow`, `splits.Stack` or `splits.ParticleLayer`; may be semi-infinite.
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
+    incidence_deg : float or "diffuse"
+        Incidence angle of a beam, 0 to 89.9999 degrees, or isotropic radiance.
     depth_m : array_like
         Strictly increasing depths (m) inside the medium, at most 200.  The top of the medium and,
         unless it is semi-infinite, its bottom are added.
-    incidence_deg : float or "diffuse"
-        Incidence angle of a beam, 0 to 89.9999 degrees, or isotropic radiance.
     max_stderr : float
         Largest standard error, 1e-6 to 0.5; see `target`.
-    seed : int
-        Non-negative; results with the same seed are identical on any number of threads.
     solver : {"auto", "discrete_ordinates", "monte_carlo"}
         As for `splits.spectrophotometer`.  Discrete ordinates need point grains of one material
         that absorbs.
     target : {"irradiance", "absorptance"}
         Quantities to which `max_stderr` applies: all irradiances and absorptances, or only
         absorptances and reflectance, which need far fewer rays in thick, weakly absorbing media.
+    seed : int
+        Non-negative; results with the same seed are identical on any number of threads.
     max_rays, threads, kernel, progress
         As for `splits.spectrophotometer`.
 

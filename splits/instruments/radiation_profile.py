@@ -84,18 +84,16 @@ def radiation_profile(
         For example `splits.Snow` or `splits.Stack`; see `splits.irradiance_profile`.
     sky : Sky, str or mapping
         See `splits.sky`.
+    wavelength_nm : array_like, optional
+        Strictly increasing vacuum wavelengths (nm), at least two; by default every 10 nm from the
+        first of the sky to 2495.  Other light is ignored, see ``irradiance_covered``.
     depth_m : array_like
         Strictly increasing depths (m) inside the medium; its top and, if it is finite, its bottom
         are added.  Include the boundaries between the layers of a stack to obtain the power that
         each layer absorbs.
-    wavelength_nm : array_like, optional
-        Strictly increasing vacuum wavelengths (nm), at least two; by default every 10 nm from the
-        first of the sky to 2495.  Other light is ignored, see ``irradiance_covered``.
     max_stderr : float
         Largest standard error in any band, relative to the band's incident irradiance; see
         `target`.
-    seed : int
-        Non-negative; diffuse light uses the next one.
     solver : {"auto", "discrete_ordinates", "monte_carlo"}
         As for `splits.irradiance_profile`.
     target : {"absorbed_power", "irradiance"}
@@ -107,10 +105,14 @@ def radiation_profile(
         skies of SNICAR require it.
     bands : mapping or str, optional
         As for `splits.albedo`: ``{"photosynthetic": (400, 700)}``.
+    seed : int
+        Non-negative; diffuse light uses the next one.
     max_rays : int
         Number of rays after which the simulation of sunlight, and of diffuse light, stops.
     threads : int, optional
         Default: every CPU that this process may use.
+    kernel : {"auto", "vectorized", "scalar"}
+        As for `splits.irradiance_profile`.
     progress : callable or bool, optional
         True shows a progress bar; a function is called periodically with a `Progress`.
 

@@ -88,10 +88,6 @@ def single_scattering(
     rays : int
         Rays per refractive-index node, at least 2; rounded up to whole chunks of
         `splits.simulation.grain_optics.GRAIN_RAYS_PER_CHUNK`.
-    seed : int
-        Non-negative; results with the same seed are identical on any number of threads.
-    threads : int, optional
-        Default: every CPU that this process may use.
     wet_pores : {"saturation", "equilibrium"}
         Fraction of the light between grains that is in wet pores.  "saturation" is the
         `wet_fraction` S, which is correct where light enters the sample.  "equilibrium" is
@@ -101,6 +97,10 @@ def single_scattering(
         Whether polarization is traced, as for `splits.spectrophotometer`, which changes the
         asymmetry parameter of smooth spheres by 0.003; and whether the scattering matrix is
         computed as well, from further rays.
+    seed : int
+        Non-negative; results with the same seed are identical on any number of threads.
+    threads : int, optional
+        Default: every CPU that this process may use.
 
     Returns
     -------

@@ -139,8 +139,6 @@ def spectrophotometer(
     max_stderr : float
         Largest standard error of any quantity at any wavelength, 1e-6 to 0.5; of several media, of
         each.
-    seed : int
-        Non-negative; results with the same seed are identical on any number of threads.
     solver : {"auto", "discrete_ordinates", "monte_carlo"}
         "discrete_ordinates" solves the equation of radiative transfer in plane layers of grains, in
         milliseconds: see docs/theory/discrete-ordinates.md.  Modelled natural snow
@@ -163,12 +161,14 @@ def spectrophotometer(
         (`splits.simulation.derivatives`).  By discrete ordinates, derivatives of dry snow
         are analytic (`splits.discrete_ordinates.derivatives`), and those of wet snow are
         differences of solutions.  ``parameter_method`` gives the method.
-    max_rays : int
-        Number of rays after which the run stops (the first round is always completed).  The
-        attribute ``stop_reason`` indicates whether the error or this limit was reached.
     stokes : bool or array_like
         Whether light is polarized on its path, which changes how much of it is reflected, or the
         Stokes vector (I, Q, U, V) of the incident light; see `splits.goniophotometer`.
+    seed : int
+        Non-negative; results with the same seed are identical on any number of threads.
+    max_rays : int
+        Number of rays after which the run stops (the first round is always completed).  The
+        attribute ``stop_reason`` indicates whether the error or this limit was reached.
     threads : int, optional
         Default: every CPU that this process may use.
     kernel : {"auto", "vectorized", "scalar"}

@@ -129,8 +129,6 @@ def time_of_flight(
         Incidence angle of the beam, 0 to 89.9999 degrees, or isotropic light.
     rays : int
         Number of rays, rounded up.
-    seed : int
-        Non-negative; results with the same seed are identical on any number of threads.
     delay_s : array_like, optional
         Increasing delays (s), the edges of the bins of `return_rate`, from 0, or from the beginning
         of the pulse.  By default, ten per decade from 1 ps to 100 ns.
@@ -151,6 +149,8 @@ def time_of_flight(
     depth_m : array_like, optional
         Increasing depths (m) below the surface that divide reflected light by the largest depth
         that it has reached.
+    seed : int
+        Non-negative; results with the same seed are identical on any number of threads.
     threads : int, optional
         Default: every CPU that this process may use.
     kernel : {"auto", "vectorized", "scalar"}

@@ -63,13 +63,17 @@ def build_return_table(
         `splits.Snow.natural` or a user's function.
     grid : mapping
         Increasing numbers by parameter.  ``incidence_deg`` may be one of the parameters.
-    wavelength_nm, incidence_deg, delay_s, acceptance_deg, footprint_radius_m, threads, kernel
-        As for `splits.time_of_flight`.  For `splits.retrieve_return`, bins should be narrower than
-        the pulse and the bins of the measurement.
+    wavelength_nm, incidence_deg
+        As for `splits.time_of_flight`.
     rays : int
         Number of rays at each point and wavelength.
+    delay_s, acceptance_deg, footprint_radius_m
+        As for `splits.time_of_flight`.  For `splits.retrieve_return`, bins should be narrower than
+        the pulse and the bins of the measurement.
     seed : int
         Non-negative; a table and synthetic measurements must have different seeds.
+    threads, kernel
+        As for `splits.time_of_flight`.
     progress : callable or bool, optional
         As for `splits.build_table`.
 

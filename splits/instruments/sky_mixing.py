@@ -80,7 +80,8 @@ def mix_direct_and_diffuse(
         (1.0 - direct_fraction, "diffuse"),
     ]
     runs = [
-        (fraction, instrument(incidence, number))
+        # The mixture has the incidence of neither.
+        (fraction, instrument(incidence, number).drop_vars("incidence_deg", errors="ignore"))
         for number, (fraction, incidence) in enumerate(components)
         if fraction.any()
     ]

@@ -36,7 +36,11 @@ from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO
 from splits.io.netcdf import ANCILLARY_ATTRIBUTE
 from splits.media.snow_pack_input import FLAG_NAME, LAYER_DIM, ZENITH_KEY
 from splits.media.snow_packs import FLAGS, HORIZON_DEG, SnowPacks
-from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
+from splits.simulation.run_options import (
+    RunOptions,
+    make_incidence_coordinate,
+    make_wavelength_coordinate,
+)
 from splits.simulation.spectral_tally import QUANTITY_LABELS
 from splits.simulation.threads import DaemonThreadPool, limit_blas_threads
 
@@ -280,7 +284,11 @@ def compute_snow_pack_spectra(
         "incidence_deg": "sun zenith of each snowpack" if incidence == SUN else incidence,
         **make_error_attributes(spectra, max_stderr, float(largest)),
     }
-    axes = {"wavelength": make_wavelength_coordinate(wavelength_nm)}
+    if incidence == SUN:
+        angles = make_incidence_coordinate(packs.dataset[ZENITH_KEY].values, (packs.label,))
+    else:
+        angles = make_incidence_coordinate(incidence)
+    axes = {"wavelength": make_wavelength_coordinate(wavelength_nm), "incidence_deg": angles}
     return make_snow_pack_dataset(packs, spectra.flags, variables, axes).assign_attrs(attributes)
 
 

@@ -53,7 +53,11 @@ from splits.simulation.derivatives import (
     compute_finite_difference,
 )
 from splits.simulation.engine import simulate
-from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
+from splits.simulation.run_options import (
+    RunOptions,
+    make_incidence_coordinate,
+    make_wavelength_coordinate,
+)
 from splits.simulation.scene import (
     IncidentPolarization,
     IncidentStokes,
@@ -185,7 +189,8 @@ def spectrophotometer(
         ``transmittance_batches`` over ``batch`` and ``wavelength`` are the contributions of each
         batch of rays to the error, scaled so that the squares add up to the variance.  Errors of
         combinations are computed from them, see `splits.core.uncertainty`; the contributions for
-        absorptance are minus their sum.  The attributes record all inputs.
+        absorptance are minus their sum.  The attributes record all inputs, and the coordinate
+        ``incidence_deg`` the incidence, which `splits.retrieve` checks.
         ``reflectance_jacobian`` and ``transmittance_jacobian`` over ``parameter`` and
         ``wavelength``, with errors and batches, if requested.
 
@@ -482,7 +487,10 @@ def make_spectrum(
     if truncation is not None:
         attributes["truncation_depth_m"] = size_ratio * truncation.depth_m
         attributes["semi_infinite_depth_m"] = size_ratio * truncation.semi_infinite_depth_m
-    coordinates = {"wavelength": make_wavelength_coordinate(request.wavelengths)}
+    coordinates = {
+        "wavelength": make_wavelength_coordinate(request.wavelengths),
+        "incidence_deg": make_incidence_coordinate(request.incidence),
+    }
     return xr.Dataset(variables, coordinates, attributes)
 
 

@@ -121,7 +121,7 @@ def check_conditions(key: str, measured: Any, conditions: Mapping[str, Any]) -> 
             values, expected = fold_azimuths(values), fold_azimuths(expected)
         if name not in measured.dims and not is_same_label(values, expected):
             found = np.unique(coordinates[name].values).tolist()
-            hint = f"the model has {name} = {short_repr(expected)}"
+            hint = f"the model has {name} = {short_repr(expected)}, see fixed"
             hint += "; give the parts with one value each" if len(found) > 1 else ""
             raise invalid(f"{key}.{name}", found, short_repr(expected), hint)
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.core.inputs import WAVELENGTH, Kernel
+from splits.core.inputs import INCIDENCE_ANGLE, WAVELENGTH, Kernel
 from splits.core.process import count_cpus
 from splits.core.progress import ProgressCallback
 from splits.core.provenance import hash_physics_sources
@@ -67,3 +67,14 @@ def make_wavelength_coordinate(wavelengths: np.ndarray) -> Variable:
     """Return the coordinate of vacuum wavelengths (nm)."""
     attributes = {**WAVELENGTH.attributes, "standard_name": "radiation_wavelength"}
     return "wavelength", wavelengths, attributes
+
+
+def make_incidence_coordinate(incidence: Any, dims: tuple[str, ...] = ()) -> Variable:
+    """Return the coordinate of the angle of incidence (°), or "diffuse".
+
+    A selected variable keeps it, unlike attributes of its dataset, and a retrieval checks it.
+    """
+    attributes = INCIDENCE_ANGLE.attributes
+    if isinstance(incidence, str):
+        del attributes["units"]
+    return dims, incidence, attributes

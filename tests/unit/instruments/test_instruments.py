@@ -221,7 +221,9 @@ def test_energy_is_conserved(measured):
 
 def test_all_variables_have_units_and_names(measured):
     for name, variable in measured.variables.items():
-        assert variable.attrs["units"] == ("nm" if name == "wavelength" else "1")
+        # The incidence is the text "diffuse".
+        units = {"wavelength": "nm", "incidence_deg": None}.get(name, "1")
+        assert variable.attrs.get("units") == units
         assert variable.attrs["long_name"]
     for quantity in QUANTITIES:
         assert measured[quantity].attrs["ancillary_variables"] == f"{quantity}_stderr"

@@ -46,6 +46,26 @@ def test_conditions_of_a_spectrum_are_those_of_the_medium():
         splits.retrieve(measured, snow, **keywords)
 
 
+@pytest.mark.parametrize("incidence", [75.0, "diffuse"])
+def test_results_state_their_incidence(incidence):
+    snow = splits.Snow.natural(specific_surface_area_m2_kg=20)
+    measured = splits.spectrophotometer(snow, [900.0, 1000.0], incidence).reflectance
+    keywords = {"free": {"specific_surface_area_m2_kg": (5, 80)}, "noise": 0.005}
+    with pytest.raises(InvalidValue, match=r"measured.incidence_deg = \[.*\]: must be 0.0"):
+        splits.retrieve(measured, snow, **keywords)
+    found = splits.retrieve(measured, snow, fixed={"incidence_deg": incidence}, **keywords).dataset
+    assert abs(found.value.item() - 20.0) < 2.0 * found.value_stderr.item() < 6.0
+
+
+def test_snowpacks_state_their_incidence():
+    layer = {"thickness_m": 0.1, "density_kg_m3": 300.0, "specific_surface_area_m2_kg": 20.0}
+    columns = {name: (("time", "layer"), [[value]] * 2) for name, value in layer.items()}
+    packs = splits.SnowPacks(xr.Dataset(columns, {"time": [1, 2]})).with_sun_zenith([60.0, 75.0])
+    for incidence, expected in (("sun", [60.0, 75.0]), (30.0, 30.0), ("diffuse", "diffuse")):
+        spectra = splits.spectrophotometer(packs, [900.0], incidence)
+        assert (spectra.reflectance.incidence_deg == expected).all()
+
+
 @pytest.mark.parametrize(("polar", "azimuth"), [(30.0, 90.0), (20.0, 80.0)])
 def test_directions_are_those_of_the_view(polar, azimuth):
     table = splits.Table(make_direction_dataset())

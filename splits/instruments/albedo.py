@@ -124,9 +124,6 @@ def albedo(
     attributes |= {f"band_{name}_sha256": one.sha256 for name, one in named.items() if one.sha256}
     axes = {**mixed.coords, "wavelength": make_wavelength_coordinate(wavelengths)}
     axes["band"] = list(named)
-    attributes = {
-        name: fact for name, fact in attributes.items() if name == "medium" or name not in axes
-    }
     dims = ("medium", "wavelength") if isinstance(medium, Mapping) else ("wavelength",)
     values, stderr, deviations = (
         mixed[f"reflectance{suffix}"].transpose(..., *dims).values

@@ -59,7 +59,11 @@ from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.simulation.deep_medium import ERROR_BUDGET_FRACTION, THEORY_UNCERTAINTY, TruncatedMedium
 from splits.simulation.engine import simulate
-from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
+from splits.simulation.run_options import (
+    RunOptions,
+    make_incidence_coordinate,
+    make_wavelength_coordinate,
+)
 from splits.simulation.scene import (
     IncidentStokes,
     build_scene,
@@ -159,6 +163,7 @@ def make_angular_dataset(
         "wavelength": make_wavelength_coordinate(wavelengths),
         "polar_deg": ("polar_deg", polar, POLAR_ANGLE.attributes),
         "azimuth_deg": ("azimuth_deg", azimuth, AZIMUTH_ANGLE.attributes),
+        "incidence_deg": make_incidence_coordinate(attributes["incidence_deg"]),
     }
     # Without a BTDF, its polarization is undefined, too.
     kept = {

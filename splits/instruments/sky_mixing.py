@@ -110,14 +110,13 @@ def mix_direct_and_diffuse(
     rays = sum(one["rays"] for one in attributes)
     # With "auto", both runs may differ in their solver.
     solver = " and ".join(dict.fromkeys(str(one["solver"]) for one in attributes))
-    reached = {
+    reached: dict[str, Any] = {
         name: max(float(one[name]) for one in attributes)
         for name in REACHED_ATTRIBUTES
         if name in attributes[0]
     }
-    return xr.Dataset(
-        variables, attrs={"solver": solver, "stop_reason": stop_reason, **reached, "rays": rays}
-    )
+    reached |= {"solver": solver, "stop_reason": stop_reason, "rays": rays}
+    return xr.Dataset(variables, {"sky": make_sky_coordinate(sky)}, reached)
 
 
 def compute_band_weights(
@@ -205,6 +204,11 @@ def make_coverage_variable(weights: np.ndarray, band_irradiance: np.ndarray) -> 
     """Return the fraction of the light of bands that is covered, see `compute_band_weights`."""
     attributes = {"long_name": "fraction of the band's light within the wavelengths", "units": "1"}
     return {"irradiance_covered": ("band", weights.sum(axis=1) / band_irradiance, attributes)}
+
+
+def make_sky_coordinate(sky: Sky) -> Variable:
+    """Return the coordinate of the name of a sky, which variables keep, and retrievals check."""
+    return (), np.array(sky.name), {"long_name": "sky"}
 
 
 def make_sky_attributes(sky: Sky) -> dict[str, Any]:

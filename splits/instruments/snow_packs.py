@@ -31,6 +31,7 @@ from splits.instruments.sky_mixing import (
     compute_band_error_weights,
     compute_band_weights,
     make_sky_attributes,
+    make_sky_coordinate,
 )
 from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO
 from splits.io.netcdf import ANCILLARY_ATTRIBUTE
@@ -445,5 +446,9 @@ def compute_snow_pack_albedo(
         attributes["sky_zenith_step_deg"] = ZENITH_STEP_DEG
     attributes |= make_error_attributes(spectra, max_stderr, float(np.nanmax(stderr, initial=0.0)))
     attributes |= {f"band_{name}_sha256": one.sha256 for name, one in named.items() if one.sha256}
-    axes = {"wavelength": make_wavelength_coordinate(wavelengths), "band": list(named)}
+    axes = {
+        "wavelength": make_wavelength_coordinate(wavelengths),
+        "band": list(named),
+        "sky": make_sky_coordinate(skies[0]),
+    }
     return make_snow_pack_dataset(packs, spectra.flags, variables, axes).assign_attrs(attributes)

@@ -26,7 +26,7 @@ from splits.kernels.interpolation import interpolate
 from splits.media.parameters import describe_parameter
 from splits.media.snow_pack_input import FLAG_NAME
 from splits.retrieval.forward_model import TableForwardModel, choose_quantity, get_table_ranges
-from splits.retrieval.measurement import MAX_REFLECTANCE, Measurement, check_conditions
+from splits.retrieval.measurement import MAX_REFLECTANCE, Measurement, check_modelled_quantity
 from splits.retrieval.state_vector import SCALE, StateVector
 from splits.tables.table import Table
 
@@ -412,7 +412,7 @@ def retrieve_map(
     measurement = Measurement.from_input(example, noise, bands)
     image = image if named else image.sortby("wavelength")
     model = TableForwardModel(table, measurement, state_vector, fixed, quantity)
-    check_conditions("image", image, model.list_fixed_values())
+    check_modelled_quantity("image", image, quantity, model.list_fixed_values())
     random = np.random.default_rng(1)
     model_covariances = [
         model.compute_error_covariance(state)

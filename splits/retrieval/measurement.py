@@ -14,7 +14,7 @@ from splits.core.inputs import check_wavelengths
 from splits.core.labels import check_nanometres, convert_units
 from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid, short_repr
 from splits.illumination.bands import SpectralBand, as_bands
-from splits.tables.axes import AZIMUTH, fold_azimuths
+from splits.tables.axes import ALL_QUANTITIES, AZIMUTH, POLAR, fold_azimuths
 
 MAX_REFLECTANCE = 2.0
 """Reflectance factor above which values are assumed to be in per cent."""
@@ -101,7 +101,7 @@ class Measurement(NamedTuple):
 
 
 def check_conditions(key: str, measured: Any, conditions: Mapping[str, Any]) -> None:
-    """Check that coordinates of a measurement are the conditions of the model.
+    """Check that coordinates of measured values are the conditions of the model.
 
     Parameters
     ----------
@@ -124,6 +124,45 @@ def check_conditions(key: str, measured: Any, conditions: Mapping[str, Any]) -> 
             hint = f"the model has {name} = {short_repr(expected)}, see fixed"
             hint += "; give the parts with one value each" if len(found) > 1 else ""
             raise invalid(f"{key}.{name}", found, short_repr(expected), hint)
+
+
+def check_modelled_quantity(
+    key: str, measured: Any, quantity: str, conditions: Mapping[str, Any]
+) -> None:
+    """Check that a measurement is of the quantity of a model, under its light and from its view.
+
+    Parameters
+    ----------
+    key : str
+        Key named in error messages.
+    measured : object
+        The name of a DataArray or Series may not be that of another quantity, and coordinates of a
+        DataArray may not be conditions that the model does not have.  "reflectance" is also the
+        name of reflectance factors.
+    quantity : str
+    conditions : mapping
+        See `check_conditions`, which is called first.
+    """
+    check_conditions(key, measured, conditions)
+    name = str(getattr(measured, "name", "")).removeprefix("band_")
+    if name in {*ALL_QUANTITIES, "absorptance"} - {"reflectance", quantity}:
+        hint = f"for measurements of this quantity, {key}.rename({quantity!r})"
+        raise invalid(f"{key}.name", name, quantity, hint)
+    coordinates = measured.coords if isinstance(measured, xr.DataArray) else {}
+    modelled = {*conditions, *(["sky"] if "diffuse_fraction" in conditions else ())}
+    for condition, without in UNMODELLED_CONDITIONS.items():
+        if condition in {*coordinates} - modelled:
+            hint = f"the model has {without}; {key}.drop_vars({condition!r}) neglects that"
+            found = np.unique(coordinates[condition].values).tolist()
+            raise invalid(f"{key}.{condition}", found, "left out", hint)
+
+
+UNMODELLED_CONDITIONS = {
+    "sky": "light of one incidence, not of a sky",
+    POLAR: "no direction of observation",
+    AZIMUTH: "no direction of observation",
+}
+"""Coordinates of results that a model may not have, with what it has instead."""
 
 
 def is_same_label(values: Any, expected: Any) -> bool:

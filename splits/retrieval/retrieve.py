@@ -29,7 +29,7 @@ from splits.retrieval.linearization import (
     estimate_nonlinearity,
     refine_posterior,
 )
-from splits.retrieval.measurement import Measurement, check_conditions
+from splits.retrieval.measurement import Measurement, check_modelled_quantity
 from splits.retrieval.medium_model import (
     MediumForwardModel,
     OrdinatesForwardModel,
@@ -89,7 +89,7 @@ def retrieve(
     measured : xarray.DataArray, pandas.Series or pair of array_like
         Reflectances over ``wavelength`` (nm), or (wavelengths, reflectances); one value per band
         with `bands`.  Labels may be in any order.  Other coordinates, such as ``incidence_deg``,
-        must agree with the model.
+        and the name of the quantity must agree with the model.
     model : Table or medium
         A table, see `splits.build_table` and `splits.open_table`; or a snow, sand, layer or stack,
         which is solved by discrete ordinates (a fraction of a second) or simulated as often as
@@ -182,7 +182,7 @@ def retrieve(
         state_vector = StateVector.from_ranges(free, prior, get_table_ranges(model))
         forward_model = TableForwardModel(model, measurement, state_vector, fixed, quantity)
         fixed_values = forward_model.list_fixed_values()
-        check_conditions("measured", measured, fixed_values)
+        check_modelled_quantity("measured", measured, quantity, fixed_values)
     else:
         if isinstance(model, str | Mapping) or not hasattr(model, "kind"):
             shown = model if isinstance(model, str) or callable(model) else type(model).__name__
@@ -198,7 +198,7 @@ def retrieve(
         incidence = check_measurement_incidence(fixed, free)
         state_vector = make_medium_state_vector(model, free, prior, incidence)
         fixed_values = {} if INCIDENCE_KEY in state_vector.names else {INCIDENCE_KEY: incidence}
-        check_conditions("measured", measured, fixed_values)
+        check_modelled_quantity("measured", measured, "reflectance", fixed_values)
         options = {"max_rays": max_rays, "threads": threads, "kernel": kernel}
         forward_model = make_medium_model(
             model, measurement, state_vector, incidence, solver, max_stderr, seed, progress, options

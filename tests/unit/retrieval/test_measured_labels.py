@@ -66,6 +66,33 @@ def test_snowpacks_state_their_incidence():
         assert (spectra.reflectance.incidence_deg == expected).all()
 
 
+def test_results_of_other_quantities_and_conditions_are_rejected():
+    snow = splits.Snow.natural(specific_surface_area_m2_kg=20, depth_m=0.05)
+    sky = splits.sky("midlatitude_winter", 60)
+    wavelength, view = [900.0, 1000.0], {"polar_deg": [0, 30], "azimuth_deg": [0, 180]}
+    spectrum = splits.spectrophotometer(snow, wavelength)
+    blue_sky = splits.albedo(snow, sky, wavelength)
+    under_sky = splits.hdrf(snow, sky, wavelength, relative_stderr=0.1, **view)
+    beam = splits.goniophotometer(snow, wavelength, 40, relative_stderr=0.1, **view)
+    directions = [
+        one.reflectance_factor.isel(polar_deg=1, azimuth_deg=0).rename("mine")
+        for one in (under_sky.drop_vars("sky"), beam.drop_vars("incidence_deg"))
+    ]
+    for measured, message in (
+        (spectrum.transmittance, r"measured\.name = 'transmittance': must be reflectance"),
+        (spectrum.absorptance.to_series(), r"measured\.name = 'absorptance': must be reflectance"),
+        (blue_sky.albedo, r"measured\.sky = \['midlatitude_winter'\]: must be left out"),
+        (directions[0], r"measured\.polar_deg = \[30.0\]: must be left out"),
+        (directions[1], r"measured\.polar_deg = \[30.0\]: must be left out"),
+        (beam.reflectance, r"measured\.incidence_deg = \[40.0\]: must be 0.0"),
+        (under_sky.reflectance_factor.isel(polar_deg=0, azimuth_deg=0), "'reflectance_factor'"),
+    ):
+        with pytest.raises(InvalidValue, match=message):
+            splits.retrieve(measured, snow, {"specific_surface_area_m2_kg": (5, 80)}, 0.01)
+    named = blue_sky.albedo.drop_vars("sky")
+    assert splits.retrieve(named, snow, {"specific_surface_area_m2_kg": (5, 80)}, 0.01)
+
+
 @pytest.mark.parametrize(("polar", "azimuth"), [(30.0, 90.0), (20.0, 80.0)])
 def test_directions_are_those_of_the_view(polar, azimuth):
     table = splits.Table(make_direction_dataset())

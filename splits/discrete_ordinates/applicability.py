@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -40,18 +40,14 @@ SHAPE_PARAMETERS = ("facetness", "sphericity")
 WATER_PARAMETERS = ("saturation", "liquid_water_content")
 
 
-def find_obstacle(medium: Medium, wavelength_nm: np.ndarray) -> str | None:
+def find_obstacle(medium: Medium) -> str | None:
     """Return why discrete ordinates cannot simulate a medium, None if they can.
 
-    Parameters
-    ----------
-    medium : Medium
-    wavelength_nm : float, shape (wavelengths,)
+    The tables of natural snow have further limits, see `find_table_obstacle`.
     """
     layers: Any = medium.scene_layers
-    for number, layer in enumerate(layers):
-        place = f"layers[{number}] " if len(layers) > 1 else "it "
-        reason = _find_obstacle_in_layer(layer, wavelength_nm)
+    for place, layer in _iterate_layers(medium):
+        reason = _find_obstacle_in_layer(layer)
         if reason:
             return place + reason
     saturated = [layer.wet_fraction > 0.0 for layer in layers]
@@ -59,6 +55,47 @@ def find_obstacle(medium: Medium, wavelength_nm: np.ndarray) -> str | None:
     if any(saturated) and any(one != water[0] for one in water):
         return "its layers have different refractive indices of water"
     return None
+
+
+def find_table_obstacle(
+    medium: Medium, stack: GranularStack, wavelength_nm: np.ndarray
+) -> str | None:
+    """Return why the tables of natural snow do not hold for a medium, None if they do.
+
+    Parameters
+    ----------
+    medium : Medium
+        Without other obstacle.
+    stack : GranularStack
+        See `make_granular_stack`.
+    wavelength_nm : float, shape (wavelengths,)
+    """
+    for (place, layer), optics in zip(_iterate_layers(medium), stack.layers, strict=True):
+        if isinstance(optics.grains, TracedGrains):
+            continue
+        contrast = optics.grains.contrast
+        outside = ~contrast.contains(optics.contrast)
+        if outside.any():
+            limits = 1.0 + contrast.nodes[[0, -1]]
+            return (
+                f"{place}has an index of ice of {1.0 + optics.contrast[outside][0]:.4g} at "
+                f"{wavelength_nm[outside][0]:g} nm, outside {limits[0]:g} to {limits[1]:g}"
+            )
+        strong = optics.grain_absorption > MAX_ABSORPTION
+        if strong.any():
+            return f"{place}absorbs too strongly at {wavelength_nm[strong][0]:g} nm"
+        if layer.wet_fraction > 0.0:
+            expected = contrast.compute_weights(optics.contrast) @ optics.grains.water
+            if np.abs(optics.water_index - expected).max() > MAX_WATER_DIFFERENCE:
+                return f"{place}has another refractive index of water than by default"
+    return None
+
+
+def _iterate_layers(medium: Medium) -> Iterator[tuple[str, Any]]:
+    """Yield the layers of a medium, each with the beginning of a sentence on it."""
+    layers: Any = medium.scene_layers
+    for number, layer in enumerate(layers):
+        yield f"layers[{number}] " if len(layers) > 1 else "it ", layer
 
 
 def make_granular_stack(
@@ -152,7 +189,7 @@ def _is_natural_layer(layer: Any) -> bool:
     return isinstance(layer, Snow) and is_natural(layer)
 
 
-def _find_obstacle_in_layer(layer: Any, wavelength_nm: np.ndarray) -> str | None:
+def _find_obstacle_in_layer(layer: Any) -> str | None:
     if not isinstance(layer, GranularMedium):
         return "has no grains"
     if layer.pores:
@@ -163,7 +200,7 @@ def _find_obstacle_in_layer(layer: Any, wavelength_nm: np.ndarray) -> str | None
             "of its pores are wet"
         )
     if _is_natural_layer(layer):
-        return _find_table_obstacle(layer, wavelength_nm)
+        return None
     rules = layer.interpretation.as_dict()
     for name in ("overlap_with_boundary", "overlap_with_previous_segment"):
         if rules[name] != "keep":
@@ -186,29 +223,6 @@ def _find_obstacle_in_layer(layer: Any, wavelength_nm: np.ndarray) -> str | None
     return None
 
 
-def _find_table_obstacle(layer: Any, wavelength_nm: np.ndarray) -> str | None:
-    """Return why the tables of natural snow do not hold."""
-    is_wet = layer.saturation > 0.0
-    table = load_natural_grains(wet=is_wet)
-    optics = GranularLayer.from_medium(layer, wavelength_nm, table)
-    outside = ~table.contrast.contains(optics.contrast)
-    if outside.any():
-        limits = 1.0 + table.contrast.nodes[[0, -1]]
-        return (
-            f"has an index of ice of {1.0 + optics.contrast[outside][0]:.4g} at "
-            f"{wavelength_nm[outside][0]:g} nm, outside {limits[0]:g} to {limits[1]:g}"
-        )
-    strong = optics.grain_absorption > MAX_ABSORPTION
-    if strong.any():
-        return f"absorbs too strongly at {wavelength_nm[strong][0]:g} nm"
-    if not is_wet:
-        return None
-    expected = table.contrast.compute_weights(optics.contrast) @ table.water
-    if np.abs(optics.water_index - expected).max() > MAX_WATER_DIFFERENCE:
-        return "has another refractive index of water than by default"
-    return None
-
-
 def find_parameter_obstacle(medium: Medium, parameters: Sequence[str]) -> str | None:
     """Return why a medium without obstacle has no derivatives by discrete ordinates.
 
@@ -218,7 +232,7 @@ def find_parameter_obstacle(medium: Medium, parameters: Sequence[str]) -> str | 
     parameters : sequence of str
         Parameters of the medium.
     """
-    layers: Any = medium.scene_layers
+    layers: Any = medium.scene_layers if parameters else ()
     for name in parameters:
         if name.split(".")[-1] in SHAPE_PARAMETERS:
             return f"{name} changes the shape of natural grains"

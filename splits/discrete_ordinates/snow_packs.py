@@ -7,7 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.discrete_ordinates.applicability import MAX_SATURATION, find_obstacle
+from splits.discrete_ordinates.applicability import (
+    MAX_SATURATION,
+    find_table_obstacle,
+    make_granular_stack,
+)
 from splits.discrete_ordinates.grains import MAX_ABSORPTION
 from splits.discrete_ordinates.granular_layers import GranularLayer
 from splits.discrete_ordinates.granular_stack import (
@@ -76,7 +80,7 @@ def find_spectral_obstacle(wavelength_nm: np.ndarray, *, wet: bool) -> str | Non
     fine = Snow.natural(
         specific_surface_area_m2_kg=MAX_SURFACE_AREA_M2_KG, liquid_water_content=water
     )
-    return find_obstacle(fine, wavelength_nm)
+    return find_table_obstacle(fine, make_granular_stack(fine, wavelength_nm), wavelength_nm)
 
 
 def find_unsupported(arrays: SnowPackArrays, materials: SnowPackMaterials) -> np.ndarray:

@@ -15,7 +15,6 @@ from splits.core.uncertainty import (
     make_variable,
 )
 from splits.core.validation import ROUNDING_TOLERANCE
-from splits.discrete_ordinates.applicability import make_granular_stack
 from splits.discrete_ordinates.granular_stack import GranularStack
 from splits.discrete_ordinates.profiles import (
     IntervalProfile,
@@ -33,7 +32,6 @@ from splits.instruments.flux_tally import (
     bound_flux_interpolation_error,
     estimate_rare_event_error,
 )
-from splits.instruments.solver import DISCRETE_ORDINATES
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.medium import Medium
 from splits.simulation.run_options import make_wavelength_coordinate
@@ -216,28 +214,26 @@ def compute_absorbed_fractions(estimate: FluxEstimate, columns: Sequence[int]) -
 
 
 def solve_flux(
-    medium: Medium, wavelengths: np.ndarray, depths: np.ndarray, incidence: float | str,
-    max_stderr: float, limit_irradiance: bool, threads: int,
+    medium: Medium, whole: GranularStack, wavelengths: np.ndarray, depths: np.ndarray,
+    incidence: float | str, max_stderr: float, limit_irradiance: bool,
 ) -> xr.Dataset:  # fmt: skip
     """Return the dataset of `splits.irradiance_profile`, with the attributes of the solution.
 
     Parameters
     ----------
     medium : Medium
-        Without obstacle.
+    whole : GranularStack
+        The medium in the form of discrete ordinates.
     wavelengths, depths : float, shape (wavelengths,) and (depths,)
         nm; m, inside the medium.
     incidence : float or "diffuse"
         Degrees, or isotropic light.
     max_stderr : float
-        Determines the number of streams, and of paths through grains.
+        Determines the number of streams.
     limit_irradiance : bool
         Whether it applies to irradiances, too.
-    threads : int
-        For paths through grains.
     """
     edges = np.array([0.0, *depths, medium.depth_m])
-    whole = make_granular_stack(medium, wavelengths, max_stderr, threads)
     parts, geometry = divide_medium(medium, whole, edges)
     cosine = None if incidence == "diffuse" else float(np.cos(np.radians(float(incidence))))
     with limit_blas_threads():
@@ -260,7 +256,6 @@ def solve_flux(
 
     reached = find_largest(error)
     attributes = {
-        "solver": DISCRETE_ORDINATES,
         "max_stderr_reached": reached,
         "stop_reason": "converged" if reached <= max_stderr else "solver_error",
         "rays": 0,

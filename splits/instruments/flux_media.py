@@ -17,6 +17,7 @@ from splits.core.validation import format_limit, invalid
 from splits.discrete_ordinates.applicability import (
     find_obstacle,
     find_profile_obstacle,
+    find_table_obstacle,
     make_granular_stack,
 )
 from splits.discrete_ordinates.grains import GrainTable
@@ -226,11 +227,14 @@ def _compute_layer_ratio(
     if (
         layer.wet_fraction > 0.0
         or not absorbs.any()
-        or find_obstacle(layer, absorbing)
+        or find_obstacle(layer)
         or find_profile_obstacle(layer, absorbing)
     ):
         return PathRatio(value, error, by_rays)
-    (optics,) = make_granular_stack(layer, absorbing, max_stderr, threads).layers
+    stack = make_granular_stack(layer, absorbing, max_stderr, threads)
+    if find_table_obstacle(layer, stack, absorbing):
+        return PathRatio(value, error, by_rays)
+    (optics,) = stack.layers
 
     def compute(layers: Sequence[GranularLayer]) -> np.ndarray:
         (one,) = layers

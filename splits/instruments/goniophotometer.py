@@ -44,12 +44,11 @@ from splits.instruments.angular_tallies import (
 from splits.instruments.detector_tally import DetectorTally, get_detected_layers, make_detectors
 from splits.instruments.solver import (
     AUTO,
-    DISCRETE_ORDINATES,
     MONTE_CARLO,
     AngularRequest,
     AngularResult,
-    choose_solver,
-    find_angular_obstacle,
+    Choice,
+    choose_angular_solver,
     solve_angular_results,
 )
 from splits.instruments.spectrophotometer import MAX_ATTEMPTS, SpectralRequest
@@ -392,14 +391,16 @@ def goniophotometer(
     request = AngularRequest(
         wavelengths, polar, azimuth, relative_stderr, ErrorTarget(side, direction_mask)
     )
-    obstacle = find_angular_obstacle(medium, estimator, rays)
-    chosen = choose_solver(solver, [medium], wavelengths, obstacle)
-    if chosen == DISCRETE_ORDINATES:
-        result = solve_angular_results(medium, request, [incidence], run.threads)[0]
+    obstacle = "a number of rays needs paths" if rays is not None else None
+    if estimator != "expansion":
+        obstacle = f"the estimator {estimator} needs paths"
+    choice = choose_angular_solver(solver, medium, request, run.threads, obstacle)
+    for stack in choice.stacks:
+        (result,) = solve_angular_results(stack, request, [incidence])
         # Paths need a finite medium.
         if solver == AUTO and not (medium.is_semi_infinite or result.is_converged):
-            chosen = MONTE_CARLO
-    if chosen == MONTE_CARLO:
+            choice = Choice.of_missed_error(result.estimate.compute_max_error(request.target))
+    if choice.solver == MONTE_CARLO:
         check_medium(medium)
         scene = build_scene(medium, incidence, False, polarization, ground_albedo)
         tally = _make_angular_tally(medium, scene, incidence, request, estimator, bins)
@@ -422,7 +423,7 @@ def goniophotometer(
         "relative_stderr_reached": result.estimate.compute_max_error(request.target),
         "relative_stderr": relative_stderr,
         "max_rays": max_rays,
-        "solver": chosen,
+        **choice.attributes,
         **result.attributes,
     }
     undefined = {*result.undefined, *(TRANSMITTED_VARIABLES if has_ground else ())}

@@ -15,15 +15,14 @@ from splits.core.inputs import (
     check_depths,
 )
 from splits.core.validation import ROUNDING_TOLERANCE, invalid
-from splits.discrete_ordinates.applicability import find_obstacle, find_profile_obstacle
+from splits.discrete_ordinates.applicability import find_profile_obstacle
 from splits.instruments.flux_dataset import make_flux_dataset, solve_flux
 from splits.instruments.flux_media import TracedMedium, prepare_medium
 from splits.instruments.flux_tally import FluxTally, FluxTarget
 from splits.instruments.solver import (
     AUTO,
-    DISCRETE_ORDINATES,
     LEAST_PATH_ERROR,
-    MONTE_CARLO,
+    Choice,
     choose_solver,
 )
 from splits.media.medium import Medium
@@ -65,19 +64,19 @@ def simulate_flux(
 ) -> xr.Dataset:
     """Return the dataset of `irradiance_profile` to an error, by a solver as given by the user."""
     medium, wavelengths, depths, incidence, max_stderr, max_rays = request
-    obstacle = None
-    if solver != MONTE_CARLO:
-        obstacle = find_obstacle(medium, wavelengths) or find_profile_obstacle(medium, wavelengths)
-    chosen = choose_solver(solver, [medium], wavelengths, obstacle, max_stderr=max_stderr)
-    if chosen == DISCRETE_ORDINATES:
+    choice = choose_solver(
+        solver, [medium], wavelengths, max_stderr, run.threads, max_stderr=max_stderr,
+        find_further_obstacle=lambda one: find_profile_obstacle(one, wavelengths),
+    )  # fmt: skip
+    for stack in choice.stacks:
         dataset = solve_flux(
-            medium, wavelengths, depths, incidence, max_stderr, target.limit_irradiance,
-            run.threads,
-        )  # fmt: skip
-        dataset.attrs = _describe_request(request, target, run, chosen) | dataset.attrs
+            medium, stack, wavelengths, depths, incidence, max_stderr, target.limit_irradiance
+        )
+        dataset.attrs = _describe_request(request, target, run, choice) | dataset.attrs
         reached = dataset.attrs["max_stderr_reached"]
         if solver != AUTO or reached <= max(max_stderr, LEAST_PATH_ERROR):
             return dataset
+        choice = Choice.of_missed_error(reached)
     traced_medium = prepare_medium(medium, wavelengths, depths, max_stderr, run)
     scene = build_scene(traced_medium.medium, incidence, False)
     scene = add_recording_planes(scene, depths.tolist())
@@ -85,7 +84,7 @@ def simulate_flux(
     tally = FluxTally(nodes, traced_medium, scene, target)
     evaluation = simulate(scene, tally, StoppingRule(max_stderr, max_rays), run)
     attributes = {
-        **_describe_request(request, target, run, MONTE_CARLO),
+        **_describe_request(request, target, run, choice),
         "max_stderr_reached": evaluation.error,
         **tally.describe_run(evaluation.stop_reason),
     }
@@ -95,7 +94,7 @@ def simulate_flux(
 
 
 def _describe_request(
-    request: FluxRequest, target: FluxTarget, run: RunOptions, solver: str
+    request: FluxRequest, target: FluxTarget, run: RunOptions, choice: Choice
 ) -> dict[str, Any]:
     """Return the attributes of a request, once it is finished."""
     return {
@@ -104,7 +103,7 @@ def _describe_request(
         "max_stderr": request.max_stderr,
         "target": "irradiance" if target.limit_irradiance else "absorptance",
         "max_rays": request.max_rays,
-        "solver": solver,
+        **choice.attributes,
     }
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -11,9 +10,10 @@ import numpy as np
 from splits.core.uncertainty import ErrorTarget
 from splits.core.validation import invalid
 from splits.discrete_ordinates.applicability import (
+    DEFAULT_ERROR,
     find_direction_obstacle,
     find_obstacle,
-    find_parameter_obstacle,
+    find_table_obstacle,
     is_tabulated,
     make_granular_stack,
 )
@@ -40,17 +40,53 @@ from splits.simulation.threads import limit_blas_threads
 MONTE_CARLO: Final = "monte_carlo"
 DISCRETE_ORDINATES: Final = "discrete_ordinates"
 AUTO: Final = "auto"
+REQUESTED = "requested"
+"""Reason of a solver that the user chose."""
 OPTICS_SHARE_OF_ERROR = 0.86
 """Error of single scattering that leaves half of a requested error for truncation."""
 LEAST_PATH_ERROR = 1e-4
 """About the error of a reflectance by the default largest number of rays."""
 
 
+class Choice(NamedTuple):
+    """Solver of media, with what it solves.
+
+    Attributes
+    ----------
+    solver : {"discrete_ordinates", "monte_carlo"}
+    reason : str
+        Why this solver is taken.
+    stacks : list of GranularStack
+        The media in the form of discrete ordinates; empty for Monte Carlo simulation.
+    """
+
+    solver: str
+    reason: str
+    stacks: list[GranularStack]
+
+    @classmethod
+    def of_paths(cls, reason: str) -> Choice:
+        """Return the choice of Monte Carlo simulation."""
+        return cls(MONTE_CARLO, reason, [])
+
+    @classmethod
+    def of_missed_error(cls, error: float) -> Choice:
+        """Return the choice of Monte Carlo simulation for the error of a solution."""
+        return cls.of_paths(f"discrete ordinates have an error of {error:.2g}")
+
+    @property
+    def attributes(self) -> dict[str, str]:
+        """Attributes of results."""
+        return {"solver": self.solver, "solver_reason": self.reason}
+
+
 def choose_solver(
-    solver: str, media: Iterable[Medium], wavelength_nm: np.ndarray, obstacle: str | None = None,
-    parameters: Sequence[str] = (), max_stderr: float = np.inf,
-) -> str:  # fmt: skip
-    """Return the solver for media: with "auto", discrete ordinates where they are the best.
+    solver: str, media: Iterable[Medium], wavelength_nm: np.ndarray,
+    max_error: float | None = None, threads: int = 1, *, obstacle: str | None = None,
+    find_further_obstacle: Callable[[Medium], str | None] = lambda medium: None,
+    max_stderr: float = np.inf,
+) -> Choice:  # fmt: skip
+    """Choose the solver of media: with "auto", discrete ordinates where they are the best.
 
     They are if they apply to natural snow, and are accurate enough.  For other grains, their first
     spectrum takes longer than paths.
@@ -60,10 +96,16 @@ def choose_solver(
     solver : {"auto", "discrete_ordinates", "monte_carlo"}
     media : iterable of Medium
     wavelength_nm : float, shape (wavelengths,)
+    max_error : float, optional
+        Error that determines the number of paths through grains, see
+        `splits.discrete_ordinates.applicability.make_granular_stack`.  Without it, no paths are
+        traced, and the choice has no stacks.
+    threads : int
+        For these paths.
     obstacle : str, optional
         Another reason why discrete ordinates do not apply.
-    parameters : sequence of str
-        Parameters of the only medium with respect to which derivatives are computed.
+    find_further_obstacle : callable
+        Returns such a reason for a medium that has no other one, or None.
     max_stderr : float
         Requested error of hemispherical values; "auto" uses paths if discrete ordinates have a
         larger one, unless paths would hardly reach a smaller one.
@@ -74,60 +116,74 @@ def choose_solver(
         Where discrete ordinates are requested and do not apply.
     """
     if solver == MONTE_CARLO:
-        return MONTE_CARLO
-    media = list(media)
-    reasons = (find_obstacle(medium, wavelength_nm) for medium in media)
-    obstacle = obstacle or next((reason for reason in reasons if reason), None)
-    if obstacle is None and parameters:
-        obstacle = find_parameter_obstacle(media[0], parameters)
-    if obstacle is None:
-        sufficient = max(OPTICS_SHARE_OF_ERROR * max_stderr, LEAST_PATH_ERROR)
-        is_best = solver != AUTO or all(
-            is_tabulated(medium)
-            and compute_optics_error(make_granular_stack(medium, wavelength_nm)).max() <= sufficient
-            for medium in media
-        )
-        return DISCRETE_ORDINATES if is_best else MONTE_CARLO
-    if solver == AUTO:
-        return MONTE_CARLO
-    allowed = "'monte_carlo' or 'auto' for this medium"
-    raise invalid("solver", solver, allowed, f"for discrete ordinates, {obstacle}")
+        return Choice.of_paths(REQUESTED)
+    stacks = []
+    for medium in media:
+        reason = obstacle or find_obstacle(medium) or find_further_obstacle(medium)
+        has_table, stack = is_tabulated(medium), None
+        if not reason and solver == AUTO and not has_table:
+            return Choice.of_paths("they are faster for grains other than natural snow")
+        if not reason and (has_table or max_error is not None):
+            error = DEFAULT_ERROR if max_error is None else max_error
+            stack = make_granular_stack(medium, wavelength_nm, error, threads)
+            reason = find_table_obstacle(medium, stack, wavelength_nm)
+        if reason and solver != AUTO:
+            allowed = "'monte_carlo' or 'auto' for this medium"
+            raise invalid("solver", solver, allowed, f"for discrete ordinates, {reason}")
+        if reason:
+            return Choice.of_paths(f"discrete ordinates do not apply: {reason}")
+        if stack is not None and solver == AUTO:
+            optics_error = float(compute_optics_error(stack).max())
+            if optics_error > max(OPTICS_SHARE_OF_ERROR * max_stderr, LEAST_PATH_ERROR):
+                return Choice.of_missed_error(optics_error)
+        if stack is not None and max_error is not None:
+            stacks.append(stack)
+    reason = "natural snow, without noise" if solver == AUTO else REQUESTED
+    return Choice(DISCRETE_ORDINATES, reason, stacks)
 
 
 def solve_estimate(
-    media: Sequence[Medium], wavelength_nm: np.ndarray, incidence: float | str, max_stderr: float,
-    threads: int, parameters: Sequence[str] = (),
-) -> SpectralEstimate:  # fmt: skip
-    """Return hemispherical values of media by discrete ordinates, in the form of simulations.
+    stacks: Sequence[GranularStack], incidence: float | str, max_stderr: float
+) -> tuple[SpectralEstimate, list[SpectrumSolution]]:
+    """Return hemispherical values of media in the form of simulations, and their solutions.
 
     Parameters
     ----------
-    media : sequence of Medium
-        Without obstacle (`splits.discrete_ordinates.applicability.find_obstacle`).
-    wavelength_nm : float, shape (wavelengths,)
+    stacks : sequence of GranularStack
     incidence : float or "diffuse"
         Degrees, or isotropic light.
     max_stderr : float
-        Determines the number of streams, and of paths through grains.
-    threads : int
-        For paths through grains.
-    parameters : sequence of str
-        Parameters of the only medium with respect to which derivatives are computed, without
-        obstacle (`splits.discrete_ordinates.applicability.find_parameter_obstacle`).
+        Determines the number of streams.
     """
     is_diffuse = incidence == "diffuse"
     cosines = np.array([] if is_diffuse else [np.cos(np.radians(float(incidence)))])
-    stacks = [make_granular_stack(medium, wavelength_nm, max_stderr, threads) for medium in media]
     with limit_blas_threads():
         solutions = [solve_with_exponent_error(stack, cosines, max_stderr) for stack in stacks]
-        estimate = make_estimate(solutions, -1 if is_diffuse else 0)
-        if not parameters:
-            return estimate
-        of_medium = (WetDerivatives if stacks[0].is_wet else DryDerivatives).from_medium(
-            media[0], parameters, wavelength_nm, incidence
-        )
-        values, bound = solve_derivatives(of_medium, solutions[0])
-    return replace(estimate, derivatives=Derivatives.from_solution(values, bound))
+    return make_estimate(solutions, -1 if is_diffuse else 0), solutions
+
+
+def solve_parameter_derivatives(
+    medium: Medium, solution: SpectrumSolution, wavelength_nm: np.ndarray,
+    incidence: float | str, parameters: Sequence[str],
+) -> Derivatives:  # fmt: skip
+    """Return the derivatives of a solution to parameters of its medium, see `solve_estimate`.
+
+    Parameters
+    ----------
+    medium : Medium
+        Without obstacle (`splits.discrete_ordinates.applicability.find_parameter_obstacle`).
+    solution : SpectrumSolution
+    wavelength_nm : float, shape (wavelengths,)
+    incidence : float or "diffuse"
+    parameters : sequence of str
+    """
+    layers: Any = medium.scene_layers
+    is_wet = any(layer.wet_fraction > 0.0 for layer in layers)
+    of_medium = (WetDerivatives if is_wet else DryDerivatives).from_medium(
+        medium, parameters, wavelength_nm, incidence
+    )
+    with limit_blas_threads():
+        return Derivatives.from_solution(*solve_derivatives(of_medium, solution))
 
 
 def make_estimate(solutions: Sequence[SpectrumSolution], column: int) -> SpectralEstimate:
@@ -148,13 +204,6 @@ def make_estimate(solutions: Sequence[SpectrumSolution], column: int) -> Spectra
         "optics_error": float(max(one.optics_error.max() for one in solutions)),
     }
     return SpectralEstimate.from_solution(mean, stderr, attributes)
-
-
-def get_derivative_method(medium: Medium) -> str:
-    """Return the method of derivatives by discrete ordinates: analytic, or differences if wet."""
-    layers: Any = medium.scene_layers
-    is_wet = any(layer.wet_fraction > 0.0 for layer in layers)
-    return "finite_difference" if is_wet else "analytic"
 
 
 # --------------------------------------------------------------------------------------------------
@@ -210,23 +259,19 @@ class AngularResult(NamedTuple):
         return bool(self.attributes["stop_reason"] == "converged")
 
 
-def find_angular_obstacle(medium: Medium, estimator: str, rays: int | None) -> str | None:
-    """Return why discrete ordinates cannot replace a goniophotometer, None if they can.
-
-    Parameters
-    ----------
-    medium, estimator, rays
-        As for `splits.goniophotometer`.
-    """
-    if estimator != "expansion":
-        return f"the estimator {estimator} needs paths"
-    if rays is not None:
-        return "a number of rays needs paths"
-    return find_direction_obstacle(medium)
+def choose_angular_solver(
+    solver: str, medium: Medium, request: AngularRequest, threads: int,
+    obstacle: str | None = None,
+) -> Choice:  # fmt: skip
+    """Choose the solver of angular distributions, see `choose_solver`."""
+    return choose_solver(
+        solver, [medium], request.wavelengths, PHASE_FUNCTION_FACTOR * request.max_error, threads,
+        obstacle=obstacle, find_further_obstacle=find_direction_obstacle,
+    )  # fmt: skip
 
 
 def solve_angular_results(
-    medium: Medium, request: AngularRequest, incidences: Sequence[float | str], threads: int
+    snowpack: GranularStack, request: AngularRequest, incidences: Sequence[float | str]
 ) -> list[AngularResult]:
     """Return angular distributions by discrete ordinates, for each incidence.
 
@@ -235,17 +280,11 @@ def solve_angular_results(
 
     Parameters
     ----------
-    medium : Medium
-        Without obstacle.
+    snowpack : GranularStack
     request : AngularRequest
     incidences : sequence of float or "diffuse"
         Degrees, or isotropic light.
-    threads : int
-        For paths through grains.
     """
-    snowpack = make_granular_stack(
-        medium, request.wavelengths, PHASE_FUNCTION_FACTOR * request.max_error, threads
-    )
     beams = [float(incidence) for incidence in incidences if incidence != "diffuse"]
     with limit_blas_threads():
         by_beam = iter(_solve_beams(snowpack, request, beams) if beams else [])

@@ -28,12 +28,12 @@ from splits.core.keywords import instrument
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
 from splits.core.validation import invalid, to_text_keys
+from splits.discrete_ordinates.applicability import find_parameter_obstacle
 from splits.instruments.snow_packs import SUN, check_no_paths, compute_snow_pack_spectra
 from splits.instruments.solver import (
-    DISCRETE_ORDINATES,
     choose_solver,
-    get_derivative_method,
     solve_estimate,
+    solve_parameter_derivatives,
 )
 from splits.kernels.scene import NO_GROUND
 from splits.kernels.tallies.exits import N_BATCHES
@@ -266,13 +266,19 @@ def spectrophotometer(
         raise invalid("estimator", estimator, "'spectral' for several media")
     elif not isinstance(jacobian, Sequence) or len(jacobian):
         raise invalid("jacobian", jacobian, "left out for several media")
-    obstacle = find_path_obstacle(estimator, stokes)
-    chosen = choose_solver(solver, media.values(), wavelengths, obstacle, parameters, max_stderr)
+    choice = choose_solver(
+        solver, media.values(), wavelengths, max_stderr, run.threads, max_stderr=max_stderr,
+        obstacle=find_path_obstacle(estimator, stokes),
+        find_further_obstacle=lambda one: find_parameter_obstacle(one, parameters),
+    )  # fmt: skip
     perturbations, truncation = NO_PERTURBATIONS, None
-    if chosen == DISCRETE_ORDINATES:
-        estimate = solve_estimate(
-            list(media.values()), wavelengths, incidence, max_stderr, run.threads, parameters
-        )
+    if choice.stacks:
+        estimate, solutions = solve_estimate(choice.stacks, incidence, max_stderr)
+        derivatives = estimate.derivatives
+        if parameters:
+            derivatives = solve_parameter_derivatives(
+                first, solutions[0], wavelengths, incidence, parameters
+            )
     else:
         perturbations = Perturbations.select_exact(first, parameters, wavelengths)
         path_sharing = PathSharingMedia(
@@ -282,14 +288,15 @@ def spectrophotometer(
         )
         truncation = None if analog else request.truncate(path_sharing)
         estimate = request.simulate(path_sharing, truncation, perturbations, analog=analog)
+        derivatives = estimate.derivatives
     dims = ("medium", "wavelength") if is_mapping else ("wavelength",)
     dataset = make_spectrum(request, first, estimate, truncation=truncation, dims=dims)
-    dataset.attrs |= {"solver": chosen, "estimator": estimator}
+    dataset.attrs |= {**choice.attributes, "estimator": estimator}
     if is_mapping:
         return _label_media(dataset, media)
-    derivatives = estimate.derivatives
-    if chosen == DISCRETE_ORDINATES:
-        methods = [get_derivative_method(first)] * len(parameters)
+    if choice.stacks:
+        method = "finite_difference" if choice.stacks[0].is_wet else "analytic"
+        methods = [method] * len(parameters)
     else:
         methods = perturbations.list_methods(parameters)
         if "finite_difference" in methods:

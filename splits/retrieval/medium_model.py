@@ -28,7 +28,6 @@ from splits.core.validation import (
     unknown_key,
 )
 from splits.discrete_ordinates.applicability import (
-    find_obstacle,
     find_parameter_obstacle,
     make_granular_stack,
 )
@@ -591,10 +590,11 @@ def make_medium_model(
     arguments = medium, measurement, state_vector, incidence, seed
     if solver != MONTE_CARLO:
         model = OrdinatesForwardModel(*arguments)
-        media, obstacle = model.list_extreme_media(), None
-        if find_obstacle(medium, model.wavelengths) is None:
-            obstacle = find_parameter_obstacle(media[0], model.names)
-        if choose_solver(solver, media, model.wavelengths, obstacle) != MONTE_CARLO:
+        choice = choose_solver(
+            solver, model.list_extreme_media(), model.wavelengths,
+            find_further_obstacle=lambda one: find_parameter_obstacle(one, model.names),
+        )  # fmt: skip
+        if choice.solver != MONTE_CARLO:
             model.choose_streams(max_stderr or MAX_ERROR)
             return model
     return SimulationForwardModel(*arguments, max_stderr, progress, options)

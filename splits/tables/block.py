@@ -22,6 +22,7 @@ from splits.instruments.goniophotometer import make_direction_mask, simulate_dir
 from splits.instruments.solver import (
     DISCRETE_ORDINATES,
     MONTE_CARLO,
+    PHASE_FUNCTION_FACTOR,
     AngularRequest,
     AngularResult,
     make_estimate,
@@ -163,7 +164,16 @@ def _solve_directions(
         request.wavelengths, *views, request.max_stderr, _make_target(views)
     )
     return [
-        solve_angular_results(medium, angular_request, group.incidences, request.run.threads)
+        solve_angular_results(
+            make_granular_stack(
+                medium,
+                request.wavelengths,
+                PHASE_FUNCTION_FACTOR * request.max_stderr,
+                request.run.threads,
+            ),
+            angular_request,
+            group.incidences,
+        )
         for medium in group.path_sharing.media
     ]
 

@@ -155,12 +155,11 @@ def choose_table_solver(
     max_stderr: float = np.inf, has_views: bool = False,
 ) -> str:  # fmt: skip
     """Return the solver for all media of a table, see `splits.instruments.solver.choose_solver`."""
-    obstacle = "a covariance needs batches of rays" if covariance else None
-    if has_views:
-        media = list(media)
-        reasons = (find_direction_obstacle(medium) for medium in media)
-        obstacle = obstacle or next((reason for reason in reasons if reason), None)
-    return choose_solver(solver, media, wavelengths, obstacle, max_stderr=max_stderr)
+    return choose_solver(
+        solver, media, wavelengths, max_stderr=max_stderr,
+        obstacle="a covariance needs batches of rays" if covariance else None,
+        find_further_obstacle=lambda one: find_direction_obstacle(one) if has_views else None,
+    ).solver  # fmt: skip
 
 
 def make_point_medium(

@@ -363,7 +363,9 @@ class Instrument:
                 has_views="polar_deg" in self.settings,
             )  # fmt: skip
         obstacle = find_path_obstacle(self.get("estimator"), self.get("stokes"))
-        return choose_solver(solver, media, wavelengths, obstacle, max_stderr=max_stderr)
+        return choose_solver(
+            solver, media, wavelengths, obstacle=obstacle, max_stderr=max_stderr
+        ).solver
 
     def check_sky(self, *, has_packs: bool) -> None:
         """Reject a sky whose sun is not where snowpacks, or any other medium, need it."""

@@ -131,6 +131,22 @@ def invalid(key: str, value: object, allowed: str, hint: str = "") -> InvalidVal
     return InvalidValue(key, value, allowed, hint)
 
 
+def check_relations(
+    *relations: tuple[Any, str, object, str] | tuple[Any, str, object, str, str],
+) -> None:
+    """Check relations between inputs, and raise the error of the first one that does not hold.
+
+    Parameters
+    ----------
+    *relations : (bool, str, object, str, str)
+        Whether it holds, and the key, the value, the allowed values and, optionally, the hint of
+        its error.
+    """
+    for holds, *error in relations:
+        if not holds:
+            raise invalid(*error)
+
+
 def unknown_key(key: str, known_names: Iterable[str]) -> UnknownKey:
     """Return the error for an unknown key, with the nearest known name as a hint."""
     names = list(known_names)
@@ -219,13 +235,10 @@ def check_number(key: str, value: object, allowed: str = "a finite number") -> f
         is_list = isinstance(value, Iterable) and not isinstance(value, bytes | Mapping)
         is_list = is_list and getattr(value, "shape", None) != ()
         raise invalid(key, value, allowed, "one number, not several" if is_list else "")
-    try:
-        x = float(value)
-    except OverflowError:
-        raise invalid(key, value, allowed) from None
-    if not math.isfinite(x):
-        raise invalid(key, value, allowed)
-    return x
+    with suppress(OverflowError):
+        if math.isfinite(value):
+            return float(value)
+    raise invalid(key, value, allowed)
 
 
 def snap_to_limits(values: Any, low: float, high: float) -> np.ndarray:
@@ -380,17 +393,15 @@ MAX_INT64 = 2**63 - 1
 def check_integer(key: str, value: object, low: int, high: int = MAX_INT64) -> int:
     """Return a whole number from `low` to `high`, by default the largest that fits into 63 bits."""
     value = as_scalar(value)
-    allowed = f"a whole number from {low} to {high}"
-    if not isinstance(value, Integral) or isinstance(value, NON_NUMERIC_TYPES):
-        hint = f"write {int(value)}" if isinstance(value, float) and value.is_integer() else ""
-        at_least = f"a whole number of at least {low}"
-        raise invalid(key, value, at_least if high == MAX_INT64 else allowed, hint)
-    whole = int(value)
-    if whole < low and high == MAX_INT64:
-        raise invalid(key, value, f"a whole number of at least {low}")
-    if not low <= whole <= high:
-        raise invalid(key, value, allowed)
-    return whole
+    is_whole = isinstance(value, Integral) and not isinstance(value, NON_NUMERIC_TYPES)
+    if is_whole and low <= value <= high:
+        return int(value)
+    is_too_large = is_whole and value > high
+    limits = (
+        f"of at least {low}" if high == MAX_INT64 and not is_too_large else f"from {low} to {high}"
+    )
+    hint = f"write {int(value)}" if isinstance(value, float) and value.is_integer() else ""
+    raise invalid(key, value, f"a whole number {limits}", hint)
 
 
 def expand_path(value: Any, key: str = "path", hint: str = "") -> Path:

@@ -36,6 +36,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from splits.core.validation import (
     MAX_INT64,
+    SEVERAL_HINTS,
     InvalidValue,
     as_scalar,
     check_flag,
@@ -43,6 +44,7 @@ from splits.core.validation import (
     check_range,
     format_key,
     invalid,
+    is_list,
     short_repr,
     suggest_name,
     suggest_number,
@@ -273,7 +275,7 @@ class Input(NamedTuple):
         try:
             return self.adapter.validate_python(value, context=key)
         except ValidationError as error:
-            raise describe_error(error, key) from None
+            raise describe_error(error, key, value) from None
 
 
 @functools.cache
@@ -384,6 +386,9 @@ def _add_section(location: str, error: Exception) -> ValueError:
         return ValueError(str(error))
     section, _, field = location.rpartition(".")
     first = re.split(r"\W", error.key, maxsplit=1)[0]
+    if location.startswith(error.key):
+        # That of a number in a list, for example.
+        return type(error)(location, error.value, error.allowed, error.hint)
     if first == location.partition(".")[0]:
         return error
     return error.add_prefix(section if first == field else location)
@@ -404,7 +409,7 @@ def _suggest_value(value: Any, errors: Sequence[Any]) -> str:
     kinds = {error["type"] for error in errors}
     expected = " ".join(error.get("ctx", {}).get("expected", "") for error in errors)
     if names := re.findall("'(.*?)'", expected):
-        return suggest_name(value, names)
+        return SEVERAL_HINTS[1] if is_list(value) else suggest_name(value, names)
     if isinstance(value, str):
         if "tuple_type" in kinds and "," in value:
             return f"write [{value}]"

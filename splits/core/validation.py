@@ -26,6 +26,8 @@ ZERO_TOLERANCE = 1e-12
 
 
 TEXT_HINT = "this is text, not a number"
+SEVERAL_HINTS = "one number, not several", "one value, not several"
+"""Hints for several values in place of a number, and of another value."""
 UNIT_SLIPS: dict[str, tuple[tuple[str, float, float], ...]] = {
     "°C": (("kelvin", 1.0, -273.15),),
     "nm": (("micrometres", 1e3, 0.0),),
@@ -191,6 +193,12 @@ def as_scalar(value: object) -> Any:
     return value if is_date or np.ma.is_masked(value) else value.item()
 
 
+def is_list(value: object) -> bool:
+    """Return whether a value consists of several ones in some order."""
+    is_other = isinstance(value, str | bytes | Mapping) or getattr(value, "shape", None) == ()
+    return isinstance(value, Iterable) and not is_other
+
+
 def suggest_number(text: object) -> str:
     """Return a hint for a number that is written as text, such as 0,3, or ""."""
     for decimal, hint in ((".", "without quotes"), (",", "with a decimal point")):
@@ -232,9 +240,7 @@ def check_number(key: str, value: object, allowed: str = "a finite number") -> f
     if isinstance(value, str):
         raise invalid(key, value, allowed, suggest_number(value) or TEXT_HINT)
     if isinstance(value, NON_NUMERIC_TYPES) or not isinstance(value, Real):
-        is_list = isinstance(value, Iterable) and not isinstance(value, bytes | Mapping)
-        is_list = is_list and getattr(value, "shape", None) != ()
-        raise invalid(key, value, allowed, "one number, not several" if is_list else "")
+        raise invalid(key, value, allowed, SEVERAL_HINTS[0] if is_list(value) else "")
     with suppress(OverflowError):
         if math.isfinite(value):
             return float(value)
@@ -305,7 +311,7 @@ def check_range(
 def check_flag(key: str, value: Any) -> bool:
     """Return a truth value; raise `InvalidValue` for any other type, such as a text."""
     if not isinstance(value, bool | np.bool_):
-        raise invalid(key, value, "true or false")
+        raise invalid(key, value, "true or false", SEVERAL_HINTS[1] if is_list(value) else "")
     return bool(value)
 
 

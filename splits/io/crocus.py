@@ -8,6 +8,7 @@ routine WRITE_DIAG_MISC_ISBA_n of SURFEX 8; see also Vionnet et al. (2012), Geos
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,7 +18,13 @@ import xarray as xr
 
 from splits.core.arrays import as_float_array
 from splits.core.labels import check_direction, convert_units, is_unit
-from splits.core.validation import check_choice, check_integer, expand_path, invalid
+from splits.core.validation import (
+    check_choice,
+    check_integer,
+    check_relations,
+    expand_path,
+    invalid,
+)
 from splits.io.netcdf import open_foreign
 
 THICKNESS, WATER, TEMPERATURE, SURFACE_AREA = "SNOWDZ", "SNOWLIQ", "SNOWTEMP", "SNOWSSA"
@@ -59,16 +66,14 @@ def _select(
 ) -> xr.Dataset:
     """Return the variables needed, over time and layer, or over snowpack and layer."""
     density = next((name for name in DENSITIES if name in dataset), DENSITIES[0])
-    for name in (THICKNESS, density, SURFACE_AREA, WATER):
-        if name not in dataset:
-            hint = "add it to CSELECT of the namelist of SURFEX, with LSNOWDIMNC = T"
-            raise invalid(name, None, "a variable of the output of Crocus", hint)
-    names = [THICKNESS, density, SURFACE_AREA, WATER, *list_impurity_names(dataset, impurities)]
+    names, allowed = [THICKNESS, density, SURFACE_AREA, WATER], "a variable of the output of Crocus"
+    hint = "add it to CSELECT of the namelist of SURFEX, with LSNOWDIMNC = T"
+    check_relations(*((name in dataset, name, None, allowed, hint) for name in names))
+    names += list_impurity_names(dataset, impurities)
     names += [TEMPERATURE] if TEMPERATURE in dataset else []
     selected = dataset[names].rename({density: DENSITIES[0]})
     dims = [str(dim) for dim in selected.dims]
-    found = {"time": TIME_DIMS, "layer": LAYER_DIMS}
-    for new, known in found.items():
+    for new, known in (("time", TIME_DIMS), ("layer", LAYER_DIMS)):
         old = [dim for dim in dims if dim in known]
         if len(old) != 1:
             raise invalid(f"{THICKNESS} dimensions", tuple(dims), f"with one of {', '.join(known)}")
@@ -82,17 +87,18 @@ def _select(
     points = [dim for dim in dims if dim not in (*TIME_DIMS, *LAYER_DIMS, *PATCH_DIMS)]
     for key, index, among in (("patch", patch, patches), ("point", point, points)):
         selected = _select_index(selected, key, index, among)
-    if patches and patches[0] in selected.dims:
-        number = selected.sizes[patches[0]]
-        raise invalid("patch", None, f"a whole number from 0 to {number - 1}", "one of the patches")
+    n_patches = math.prod(selected.sizes[dim] for dim in patches if dim in selected.dims)
     remaining = [dim for dim in points if dim in selected.dims]
-    if SNOWPACK in remaining:
-        raise invalid(
-            f"{THICKNESS} dimensions",
-            tuple(dims),
-            f"without {SNOWPACK}",
-            "source.rename changes it",
-        )
+    check_relations(
+        (
+            n_patches == 1, "patch", None, f"a whole number from 0 to {n_patches - 1}",
+            "one of the patches",
+        ),
+        (
+            SNOWPACK not in remaining, f"{THICKNESS} dimensions", tuple(dims),
+            f"without {SNOWPACK}", "source.rename changes it",
+        ),
+    )  # fmt: skip
     for dim in remaining:
         if dim not in selected.coords:
             selected = selected.assign_coords({dim: np.arange(selected.sizes[dim])})

@@ -157,7 +157,14 @@ def _read_archive(archive: Path, target: Path | None) -> ArchiveReport:
             with zipfile.ZipFile(raw) as file:
                 members = _check_members(file.infolist(), archive.stat().st_size)
                 properties, listed = _read_metadata(file)
-                _check_listing(set(members) - {METADATA_FILE}, set(listed))
+                present = set(members) - {METADATA_FILE}
+                for names, problem in (
+                    (set(listed) - present, "listed, but missing"),
+                    (present - set(listed), "not listed"),
+                ):
+                    if names:
+                        count = f"({len(names)} files)"
+                        raise ArchiveError(f"{short_repr(min(names))} is {problem} {count}")
                 for name, info in members.items():
                     digest = _copy_member(file, info, target)
                     if listed.get(name, digest) != digest:
@@ -277,16 +284,6 @@ def _read_metadata(file: zipfile.ZipFile) -> tuple[list[str], dict[str, str]]:
         if "File" in entity.type
     }
     return [str(getattr(value, "id", value)) for value in properties], listed
-
-
-def _check_listing(present: set[str], listed: set[str]) -> None:
-    """Check that the files present are exactly those listed."""
-    for names, problem in (
-        (listed - present, "listed, but missing"),
-        (present - listed, "not listed"),
-    ):
-        if names:
-            raise ArchiveError(f"{short_repr(min(names))} is {problem} ({len(names)} files)")
 
 
 def _copy_member(file: zipfile.ZipFile, info: zipfile.ZipInfo, target: Path | None) -> str:

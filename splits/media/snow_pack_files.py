@@ -14,7 +14,7 @@ import xarray as xr
 from splits.core.declarations import Quantity
 from splits.core.keywords import declare_function
 from splits.core.optional import import_optional
-from splits.core.validation import expand_path, invalid, suggest_name
+from splits.core.validation import check_relations, expand_path, invalid, suggest_name
 from splits.io.crocus import THICKNESS, WATER_DENSITY_KG_M3, read_crocus_output
 from splits.io.layer_profiles import (
     SnowPit,
@@ -238,9 +238,10 @@ def read_snow_packs(
     are_caaml = suffixes <= {*CAAML_SUFFIXES}
     if not suffixes <= {*SNOW_PACK_SUFFIXES} or (len(files) != 1 and not are_caaml) or not files:
         raise invalid("file", file, f"a file with one of {', '.join(SNOW_PACK_SUFFIXES)}")
-    for one in files:
-        if not one.is_file():
-            raise invalid("file", str(one), "a file that exists", f"looked in {Path.cwd()}")
+    hint = f"looked in {Path.cwd()}"
+    check_relations(
+        *((one.is_file(), "file", str(one), "a file that exists", hint) for one in files)
+    )
     is_crocus = suffixes <= {*NETCDF_SUFFIXES} and _has_crocus_output(files[0])
     if point is not None and not is_crocus:
         raise invalid("point", point, "left out", "only output of Crocus has points")

@@ -16,7 +16,7 @@ from pydantic import (
     model_validator,
 )
 
-from splits.core.validation import expand_path, invalid
+from splits.core.validation import check_relations, expand_path, invalid
 from splits.experiments.config.figure import FigureSection, resolve_figure
 from splits.experiments.config.retrieval import (
     RetrieveReturnSection,
@@ -143,10 +143,6 @@ OWN_GROUP = "own"
 """Group of experiments that name none."""
 
 
-def _parse_no_figure(value: Any) -> Any:
-    return {"kind": "none"} if value == "none" else value
-
-
 class ExperimentConfig(SimulationConfig):
     """A simulation with its title, caption, figure and retrieval."""
 
@@ -161,7 +157,10 @@ class ExperimentConfig(SimulationConfig):
     """caption of the figure in the report; plain text, an empty line begins a paragraph"""
     figure: Annotated[
         FigureSection,
-        BeforeValidator(_parse_no_figure, json_schema_input_type=Literal["none"] | FigureSection),
+        BeforeValidator(
+            lambda value: {"kind": "none"} if value == "none" else value,
+            json_schema_input_type=Literal["none"] | FigureSection,
+        ),
     ] = Field(default_factory=FigureSection)
     """settings of the figure, or `none` for no figure"""
     retrieve: RetrieveSection | None = None
@@ -182,16 +181,12 @@ class ExperimentConfig(SimulationConfig):
     @model_validator(mode="after")
     def _check_sections(self) -> ExperimentConfig:
         """Reject a figure or a retrieval of what the experiment does not have."""
+        given, hint = self.figure.model_fields_set, "the figure shows the retrieved parameters"
         for name in ("retrieve", "retrieve_return"):
-            section = getattr(self, name)
-            if section:
+            if section := getattr(self, name):
                 check_retrieval(self, section, name)
-            if section and self.figure.model_fields_set:
-                given, hint = (
-                    sorted(self.figure.model_fields_set),
-                    "the figure shows the retrieved parameters",
-                )
-                raise invalid("figure", given, f"left out with a section {name}", hint)
+                allowed = f"left out with a section {name}"
+                check_relations((not given, "figure", sorted(given), allowed, hint))
         self.resolve_figure()
         return self
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator
 
-from splits.core.validation import check_choice, invalid, key_prefix
+from splits.core.validation import check_choice, invalid
 from splits.experiments.config.media import find_label, to_coordinate_values
 from splits.experiments.config.sections import (
     FiniteSection,
@@ -64,7 +64,9 @@ Formula = AfterValidator(_check_mathematics)
 class FigureSection(FiniteSection):
     """Settings of an experiment's figure."""
 
-    quantity: Annotated[tuple[QuantityName, ...], accept_single(QuantityName)] = ("reflectance",)
+    quantity: Annotated[
+        tuple[QuantityName, ...], accept_single(QuantityName), AfterValidator(check_different)
+    ] = ("reflectance",)
     """one quantity, or several; `brdf` for a goniophotometer"""
     kind: FigureKind | None = None
     """kind of the figure, see the instruments above; by default the first one of the instrument, or
@@ -93,12 +95,6 @@ class FigureSection(FiniteSection):
         if not isinstance(value, dict):
             return value
         return {key: str(v) if isinstance(v, bool) else v for key, v in value.items()}
-
-    @model_validator(mode="after")
-    def _check_quantity(self) -> FigureSection:
-        with key_prefix("quantity"):
-            check_different(self.quantity)
-        return self
 
 
 def resolve_figure(simulation: SimulationConfig, figure: FigureSection) -> dict[str, Any]:

@@ -173,10 +173,9 @@ class Quantity:
                 open_low=self.open_low, open_high=self.open_high, hint=self.hint,
             )  # fmt: skip
         except InvalidValue as error:
-            if not self.infinite or str(value).lower().strip("+.") != "inf":
-                raise
-            hint = "infinite is .inf in YAML, math.inf in Python"
-            raise invalid(key, value, error.allowed, hint) from None
+            if self.infinite and str(value).lower().strip("+.") == "inf":
+                error.hint = "infinite is .inf in YAML, math.inf in Python"
+            raise
 
     def check_integer(self, key: str, value: Any) -> int:
         """Return a whole number after checking that it is in the range."""

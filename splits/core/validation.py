@@ -299,7 +299,8 @@ def check_range(
     try:
         x = check_number(key, value)
     except InvalidValue as error:
-        raise invalid(key, error.value, describe_range(math.nan), error.hint) from None
+        error.allowed = describe_range(math.nan)
+        raise
     if not low <= x <= high:
         x = float(snap_to_limits(x, low, high))
     if x < low or x > high or (open_low and x == low) or (open_high and x == high):

@@ -53,8 +53,7 @@ def count_parts(experiment: SimulationConfig) -> int:
     """Return the number of parts of a table, or of the snowpacks of a file."""
     if experiment.has_packs:
         return count_pack_parts(experiment.load_packs())
-    parts: int = experiment.instrument.get("parts")
-    return parts
+    return int(experiment.instrument.get("parts"))
 
 
 def prepare_table(

@@ -24,7 +24,7 @@ from urllib.parse import unquote
 
 from splits.core.atomic import atomic_write
 from splits.core.optional import import_optional
-from splits.core.validation import expand_path, format_key, invalid, short_repr
+from splits.core.validation import check_relations, expand_path, format_key, invalid, short_repr
 from splits.io.ro_crate import METADATA_FILE
 
 ROOT_MEMBERS = (
@@ -137,10 +137,11 @@ def unpack_archive(archive: str | Path, folder: str | Path) -> ArchiveReport:
         If files cannot be read or written.
     """
     folder = expand_path(folder, "folder").resolve()
-    if not folder.parent.is_dir():
-        raise invalid("folder", str(folder), "in a folder that exists")
-    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
-        raise invalid("folder", str(folder), "a new or an empty folder")
+    is_new = not folder.exists() or (folder.is_dir() and not any(folder.iterdir()))
+    check_relations(
+        (folder.parent.is_dir(), "folder", str(folder), "in a folder that exists"),
+        (is_new, "folder", str(folder), "a new or an empty folder"),
+    )
     with atomic_write(folder) as temporary:
         temporary.mkdir()
         return _read_archive(expand_path(archive, "archive"), temporary)

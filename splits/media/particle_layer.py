@@ -217,13 +217,15 @@ class ScatteringMatrix(ContentEquality):
         if set(COEFFICIENTS) & set(columns):
             if set(columns) != set(COEFFICIENTS):
                 raise invalid(MATRIX_KEY, sorted(map(str, columns)), join_names(COEFFICIENTS))
-            rows = [as_1d_array(f"{MATRIX_KEY}.{name}", columns[name]) for name in COEFFICIENTS]
-            if len({row.size for row in rows}) != 1 or not rows[0].size or rows[0][0] <= 0.0:
+            given = {f"{MATRIX_KEY}.{name}": columns[name] for name in COEFFICIENTS}
+            rows = [
+                check_array_range(key, as_1d_array(key, one), -MAX_DENSITY, MAX_DENSITY)
+                for key, one in given.items()
+            ]
+            if len({row.size for row in rows}) != 1 or rows[0][0] <= 0.0:
                 found = dict(zip(COEFFICIENTS, [row.size for row in rows], strict=True))
                 allowed = "lists of the same length from order 0 on, with alpha1 above 0"
                 raise invalid(MATRIX_KEY, found, allowed)
-            for name, row in zip(COEFFICIENTS, rows, strict=True):
-                check_array_range(f"{MATRIX_KEY}.{name}", row, -MAX_DENSITY, MAX_DENSITY)
             matrix = cls(*sum_expansion(np.stack(rows)))
         else:
             stderr = {n.removesuffix(STDERR): columns[n] for n in columns if STDERR in n}

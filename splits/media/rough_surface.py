@@ -208,12 +208,18 @@ class RandomHeightField(ContentEquality):
 
     def __post_init__(self) -> None:
         if self.correlation == "spectrum":
-            for key in ("wave_number_per_m", "band_limit_per_m"):
-                if getattr(self, key) is not None:
-                    raise invalid(key, getattr(self, key), "left out", "the spectrum has its own")
-            if not isinstance(self.spectrum, Mapping):
-                allowed = f"a mapping of {', '.join(SPECTRUM_COLUMNS)}, lists of the same length"
-                raise invalid("spectrum", self.spectrum, allowed)
+            others = {"wave_number_per_m": self.wave_number_per_m,
+                      "band_limit_per_m": self.band_limit_per_m}  # fmt: skip
+            check_relations(
+                *(
+                    (value is None, key, value, "left out", "the spectrum has its own")
+                    for key, value in others.items()
+                ),
+                (
+                    isinstance(self.spectrum, Mapping), "spectrum", self.spectrum,
+                    f"a mapping of {', '.join(SPECTRUM_COLUMNS)}, lists of the same length",
+                ),
+            )  # fmt: skip
             (k, density), _ = read_tabulated_function("spectrum", self.spectrum, SPECTRUM_COLUMNS)
             k = check_axis("spectrum.wave_number_per_m", k, 0.0, math.inf)
             density = check_array_range("spectrum.density", density, 0.0, math.inf)

@@ -516,10 +516,9 @@ def _read_index(index: Any, wavelengths: np.ndarray, labels: pd.Index | None) ->
         try:
             values = parse_refractive_index(MATERIAL, index, MATERIALS)(wavelengths)
         except InvalidValue as error:
-            if not error.key.startswith("refractive_index"):
-                raise
-            key = f"index{error.key.partition(']')[2]}"
-            raise invalid(key, error.value, error.allowed, error.hint) from None
+            if error.key.startswith("refractive_index"):
+                error.key = f"index{error.key.partition(']')[2]}"
+            raise
     if values.shape != wavelengths.shape:
         allowed = f"one number, or {wavelengths.size}, one for each wavelength"
         raise invalid("index", f"{values.size} numbers", allowed)

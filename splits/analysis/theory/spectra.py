@@ -16,9 +16,10 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import as_1d_array, as_float_array
+from splits.core.inputs import check_incidence
 from splits.core.optional import import_optional
 from splits.core.uncertainty import Variable, compute_jackknife_stderr, make_variable
-from splits.core.validation import check_choice, check_range, check_relations, invalid
+from splits.core.validation import check_range, check_relations, invalid
 from splits.discrete_ordinates.adding import Boundary, Element, compute_budget, make_isotropic
 from splits.discrete_ordinates.homogeneous_layer import LayerOptics, Streams, solve_slab
 from splits.media.ground import Ground, describe_ground
@@ -170,7 +171,7 @@ def kz04(
     ssa_m2_kg : float
         Specific surface area (m²/kg), see `splits.Snow.specific_surface_area_m2_kg`.
     incidence_deg : float or "diffuse"
-        Polar angle of a beam, 0 to 89.99 degrees, or isotropic diffuse light.
+        Polar angle of a beam, 0 to 89.9999 degrees, or isotropic diffuse light.
     extinction_coefficient : array_like or str
         k of ice at the wavelengths, or the name of one of the package's datasets.
     absorption_enhancement, asymmetry : float or array_like
@@ -255,12 +256,8 @@ def compute_shape_factors(
 
 def compute_incidence_cosine(incidence_deg: float | str) -> float | None:
     """Return the cosine of incidence, or None for diffuse light."""
-    if isinstance(incidence_deg, str):
-        check_choice("incidence_deg", incidence_deg, ["diffuse"])
-        return None
-    return float(
-        np.cos(np.radians(check_range("incidence_deg", incidence_deg, 0.0, 89.99, "degrees")))
-    )
+    incidence = check_incidence("incidence_deg", incidence_deg)
+    return None if isinstance(incidence, str) else float(np.cos(np.radians(incidence)))
 
 
 OPTICS_INPUTS = ("optical_thickness", "single_scattering_albedo", "legendre_moment")
@@ -289,7 +286,7 @@ def solve_discrete_ordinates(
         with at least `streams` moments, or a dataset with ``single_scattering_albedo``,
         ``optical_thickness`` and ``legendre_moment``.
     incidence_deg : float or "diffuse"
-        Polar angle of a beam, 0 to 89.99 degrees, or isotropic diffuse light.
+        Polar angle of a beam, 0 to 89.9999 degrees, or isotropic diffuse light.
     streams : int
         Number of streams in both hemispheres: even, at least 4.
     ground : number, str, mapping or path, optional

@@ -311,8 +311,7 @@ class Instrument:
 
     def get_seed(self, default: int) -> int:
         """Return the seed of the experiment, by default that of the main file."""
-        seed: int = self.settings.get("seed", default)
-        return seed
+        return int(self.settings.get("seed", default))
 
     def get_views(self) -> dict[str, tuple[float, ...]]:
         """Return the axes of directions that a table has besides those of the grid."""
@@ -354,27 +353,16 @@ class Instrument:
         obstacle = find_path_obstacle(self.get("estimator"), self.get("stokes"))
         return choose_solver(solver, media, wavelengths, obstacle, max_stderr=max_stderr)
 
-    def check_sky(self, *, has_packs: bool) -> None:
-        """Reject a sky whose sun is not where snowpacks, or any other medium, need it."""
-        key, name = "instrument.sky", self.get("sky")
-        check_relations(
-            (
-                not (has_packs and name == ASTM_G173), key, name,
-                f"{CLEAR_SKY} or a sky of SNICAR", f"the sun of {ASTM_G173} does not move",
-            ),
-            (
-                has_packs or name != CLEAR_SKY, key, name,
-                f"{ASTM_G173} or a sky of SNICAR, such as midlatitude_winter",
-                "only snowpacks of a file have the zenith angle of the sun that it needs",
-            ),
-        )  # fmt: skip
+    def check_simulation(
+        self, grid: Mapping[str, Mapping[str, Any]], *, is_single: bool, has_packs: bool
+    ) -> None:
+        """Reject a grid or a medium that the instrument does not allow.
 
-    def check_grid(self, grid: Mapping[str, Mapping[str, Any]], *, is_single: bool) -> None:
-        """Reject a grid that the instrument does not allow.
-
-        `is_single` is whether each point is simulated alone.
+        `is_single` is whether each point is simulated alone.  The sun of a sky must be where
+        snowpacks, or any other medium, need it.
         """
         inputs, incidence = list_section_inputs(self.kind), self.get_incidence()
+        sky_key, sky_name = "instrument.sky", self.get("sky")
         angles = [*grid.get("incidence_deg", {}).values()]
         scales, n_points = self.get("point_stderr_scale"), math.prod(map(len, grid.values()))
         numbers = f"{n_points} numbers, one for each point of the grid"
@@ -402,6 +390,15 @@ class Instrument:
                 self.kind != "refractive_index" or not varied, "grid", varied,
                 f"of one value for {self.kind}",
             ),
+            (
+                not (has_packs and sky_name == ASTM_G173), sky_key, sky_name,
+                f"{CLEAR_SKY} or a sky of SNICAR", f"the sun of {ASTM_G173} does not move",
+            ),
+            (
+                has_packs or sky_name != CLEAR_SKY, sky_key, sky_name,
+                f"{ASTM_G173} or a sky of SNICAR, such as midlatitude_winter",
+                "only snowpacks of a file have the zenith angle of the sun that it needs",
+            ),
         )  # fmt: skip
 
 
@@ -411,7 +408,7 @@ def _check_setting(declared: Input, key: str, value: Any) -> None:
         declared.check(key, value)
     except InvalidValue as error:
         if isinstance(value, str) and "," in value and error.allowed.startswith("numbers"):
-            raise invalid(key, value, error.allowed, f"write [{value}]") from None
+            error.hint = f"write [{value}]"
         raise
 
 

@@ -18,7 +18,7 @@ from pydantic import (
 )
 
 from splits.core.inputs import MaxRays, RelativeError, StandardError
-from splits.core.validation import invalid, unknown_key
+from splits.core.validation import check_relations, invalid, unknown_key
 
 MAX_LABEL_CHARS = 80
 MAX_TITLE_CHARS = 200
@@ -29,11 +29,11 @@ FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 
 def check_text(key: str, value: str, max_chars: int, multiline: bool = False) -> str:
     """Return a printable text of one or several lines; reject others."""
-    if len(value) > max_chars:
-        raise invalid(key, value, f"at most {max_chars} characters")
     joined = value.replace("\n", "").replace("\t", "") if multiline else value
-    if not joined.isprintable():
-        raise invalid(key, value, "text without control characters or line breaks")
+    check_relations(
+        (len(value) <= max_chars, key, value, f"at most {max_chars} characters"),
+        (joined.isprintable(), key, value, "text without control characters or line breaks"),
+    )
     return value
 
 

@@ -131,8 +131,8 @@ class SimulationConfig(ConfigSection):
         """Reject settings that exclude each other, and values that a medium does not have."""
         kind, instrument = get_kind(self.medium), self.instrument
         check_choice("medium.kind", kind, (*MEDIUM_CLASSES, PACKS_KIND))
-        instrument.check_grid(self.grid, is_single=not (self.is_in_parts or self.fit))
-        instrument.check_sky(has_packs=self.has_packs)
+        is_single = not (self.is_in_parts or self.fit)
+        instrument.check_simulation(self.grid, is_single=is_single, has_packs=self.has_packs)
         if self.has_packs:
             of_packs = f"for medium.kind = {kind!r}"
             check_relations(
@@ -218,10 +218,6 @@ class SimulationConfig(ConfigSection):
         self, rows: Iterable[tuple[str, ...]] | None = None
     ) -> Iterator[tuple[dict[str, str], dict[str, Any], float | str]]:
         """Yield the labels, the keywords of the medium and the angle of incidence of points."""
-        interpretation = self.medium.get("interpretation", {})
-        if not isinstance(interpretation, Mapping | str):
-            allowed = "a mapping of interpretation keywords, or the name of a set"
-            raise invalid("medium.interpretation", interpretation, allowed)
         if rows is None:
             is_table = self.instrument.kind == TABLE
             rows = self._iter_axis_labels() if is_table else itertools.product(*self.grid.values())

@@ -309,7 +309,7 @@ def _find_positions(own_labels: pd.Index, labels: Any) -> np.ndarray | None:
 
 def check_named_numbers(
     key: str,
-    value: object,
+    value: Any,
     names: tuple[str, ...],
     limits: tuple[float, float] = (-math.inf, math.inf),
 ) -> tuple[float, ...]:

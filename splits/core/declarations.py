@@ -424,25 +424,21 @@ def _suggest_value(value: Any, errors: Sequence[Any]) -> str:
 # Classes that declare their inputs.
 
 
-@dataclass(frozen=True)
-class Alternative:
-    """Input that replaces another one: a keyword of the class, and a property of its objects.
+def alternative(*, replaces: str, compute: str, default: None) -> Any:
+    """Return the field of an input that replaces another one.
 
-    Attributes
+    It is a keyword of the class, and a property of its objects.
+
+    Parameters
     ----------
     replaces : str
         Input that is left out where this one is given.
     compute : str
         Method that returns the property.
+    default : None
     """
-
-    replaces: str
-    compute: str
-
-
-def alternative(*, replaces: str, compute: str, default: None) -> Any:
-    """Return the default of an input that replaces another one, see `Alternative`."""
-    return Alternative(replaces, compute)
+    meaning = {"replaces": replaces, "compute": compute}
+    return dataclasses.field(default=default, kw_only=True, metadata=meaning)
 
 
 @dataclass_transform(
@@ -455,26 +451,29 @@ def declare_class(declared: Class) -> Class:
     `__post_init__` receives the alternatives that are given, or None, in their order.
     """
     cls: Any = declared
-    alternatives = dict(getattr(cls, "_alternatives", {}))
-    alternatives |= {n: one for n, one in vars(cls).items() if isinstance(one, Alternative)}
+    given_fields = {**getattr(cls, "_alternatives", {}), **vars(cls)}
+    alternatives = {
+        name: one for name, one in given_fields.items()
+        if isinstance(one, dataclasses.Field) and "replaces" in one.metadata
+    }  # fmt: skip
     hints = get_type_hints(cls, include_extras=True)
     texts = dict(cls.__annotations__)
-    for name in alternatives:
+    for name, one in alternatives.items():
         hint = hints[name]
         if not isinstance(hint, InitVar):
             hint = InitVar[hint | None]  # type: ignore[valid-type]
         cls.__annotations__[name] = hint
-        setattr(cls, name, dataclasses.field(default=None, kw_only=True))
+        setattr(cls, name, one)
     make = pydantic.dataclasses.dataclass(
         frozen=True, eq=False, repr=False, config=ConfigDict(arbitrary_types_allowed=True)
     )
     cls = make(cls)
     for name, one in alternatives.items():
-        setattr(cls, name, property(getattr(cls, one.compute)))
+        setattr(cls, name, property(getattr(cls, one.metadata["compute"])))
         # `dataclasses.replace` would give it beside the input that it replaces.
         del cls.__dataclass_fields__[name]
     cls._alternatives = alternatives
-    cls.ALTERNATIVES = {name: one.replaces for name, one in alternatives.items()}
+    cls.ALTERNATIVES = {name: one.metadata["replaces"] for name, one in alternatives.items()}
     construct = cls.__init__
     parameters = inspect.signature(cls).parameters
     names = list(parameters)

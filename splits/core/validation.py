@@ -133,9 +133,7 @@ def invalid(key: str, value: object, allowed: str, hint: str = "") -> InvalidVal
     return InvalidValue(key, value, allowed, hint)
 
 
-def check_relations(
-    *relations: tuple[Any, str, object, str] | tuple[Any, str, object, str, str],
-) -> None:
+def check_relations(*relations: tuple[Any, str, object, str, *tuple[str, ...]]) -> None:
     """Check relations between inputs, and raise the error of the first one that does not hold.
 
     Parameters
@@ -144,9 +142,9 @@ def check_relations(
         Whether it holds, and the key, the value, the allowed values and, optionally, the hint of
         its error.
     """
-    for holds, *error in relations:
+    for holds, key, value, allowed, *hint in relations:
         if not holds:
-            raise invalid(*error)
+            raise invalid(key, value, allowed, *hint)
 
 
 def unknown_key(key: str, known_names: Iterable[str]) -> UnknownKey:
@@ -397,7 +395,7 @@ def suggest_name(name: object, names: Iterable[str]) -> str:
 MAX_INT64 = 2**63 - 1
 
 
-def check_integer(key: str, value: object, low: int, high: int = MAX_INT64) -> int:
+def check_integer(key: str, value: Any, low: int, high: int = MAX_INT64) -> int:
     """Return a whole number from `low` to `high`, by default the largest that fits into 63 bits."""
     value = as_scalar(value)
     is_whole = isinstance(value, Integral) and not isinstance(value, NON_NUMERIC_TYPES)

@@ -100,7 +100,6 @@ HEIGHT_SPECTRA = {
         lambda r: np.exp(-r * r),
     ),
 }
-CORRELATIONS = (*HEIGHT_SPECTRA, "spectrum")
 MAX_WAVES = 100_000
 SPECTRUM_COLUMNS = ("wave_number_per_m", "density")
 

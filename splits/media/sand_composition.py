@@ -200,8 +200,6 @@ def make_size_distribution(
 # water collects at grain contacts and wets a much larger fraction of the grain surface than of the
 # pore volume.
 
-WATER_MODELS = ("whole_pores", "narrow_pores", "film")
-"""Water by volume of pores, in the shortest path segments, or in films on the grains."""
 MAX_RELATIVE_FILM_THICKNESS = 0.05
 """Relative thickness up to which a film is treated as a flat slab."""
 MAX_SERIES_SATURATION = 1e-6
@@ -298,8 +296,6 @@ def narrow_pore_fraction(saturation: float) -> float:
 # Composition of sand: particle types by volume from mineral concentrations by mass.
 
 IRON_OXIDES = ("hematite", "goethite")
-EXCESS_MAGNETITE_RULES = ("first", "clipped")
-"""Rules for more magnetite than the fraction of pure particles (Eq 9 turns negative)."""
 
 
 @dataclass(frozen=True, eq=False)

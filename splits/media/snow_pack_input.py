@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Hashable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -229,10 +230,9 @@ class SnowPackGround(NamedTuple):
 
 def _parse_name(name: str) -> float | str:
     """Return the albedo of a name that is a number; other names unchanged."""
-    try:
+    with suppress(ValueError):
         return float(name)
-    except ValueError:
-        return name
+    return name
 
 
 # --------------------------------------------------------------------------------------------------
@@ -319,10 +319,9 @@ def read_input(data: Any, label: str | None, ground: Any) -> SnowPackInput:
     data = _normalize_coordinates(data, label)
     pack_ground, data = _read_ground(data, label, ground)
     if LAYER_DIM in data.coords:
-        as_float_array(LAYER_DIM, data[LAYER_DIM], "numbers, 0 at the top")
+        number = as_float_array(LAYER_DIM, data[LAYER_DIM], "numbers, 0 at the top")
+        check_increasing(LAYER_DIM, np.sort(number))
         data = data.sortby(LAYER_DIM)
-        number = data[LAYER_DIM].values.astype(float)
-        check_increasing(LAYER_DIM, number)
         check_direction(data[LAYER_DIM], "down")
     layered: set[str] = set()
     values = {}
@@ -359,7 +358,8 @@ def read_input(data: Any, label: str | None, ground: Any) -> SnowPackInput:
 def _check_label_name(label: Any) -> None:
     """Check that a label is a text, and no name of another dimension or of a variable."""
     others = (LAYER_DIM, WAVELENGTH_DIM, FLAG_NAME, LAYER_FLAG_NAME, GROUND_ATTRIBUTE)
-    is_known = label in (*KNOWN_NAMES, *others) or str(label).startswith(f"{IMPURITIES_KEY}.")
+    text = str(label)
+    is_known = text in (*KNOWN_NAMES, *others) or text.startswith(f"{IMPURITIES_KEY}.")
     check_relations(
         (isinstance(label, str), "label", label, "a text, the name of a dimension or column"),
         (

@@ -17,7 +17,6 @@ from splits.tables.axes import INCIDENCE
 from splits.tables.table import Table
 
 KOKHANOVSKY_ZEGE = "kokhanovsky_zege_2004"
-ALBEDO_LAWS = (KOKHANOVSKY_ZEGE,)
 ICE_DENSITY_KG_M3 = 917.0
 """Density of ice in the law (kg/m³)."""
 FORMULA_STDERR = 1e-6

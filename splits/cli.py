@@ -129,12 +129,13 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
     import_optional("yaml", "experiments", "experiment files need")
     from splits.analysis.measured import read_spectra
     from splits.core.atomic import check_writable
+    from splits.core.escaping import write_data_frame
     from splits.core.process import exit_on_signals
     from splits.experiments.config.load import load_experiment, locate_errors
     from splits.experiments.config.sections import Accuracy
     from splits.experiments.config.simulation import SimulationConfig
     from splits.experiments.run import write_run
-    from splits.experiments.run_fit import run_fit
+    from splits.experiments.run_fit import make_fit_table, run_fit
     from splits.io.netcdf import load, save
 
     seed = 1 if arguments.seed is None else check_integer("--seed", arguments.seed, 0)
@@ -176,24 +177,15 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
             _run_retrieval(experiment, target, measured, seed, threads)
             return
         if experiment.fit:
-            _write_fitted_parameters(target)
+            parameters = target.with_name(f"{target.stem}_parameters.csv")
+            write_data_frame(make_fit_table(load(target)), parameters)
+            _print_line(parameters)
         if has_figure:
             from splits.plotting import draw, save_figure
 
             figure = draw(load(target), experiment.resolve_figure(), *measured_spectra)
             save_figure(figure, target.with_suffix(""))
             _print_line(target.with_suffix(".png"))
-
-
-def _write_fitted_parameters(path: Path) -> None:
-    """Write the parameters of fitted sands as a table beside their dataset."""
-    from splits.core.escaping import write_data_frame
-    from splits.experiments.run_fit import make_fit_table
-    from splits.io.netcdf import load
-
-    parameters = path.with_name(f"{path.stem}_parameters.csv")
-    write_data_frame(make_fit_table(load(path)), parameters)
-    _print_line(parameters)
 
 
 def _run_retrieval(

@@ -21,7 +21,7 @@ from sphinx.util.docutils import SphinxDirective
 import splits
 from splits.core.declarations import UNIT_SYMBOLS, Input, list_inputs
 from splits.core.keywords import INSTRUMENTS
-from splits.experiments.config.figure import INSTRUMENT_FIGURES, INSTRUMENT_QUANTITIES
+from splits.experiments.config.experiment import INSTRUMENT_FIGURES, INSTRUMENT_QUANTITIES
 from splits.experiments.config.instruments import (
     FUNCTIONS,
     KINDS,

@@ -62,12 +62,12 @@ def as_float_array(
 
 def _convert(key: str, values: Any, allowed: str) -> np.ndarray:
     """Return numbers as a new array of doubles, with NaN for gaps."""
-    if isinstance(values, (str, bytes)):
-        raise invalid(key, values, allowed, suggest_number(values) or TEXT_HINT)
-    if isinstance(values, Set):
-        raise invalid(key, values, allowed, "a set has no order")
-    if isinstance(values, Mapping):
-        raise invalid(key, values, allowed)
+    if isinstance(values, str | bytes | Set | Mapping):
+        is_text = isinstance(values, str | bytes)
+        hint = "a set has no order" if isinstance(values, Set) else ""
+        raise invalid(
+            key, values, allowed, (suggest_number(values) or TEXT_HINT) if is_text else hint
+        )
     if hasattr(values, "__array__"):
         return _convert_array(key, values, allowed)
     if not isinstance(values, Iterable):
@@ -309,7 +309,7 @@ def _find_positions(own_labels: pd.Index, labels: Any) -> np.ndarray | None:
 
 def check_named_numbers(
     key: str,
-    value: object,
+    value: Any,
     names: tuple[str, ...],
     limits: tuple[float, float] = (-math.inf, math.inf),
 ) -> tuple[float, ...]:
@@ -317,16 +317,13 @@ def check_named_numbers(
 
     Numbers outside `limits` by rounding only are set to the limit; others are not checked.
     """
-    allowed = f"{len(names)} numbers ({', '.join(names)})"
     value = as_scalar(value)
+    is_other = isinstance(value, (str, bytes, Set, Mapping)) or not isinstance(value, Iterable)
     # A masked scalar has no dimension to iterate over.
-    is_scalar = getattr(value, "shape", None) == ()
-    is_other = isinstance(value, (str, bytes, Set, Mapping))
-    if is_other or is_scalar or not isinstance(value, Iterable):
-        raise invalid(key, value, allowed)
-    values = tuple(itertools.islice(value, len(names) + 1))
+    is_other = is_other or getattr(value, "shape", None) == ()
+    values = () if is_other else tuple(itertools.islice(value, len(names) + 1))
     if len(values) != len(names):
-        raise invalid(key, value, allowed)
+        raise invalid(key, value, f"{len(names)} numbers ({', '.join(names)})")
     positions = np.arange(len(names))[match_labels(key, find_labels(value), [names])]
     numbers = [
         check_number(f"{key} ({n})", values[i]) for n, i in zip(names, positions, strict=True)

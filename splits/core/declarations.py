@@ -36,6 +36,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from splits.core.validation import (
     MAX_INT64,
+    SEVERAL_HINTS,
     InvalidValue,
     as_scalar,
     check_flag,
@@ -43,6 +44,7 @@ from splits.core.validation import (
     check_range,
     format_key,
     invalid,
+    is_list,
     short_repr,
     suggest_name,
     suggest_number,
@@ -171,10 +173,9 @@ class Quantity:
                 open_low=self.open_low, open_high=self.open_high, hint=self.hint,
             )  # fmt: skip
         except InvalidValue as error:
-            if not self.infinite or str(value).lower().strip("+.") != "inf":
-                raise
-            hint = "infinite is .inf in YAML, math.inf in Python"
-            raise invalid(key, value, error.allowed, hint) from None
+            if self.infinite and str(value).lower().strip("+.") == "inf":
+                error.hint = "infinite is .inf in YAML, math.inf in Python"
+            raise
 
     def check_integer(self, key: str, value: Any) -> int:
         """Return a whole number after checking that it is in the range."""
@@ -273,7 +274,7 @@ class Input(NamedTuple):
         try:
             return self.adapter.validate_python(value, context=key)
         except ValidationError as error:
-            raise describe_error(error, key) from None
+            raise describe_error(error, key, value) from None
 
 
 @functools.cache
@@ -384,6 +385,9 @@ def _add_section(location: str, error: Exception) -> ValueError:
         return ValueError(str(error))
     section, _, field = location.rpartition(".")
     first = re.split(r"\W", error.key, maxsplit=1)[0]
+    if location.startswith(error.key):
+        # That of a number in a list, for example.
+        return type(error)(location, error.value, error.allowed, error.hint)
     if first == location.partition(".")[0]:
         return error
     return error.add_prefix(section if first == field else location)
@@ -404,7 +408,7 @@ def _suggest_value(value: Any, errors: Sequence[Any]) -> str:
     kinds = {error["type"] for error in errors}
     expected = " ".join(error.get("ctx", {}).get("expected", "") for error in errors)
     if names := re.findall("'(.*?)'", expected):
-        return suggest_name(value, names)
+        return SEVERAL_HINTS[1] if is_list(value) else suggest_name(value, names)
     if isinstance(value, str):
         if "tuple_type" in kinds and "," in value:
             return f"write [{value}]"
@@ -420,25 +424,21 @@ def _suggest_value(value: Any, errors: Sequence[Any]) -> str:
 # Classes that declare their inputs.
 
 
-@dataclass(frozen=True)
-class Alternative:
-    """Input that replaces another one: a keyword of the class, and a property of its objects.
+def alternative(*, replaces: str, compute: str, default: None) -> Any:
+    """Return the field of an input that replaces another one.
 
-    Attributes
+    It is a keyword of the class, and a property of its objects.
+
+    Parameters
     ----------
     replaces : str
         Input that is left out where this one is given.
     compute : str
         Method that returns the property.
+    default : None
     """
-
-    replaces: str
-    compute: str
-
-
-def alternative(*, replaces: str, compute: str, default: None) -> Any:
-    """Return the default of an input that replaces another one, see `Alternative`."""
-    return Alternative(replaces, compute)
+    meaning = {"replaces": replaces, "compute": compute}
+    return dataclasses.field(default=default, kw_only=True, metadata=meaning)
 
 
 @dataclass_transform(
@@ -451,26 +451,29 @@ def declare_class(declared: Class) -> Class:
     `__post_init__` receives the alternatives that are given, or None, in their order.
     """
     cls: Any = declared
-    alternatives = dict(getattr(cls, "_alternatives", {}))
-    alternatives |= {n: one for n, one in vars(cls).items() if isinstance(one, Alternative)}
+    given_fields = {**getattr(cls, "_alternatives", {}), **vars(cls)}
+    alternatives = {
+        name: one for name, one in given_fields.items()
+        if isinstance(one, dataclasses.Field) and "replaces" in one.metadata
+    }  # fmt: skip
     hints = get_type_hints(cls, include_extras=True)
     texts = dict(cls.__annotations__)
-    for name in alternatives:
+    for name, one in alternatives.items():
         hint = hints[name]
         if not isinstance(hint, InitVar):
             hint = InitVar[hint | None]  # type: ignore[valid-type]
         cls.__annotations__[name] = hint
-        setattr(cls, name, dataclasses.field(default=None, kw_only=True))
+        setattr(cls, name, one)
     make = pydantic.dataclasses.dataclass(
         frozen=True, eq=False, repr=False, config=ConfigDict(arbitrary_types_allowed=True)
     )
     cls = make(cls)
     for name, one in alternatives.items():
-        setattr(cls, name, property(getattr(cls, one.compute)))
+        setattr(cls, name, property(getattr(cls, one.metadata["compute"])))
         # `dataclasses.replace` would give it beside the input that it replaces.
         del cls.__dataclass_fields__[name]
     cls._alternatives = alternatives
-    cls.ALTERNATIVES = {name: one.replaces for name, one in alternatives.items()}
+    cls.ALTERNATIVES = {name: one.metadata["replaces"] for name, one in alternatives.items()}
     construct = cls.__init__
     parameters = inspect.signature(cls).parameters
     names = list(parameters)

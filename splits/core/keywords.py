@@ -64,10 +64,10 @@ def suggest_order(
         not recognize(given[one]) and any(map(recognize, given.values()))
         for one, recognize in RECOGNIZED_ARGUMENTS.items() if one in given
     )  # fmt: skip
-    if key not in given or not is_exchanged:
-        return error
-    order = f"the order is {name}({', '.join(one for one in given if one != 'self')})"
-    return type(error)(error.key, error.value, error.allowed, order)
+    if key in given and is_exchanged:
+        arguments = ", ".join(one for one in given if one != "self")
+        error.hint = f"the order is {name}({arguments})"
+    return error
 
 
 def declare_function(function: Callable[Given, Result]) -> Callable[Given, Result]:

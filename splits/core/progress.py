@@ -92,14 +92,15 @@ class ProgressBar:
     """
 
     def __init__(self, description: str = "") -> None:
-        prefix = f"{description}: " if description else ""
-        output = (
-            {}
-            if _has_notebook_bars()
-            else {"file": _SafeStream(sys.stderr), "disable": not sys.stderr}
-        )
-        bar_format = f"{_BAR_FORMAT} starting"
-        self._bar: tqdm = _get_bar_class()(total=1.0, desc=prefix, bar_format=bar_format, **output)
+        output: dict[str, Any] = {"file": _SafeStream(sys.stderr), "disable": not sys.stderr}
+        if "ipykernel" in sys.modules and find_spec("ipywidgets"):
+            from tqdm.notebook import tqdm as bar_class
+
+            output = {}
+        else:
+            bar_class = tqdm
+        prefix, bar_format = f"{description}: " if description else "", f"{_BAR_FORMAT} starting"
+        self._bar: tqdm = bar_class(total=1.0, desc=prefix, bar_format=bar_format, **output)
         listeners.append(self._show_notice)
 
     def __call__(self, progress: Progress) -> None:
@@ -160,21 +161,6 @@ class _SafeStream:
         return getattr(self._stream, name)
 
 
-def _has_notebook_bars() -> bool:
-    """Return whether notebook progress bars are available."""
-    return "ipykernel" in sys.modules and bool(find_spec("ipywidgets"))
-
-
-def _get_bar_class() -> type[tqdm]:
-    """Return the progress bar class for a notebook, or for the terminal."""
-    if _has_notebook_bars():
-        from tqdm.notebook import tqdm as in_notebooks
-
-        bar_class: type[tqdm] = in_notebooks
-        return bar_class
-    return tqdm
-
-
 @contextmanager
 def open_progress(name: str, progress: Any) -> Iterator[Any]:
     """Yield the callback for the `progress` of a call: a bar for True, and None for False.
@@ -192,26 +178,21 @@ def open_progress(name: str, progress: Any) -> Iterator[Any]:
     ValueError
         For anything else.
     """
+
+    def call_safely(state: Progress) -> None:
+        with suppress(OSError, UnicodeError):
+            progress(state)
+
     if progress is True:
         with ProgressBar(name) as bar:
             yield bar
     elif isinstance(progress, ProgressBar) or progress is None or progress is False:
         yield progress or None
     elif callable(progress):
-        yield _suppress_write_errors(progress)
+        yield call_safely
     else:
         allowed = "True for a bar, or a function that takes a splits.Progress"
         raise invalid("progress", progress, allowed)
-
-
-def _suppress_write_errors(callback: Callable[[Progress], None]) -> Callable[[Progress], None]:
-    """Return the callback with its write errors ignored."""
-
-    def safe_callback(progress: Progress) -> None:
-        with suppress(OSError, UnicodeError):
-            callback(progress)
-
-    return safe_callback
 
 
 def report_whole_table(

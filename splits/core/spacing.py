@@ -8,7 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from splits.core.validation import check_number, format_key, invalid, suggest_name, unknown_key
+from splits.core.validation import (
+    check_number,
+    check_relations,
+    format_key,
+    invalid,
+    suggest_name,
+    unknown_key,
+)
 
 MAX_NUMBERS = 20_000
 """Largest length of a sequence of numbers, such as wavelengths."""
@@ -36,13 +43,13 @@ def describe_spacing(**others: Any) -> list[dict[str, Any]]:
 
 def make_even_spacing(key: str, start: float, stop: float, step: float) -> np.ndarray:
     """Return start, start + step, … up to and including stop."""
-    if not step > 0.0:
-        raise invalid(f"{key}.step", step, "above 0")
-    if stop < start:
-        raise invalid(f"{key}.stop", stop, f"at least start = {start:g}")
-    # A step may be so small that the quotient is infinite.
-    if (stop - start) / MAX_NUMBERS >= step:
-        raise invalid(f"{key}.step", step, f"large enough for at most {MAX_NUMBERS} values")
+    enough = f"large enough for at most {MAX_NUMBERS} values"
+    check_relations(
+        (step > 0.0, f"{key}.step", step, "above 0"),
+        (stop >= start, f"{key}.stop", stop, f"at least start = {start:g}"),
+        # A step may be so small that the quotient is infinite.
+        ((stop - start) / MAX_NUMBERS < step, f"{key}.step", step, enough),
+    )
     values = start + step * np.arange(round((stop - start) / step) + 1)
     if not np.isclose(values[-1], stop, rtol=0.0, atol=1e-6 * step):
         last = start + step * math.floor((stop - start) / step)
@@ -70,17 +77,13 @@ def expand_spacing(key: str, values: Mapping[str, Any], others: tuple[str, ...] 
     hint = "start, stop and step give evenly spaced values"
     if not others:
         hint += "; label others otherwise"
-    for name in values:
-        if name in (*STEP_KEYS, *others):
-            continue
+    for name in [one for one in values if one not in (*STEP_KEYS, *others)]:
         if others:
             raise unknown_key(f"{key}.{format_key(name)}", [*STEP_KEYS, *others])
         list_hint = "list the values instead" if name == "also" else ""
         nearest = list_hint or suggest_name(name, STEP_KEYS) or hint
         raise invalid(f"{key}.{format_key(name)}", values[name], "left out", nearest)
-    for name in STEP_KEYS:
-        if name not in values:
-            raise invalid(f"{key}.{name}", None, "given", hint)
+    check_relations(*((name in values, f"{key}.{name}", None, "given", hint) for name in STEP_KEYS))
     start, stop, step = (check_number(f"{key}.{name}", values[name]) for name in STEP_KEYS)
     # Rounding removes digits such as those of 0.30000000000000004.
     return _round(make_even_spacing(key, start, stop, step), 12)
@@ -92,11 +95,10 @@ def _round(values: np.ndarray, digits: int) -> np.ndarray:
 
 def _expand_geomspace(key: str, given: Any) -> np.ndarray:
     """Return geometrically spaced numbers."""
-    allowed = "[first, last, number of values]: 0 < first < last, at least two"
-    if not isinstance(given, (list, tuple)) or len(given) != 3:
-        raise invalid(key, given, allowed)
-    first, last, count = (check_number(key, value) for value in given)
+    is_triple = isinstance(given, (list, tuple)) and len(given) == 3
+    first, last, count = (check_number(key, one) for one in given) if is_triple else (0.0, 0.0, 0.0)
     if not 0.0 < first < last or count != int(count) or not 2 <= count <= MAX_NUMBERS:
+        allowed = "[first, last, number of values]: 0 < first < last, at least two"
         raise invalid(key, given, allowed)
     # Four digits keep the labels of figures short.
     return _round(np.geomspace(first, last, int(count)), 4)

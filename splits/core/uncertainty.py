@@ -131,7 +131,10 @@ def compute_error_parts(
         where an error of non-zero weight is unknown.
     """
     stderr = dataset[f"{quantity}_stderr"]
-    weights = _align_weights(weights, dataset)
+    check_no_gaps("weights", weights)
+    labels = find_labels(weights, weights.get_axis_num("wavelength"))
+    # Weights in the order of the wavelengths of the dataset.
+    weights = weights.isel(wavelength=match_labels("weights", labels, [dataset.wavelength]))
     upper_bound = _sum_weighted(abs(weights), stderr)
     if f"{quantity}_batches" not in dataset:
         return xr.zeros_like(upper_bound), upper_bound
@@ -216,14 +219,6 @@ def compute_difference(
     )
     stderr = (variance + squared_bound) ** 0.5
     return (selections[0][quantity] - selections[1][quantity]).drop_attrs(), stderr.drop_attrs()
-
-
-def _align_weights(weights: xr.DataArray, dataset: xr.Dataset) -> xr.DataArray:
-    """Return weights in the order of the wavelengths of a dataset."""
-    check_no_gaps("weights", weights)
-    axis = weights.get_axis_num("wavelength")
-    positions = match_labels("weights", find_labels(weights, axis), [dataset.wavelength])
-    return weights.isel(wavelength=positions)
 
 
 def _sum_same_sign_intervals(weights: np.ndarray, parts: np.ndarray) -> np.ndarray:

@@ -26,6 +26,8 @@ ZERO_TOLERANCE = 1e-12
 
 
 TEXT_HINT = "this is text, not a number"
+SEVERAL_HINTS = "one number, not several", "one value, not several"
+"""Hints for several values in place of a number, and of another value."""
 UNIT_SLIPS: dict[str, tuple[tuple[str, float, float], ...]] = {
     "°C": (("kelvin", 1.0, -273.15),),
     "nm": (("micrometres", 1e3, 0.0),),
@@ -131,6 +133,20 @@ def invalid(key: str, value: object, allowed: str, hint: str = "") -> InvalidVal
     return InvalidValue(key, value, allowed, hint)
 
 
+def check_relations(*relations: tuple[Any, str, object, str, *tuple[str, ...]]) -> None:
+    """Check relations between inputs, and raise the error of the first one that does not hold.
+
+    Parameters
+    ----------
+    *relations : (bool, str, object, str, str)
+        Whether it holds, and the key, the value, the allowed values and, optionally, the hint of
+        its error.
+    """
+    for holds, key, value, allowed, *hint in relations:
+        if not holds:
+            raise invalid(key, value, allowed, *hint)
+
+
 def unknown_key(key: str, known_names: Iterable[str]) -> UnknownKey:
     """Return the error for an unknown key, with the nearest known name as a hint."""
     names = list(known_names)
@@ -175,6 +191,12 @@ def as_scalar(value: object) -> Any:
     return value if is_date or np.ma.is_masked(value) else value.item()
 
 
+def is_list(value: object) -> bool:
+    """Return whether a value consists of several ones in some order."""
+    is_other = isinstance(value, str | bytes | Mapping) or getattr(value, "shape", None) == ()
+    return isinstance(value, Iterable) and not is_other
+
+
 def suggest_number(text: object) -> str:
     """Return a hint for a number that is written as text, such as 0,3, or ""."""
     for decimal, hint in ((".", "without quotes"), (",", "with a decimal point")):
@@ -216,16 +238,11 @@ def check_number(key: str, value: object, allowed: str = "a finite number") -> f
     if isinstance(value, str):
         raise invalid(key, value, allowed, suggest_number(value) or TEXT_HINT)
     if isinstance(value, NON_NUMERIC_TYPES) or not isinstance(value, Real):
-        is_list = isinstance(value, Iterable) and not isinstance(value, bytes | Mapping)
-        is_list = is_list and getattr(value, "shape", None) != ()
-        raise invalid(key, value, allowed, "one number, not several" if is_list else "")
-    try:
-        x = float(value)
-    except OverflowError:
-        raise invalid(key, value, allowed) from None
-    if not math.isfinite(x):
-        raise invalid(key, value, allowed)
-    return x
+        raise invalid(key, value, allowed, SEVERAL_HINTS[0] if is_list(value) else "")
+    with suppress(OverflowError):
+        if math.isfinite(value):
+            return float(value)
+    raise invalid(key, value, allowed)
 
 
 def snap_to_limits(values: Any, low: float, high: float) -> np.ndarray:
@@ -280,7 +297,8 @@ def check_range(
     try:
         x = check_number(key, value)
     except InvalidValue as error:
-        raise invalid(key, error.value, describe_range(math.nan), error.hint) from None
+        error.allowed = describe_range(math.nan)
+        raise
     if not low <= x <= high:
         x = float(snap_to_limits(x, low, high))
     if x < low or x > high or (open_low and x == low) or (open_high and x == high):
@@ -292,7 +310,7 @@ def check_range(
 def check_flag(key: str, value: Any) -> bool:
     """Return a truth value; raise `InvalidValue` for any other type, such as a text."""
     if not isinstance(value, bool | np.bool_):
-        raise invalid(key, value, "true or false")
+        raise invalid(key, value, "true or false", SEVERAL_HINTS[1] if is_list(value) else "")
     return bool(value)
 
 
@@ -377,20 +395,18 @@ def suggest_name(name: object, names: Iterable[str]) -> str:
 MAX_INT64 = 2**63 - 1
 
 
-def check_integer(key: str, value: object, low: int, high: int = MAX_INT64) -> int:
+def check_integer(key: str, value: Any, low: int, high: int = MAX_INT64) -> int:
     """Return a whole number from `low` to `high`, by default the largest that fits into 63 bits."""
     value = as_scalar(value)
-    allowed = f"a whole number from {low} to {high}"
-    if not isinstance(value, Integral) or isinstance(value, NON_NUMERIC_TYPES):
-        hint = f"write {int(value)}" if isinstance(value, float) and value.is_integer() else ""
-        at_least = f"a whole number of at least {low}"
-        raise invalid(key, value, at_least if high == MAX_INT64 else allowed, hint)
-    whole = int(value)
-    if whole < low and high == MAX_INT64:
-        raise invalid(key, value, f"a whole number of at least {low}")
-    if not low <= whole <= high:
-        raise invalid(key, value, allowed)
-    return whole
+    is_whole = isinstance(value, Integral) and not isinstance(value, NON_NUMERIC_TYPES)
+    if is_whole and low <= value <= high:
+        return int(value)
+    is_too_large = is_whole and value > high
+    limits = (
+        f"of at least {low}" if high == MAX_INT64 and not is_too_large else f"from {low} to {high}"
+    )
+    hint = f"write {int(value)}" if isinstance(value, float) and value.is_integer() else ""
+    raise invalid(key, value, f"a whole number {limits}", hint)
 
 
 def expand_path(value: Any, key: str = "path", hint: str = "") -> Path:

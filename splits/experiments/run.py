@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from inspect import signature
 from pathlib import Path
 from typing import Any
@@ -224,7 +224,8 @@ def simulate_points(
     @functools.lru_cache(maxsize=1)
     def simulate(number: int) -> list[xr.Dataset]:
         indices, group = groups[number]
-        progress = _make_progress_callback(_format_prefix(experiment.name, points, indices), log)
+        prefix = _format_prefix(experiment.name, points, indices)
+        progress = functools.partial(_log_progress, prefix, log)
         run = RunOptions.start(seed, threads, progress=progress)
         members = [points[index] for index in indices]
         with nest_runs(), experiment.locate_errors(members[0][0]):
@@ -342,19 +343,15 @@ def _format_prefix(name: str, points: Sequence[Point], indices: Sequence[int]) -
     return f"{name} {index + 1}/{len(points)} {point_labels}".rstrip()
 
 
-def _make_progress_callback(prefix: str, log: LogCallback) -> Callable[[Progress], None]:
-    """Return a callback that logs progress."""
-
-    def show(progress: Progress) -> None:
-        if math.isinf(progress.stderr):
-            log(f"{prefix}: first round, {progress.rays} rays")
-            return
-        log(
-            f"{prefix}: {progress.rays} rays this round, error {progress.stderr:.4f} so far "
-            f"(target {progress.target:g}), about {progress.seconds_left:.0f} s left here"
-        )
-
-    return show
+def _log_progress(prefix: str, log: LogCallback, progress: Progress) -> None:
+    """Log the progress of a simulation."""
+    if math.isinf(progress.stderr):
+        log(f"{prefix}: first round, {progress.rays} rays")
+        return
+    log(
+        f"{prefix}: {progress.rays} rays this round, error {progress.stderr:.4f} so far "
+        f"(target {progress.target:g}), about {progress.seconds_left:.0f} s left here"
+    )
 
 
 def _log_result(prefix: str, datasets: Sequence[xr.Dataset], log: LogCallback) -> None:

@@ -19,6 +19,7 @@ from splits.core.progress import LogCallback
 from splits.core.validation import (
     check_choice,
     check_range,
+    check_relations,
     format_key,
     invalid,
     key_prefix,
@@ -278,18 +279,24 @@ def select_spectra(
         given = f"{wavelength.min():g} to {wavelength.max():g} nm"
         allowed = f"{wavelengths[0]:g} to {wavelengths[-1]:g} nm, the range of the table"
         raise invalid("retrieve.measured", given, allowed)
-    key = "retrieve.prior_from.sample"
-    first_samples = [check_choice(key, first.sample, names) for first in section.prior_from]
-    other_samples = [name for name in names if name not in first_samples]
-    if len(set(first_samples)) < len(first_samples):
-        raise invalid(key, first_samples, "different samples")
-    if not other_samples:
-        hint = "all samples are retrieved first"
-        raise invalid("retrieve.samples", names, "others than those of prior_from", hint)
-    for first in section.prior_from:
-        if not any(name.startswith(first.applies_to) for name in other_samples):
-            allowed = f"the beginning of the name of another sample: {', '.join(other_samples)}"
-            raise invalid("retrieve.prior_from.applies_to", first.applies_to, allowed)
+    key = "retrieve.prior_from"
+    first_samples = [check_choice(f"{key}.sample", one.sample, names) for one in section.prior_from]
+    others = [name for name in names if name not in first_samples]
+    allowed = f"the beginning of the name of another sample: {', '.join(others)}"
+    check_relations(
+        (
+            len(set(first_samples)) == len(first_samples), f"{key}.sample", first_samples,
+            "different samples",
+        ),
+        (
+            others, "retrieve.samples", names, "others than those of prior_from",
+            "all samples are retrieved first",
+        ),
+        *(
+            (any(name.startswith(start) for name in others), f"{key}.applies_to", start, allowed)
+            for start in (one.applies_to for one in section.prior_from)
+        ),
+    )  # fmt: skip
     for parameter, values in section.reference_values.items():
         for sample in values:
             check_choice(f"retrieve.reference_values.{parameter}", sample, names)
@@ -310,13 +317,19 @@ def get_fixed_values(section: RetrieveSection, sample: str, table: Table) -> dic
             allowed, hint = f"of incidence {own}, the only one of the table", "or give grid."
             raise invalid("retrieve.samples", sample, allowed, hint + INCIDENCE)
         return fixed
-    is_known = INCIDENCE in fixed or INCIDENCE in section.free
-    if angle is None and not is_known:
-        raise invalid("retrieve.samples", sample, f"an angle after {ANGLE_SEPARATOR}")
-    if angle is not None and (INCIDENCE in section.free or fixed.get(INCIDENCE, angle) != angle):
-        key = f"retrieve.fixed.{INCIDENCE}" if INCIDENCE in fixed else "retrieve.free"
-        hint = f"the name {format_key(sample)} contains the angle"
-        raise invalid(key, fixed.get(INCIDENCE, INCIDENCE), "left out", hint)
+    is_free, is_fixed = INCIDENCE in section.free, INCIDENCE in fixed
+    check_relations(
+        (
+            angle is not None or is_fixed or is_free, "retrieve.samples", sample,
+            f"an angle after {ANGLE_SEPARATOR}",
+        ),
+        (
+            angle is None or not (is_free or fixed.get(INCIDENCE, angle) != angle),
+            f"retrieve.fixed.{INCIDENCE}" if is_fixed else "retrieve.free",
+            fixed.get(INCIDENCE, INCIDENCE), "left out",
+            f"the name {format_key(sample)} contains the angle",
+        ),
+    )  # fmt: skip
     return fixed if angle is None else {**fixed, INCIDENCE: angle}
 
 
@@ -325,13 +338,16 @@ def list_samples(section: str, measured: pd.DataFrame, names: Sequence[str]) -> 
 
     Unknown samples, and tables without wavelengths or names of columns, are rejected.
     """
-    key = f"{section}.measured"
-    if WAVELENGTH_COLUMN not in measured:
-        raise invalid(key, list(measured.columns), f"a table with column {WAVELENGTH_COLUMN}")
-    available = [str(name) for name in measured.columns if name != WAVELENGTH_COLUMN]
-    if any(name.startswith("Unnamed") for name in available):
-        hint = "a column of row numbers? write the table with index=False"
-        raise invalid(key, "a column without a name", "names for all", hint)
+    key, columns = f"{section}.measured", list(measured.columns)
+    available = [str(name) for name in columns if name != WAVELENGTH_COLUMN]
+    check_relations(
+        (WAVELENGTH_COLUMN in columns, key, columns, f"a table with column {WAVELENGTH_COLUMN}"),
+        (
+            not any(name.startswith("Unnamed") for name in available), key,
+            "a column without a name", "names for all",
+            "a column of row numbers? write the table with index=False",
+        ),
+    )  # fmt: skip
     return [check_choice(f"{section}.samples", name, available) for name in names] or available
 
 
@@ -391,9 +407,10 @@ def scale_counts(counts: np.ndarray, edges: np.ndarray, photons: float) -> Measu
 
 def _read_bins(key: str, measured: Mapping[str, Any], wavelengths: np.ndarray) -> np.ndarray:
     """Return the delays between the bins of a file, which are the same at all wavelengths."""
-    for name in BIN_COLUMNS:
-        if name not in measured:
-            raise invalid(key, list(measured), f"a table with column {name}")
+    columns = list(measured)
+    check_relations(
+        *((name in columns, key, columns, f"a table with column {name}") for name in BIN_COLUMNS)
+    )
     given, start, end = (np.asarray(measured[name], dtype=float) for name in BIN_COLUMNS)
     n_bins = given.size // wavelengths.size
     if given.size % wavelengths.size or not np.allclose(given, np.repeat(wavelengths, n_bins)):
@@ -421,9 +438,10 @@ def make_true_medium(
     truth, key = dict(section.synthetic.truth[sample]), f"retrieve_return.synthetic.truth.{sample}"
     rows = dict(zip(*experiment.make_axes(), strict=True))
     keywords = list(signature(MEDIUM_CLASSES[get_kind(experiment.medium)]).parameters)
-    for name in section.free:
-        if name != SCALE and name not in truth:
-            raise invalid(f"{key}.{name}", None, "given", "it is free")
+    known = (*truth, SCALE)
+    check_relations(
+        *((one in known, f"{key}.{one}", None, "given", "it is free") for one in section.free)
+    )
     for name, value in truth.items():
         if name not in rows and name.partition(".")[0] not in (*keywords, SCALE):
             raise unknown_key(f"{key}.{name}", dict.fromkeys([*rows, *keywords, SCALE]))

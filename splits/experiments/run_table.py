@@ -53,14 +53,17 @@ def count_parts(experiment: SimulationConfig) -> int:
     """Return the number of parts of a table, or of the snowpacks of a file."""
     if experiment.has_packs:
         return count_pack_parts(experiment.load_packs())
-    parts: int = experiment.instrument.get("parts")
-    return parts
+    return int(experiment.instrument.get("parts"))
 
 
 def prepare_table(
-    experiment: SimulationConfig, accuracy: Accuracy, seed: int, threads: int | None = None
+    experiment: SimulationConfig,
+    accuracy: Accuracy,
+    seed: int,
+    threads: int | None = None,
+    log: LogCallback = lambda line: None,
 ) -> tuple[TablePlan, TableRequest]:
-    """Return the plan of a table and the settings of its simulation.
+    """Return the plan of a table, which is logged, and the settings of its simulation.
 
     Raises
     ------
@@ -82,6 +85,7 @@ def prepare_table(
     request = SpectralRequest(wavelengths, 0.0, error, rays, run)
     with experiment.locate_errors({}):
         solver = instrument.choose_solver(plan.list_media(), error)
+    log(f"{experiment.name}: {plan}")
     return plan, TableRequest(request, quantities, has_covariance, solver, views)
 
 
@@ -106,9 +110,8 @@ def run_part(
         blocks = _iterate_blocks(experiment, accuracy, parts, folder, threads, log)
         keys = [_list_inputs(experiment, accuracy, one) for one in parts]
     else:
-        plan, request = prepare_table(experiment, accuracy, seed, threads)
+        plan, request = prepare_table(experiment, accuracy, seed, threads, log)
         groups = plan.select_part(part, count_parts(experiment), request.solver)
-        log(f"{experiment.name}: {plan}")
         blocks = _simulate_blocks(experiment, request, groups, folder, log)
         keys = [list_block_inputs(one, request) for one in groups]
     for _ in blocks:
@@ -131,8 +134,7 @@ def run_table(
     """
     if experiment.has_packs:
         return run_packs(experiment, accuracy, folder, threads, log)
-    plan, request = prepare_table(experiment, accuracy, seed, threads)
-    log(f"{experiment.name}: {plan}")
+    plan, request = prepare_table(experiment, accuracy, seed, threads, log)
     blocks = _simulate_blocks(experiment, request, plan.path_groups, folder, log)
     table = assemble_blocks(plan, request, blocks)
     return _complete_table(experiment, plan, request, folder, log, table)
@@ -151,8 +153,7 @@ def write_table(
     if experiment.has_packs:
         save(run_packs(experiment, accuracy, folder, threads, log), path)
         return
-    plan, request = prepare_table(experiment, accuracy, seed, threads)
-    log(f"{experiment.name}: {plan}")
+    plan, request = prepare_table(experiment, accuracy, seed, threads, log)
     simulate = partial(_simulate_blocks, experiment, request, plan.path_groups, folder, log)
     complete = partial(_complete_table, experiment, plan, request, folder, log)
     if compute_table_bytes(plan, request) <= MAX_BYTES_IN_MEMORY:
@@ -281,24 +282,17 @@ def _iterate_blocks(
     log: LogCallback,
 ) -> Iterator[xr.Dataset]:
     """Yield the results of blocks, loaded from a folder or stored there."""
-    cache = Cache(folder, BLOCK_PREFIX)
+    cache, instrument = Cache(folder, BLOCK_PREFIX), experiment.instrument
+    measure = partial(
+        FUNCTIONS[instrument.kind], **instrument.list_arguments(), threads=threads,
+        max_stderr=instrument.scale_stderr(accuracy.max_stderr),
+    )  # fmt: skip
     for done, packs in enumerate(blocks, start=1):
-        measure = partial(_measure, experiment, accuracy, packs, threads)
-        result = cache.get(_list_inputs(experiment, accuracy, packs), measure)
+        with nest_runs(), experiment.locate_errors({}):
+            key = _list_inputs(experiment, accuracy, packs)
+            result = cache.get(key, partial(measure, packs))
         log(f"{experiment.name}: {done} of {len(blocks)} blocks done")
         yield result
-
-
-def _measure(
-    experiment: SimulationConfig, accuracy: Accuracy, packs: SnowPacks, threads: int | None
-) -> xr.Dataset:
-    """Return the spectra or albedos of snowpacks."""
-    instrument = experiment.instrument
-    error = instrument.scale_stderr(accuracy.max_stderr)
-    with nest_runs(), experiment.locate_errors({}):
-        return FUNCTIONS[instrument.kind](
-            packs, **instrument.list_arguments(), max_stderr=error, threads=threads
-        )
 
 
 def _list_inputs(experiment: SimulationConfig, accuracy: Accuracy, packs: SnowPacks) -> list[Any]:

@@ -16,7 +16,13 @@ from splits.core.arrays import ContentEquality, check_array_range
 from splits.core.declarations import Quantity
 from splits.core.keywords import declare_function
 from splits.core.optional import import_optional
-from splits.core.validation import InvalidValue, check_range, invalid, suggest_name
+from splits.core.validation import (
+    InvalidValue,
+    check_range,
+    check_relations,
+    invalid,
+    suggest_name,
+)
 from splits.illumination.bands import SpectralBand, as_bands, interpolate_locally
 from splits.materials.csv_table import (
     is_csv_path,
@@ -264,18 +270,25 @@ def sky(
     spectrum = to_columns(spectrum)
     # The comparison of an array with a string gives an array.
     name = spectrum if isinstance(spectrum, str) else ""
-    if name == ASTM_G173 and zenith_deg is not None:
-        raise invalid(
-            "zenith_deg", zenith_deg, "left out", f"{ASTM_G173} is for {ASTM_ZENITH_DEG}°"
-        )
     given = (pressure_pa, precipitable_water_cm, ozone_atm_cm, turbidity_500nm, ground_albedo)
     named = zip(ATMOSPHERE, given, strict=True)
     atmosphere = {key: value for key, value in named if value is not None}
-    if name == CLEAR_SKY:
-        if zenith_deg is None:
-            raise invalid(
-                "zenith_deg", None, ZENITH_REQUIREMENT, f'splits.sky("{CLEAR_SKY}", zenith_deg=50)'
-            )
+    key = "zenith_deg"
+    check_relations(
+        (
+            name != ASTM_G173 or zenith_deg is None, key, zenith_deg, "left out",
+            f"{ASTM_G173} is for {ASTM_ZENITH_DEG}°",
+        ),
+        (
+            name != CLEAR_SKY or zenith_deg is not None, key, None, ZENITH_REQUIREMENT,
+            f'splits.sky("{CLEAR_SKY}", zenith_deg=50)',
+        ),
+        *(
+            (name == CLEAR_SKY, own, value, "left out", f"it applies to the sky {CLEAR_SKY} only")
+            for own, value in atmosphere.items()
+        ),
+    )  # fmt: skip
+    if name == CLEAR_SKY and zenith_deg is not None:
         # After Bird & Riordan (1986).
         parameters = ATMOSPHERE | atmosphere
         compute_air_mass = import_optional(
@@ -299,9 +312,6 @@ def sky(
         source = f"Bird & Riordan (1986), by pvlib: {description}"
         wavelengths = np.ravel(spectra["wavelength"])
         return Sky(CLEAR_SKY, source, zenith_deg, wavelengths, direct, np.maximum(diffuse, 0.0))
-    if atmosphere:
-        first, value = next(iter(atmosphere.items()))
-        raise invalid(first, value, "left out", f"it applies to the sky {CLEAR_SKY} only")
     if name == ASTM_G173:
         # The standard gives the beam, and the light on a surface tilted towards the sun; the
         # difference is taken as diffuse.
@@ -323,7 +333,7 @@ def sky(
         user_sky = Sky(name, "given by the user", polar_angle, wavelengths, direct, diffuse)
         if zenith_deg is None and user_sky.direct.any():
             hint = "splits.sky(…, zenith_deg=50): this sky has direct light"
-            raise invalid("zenith_deg", None, ZENITH_REQUIREMENT, hint)
+            raise invalid(key, None, ZENITH_REQUIREMENT, hint)
         content = np.stack([user_sky.wavelength_nm, user_sky.direct, user_sky.diffuse])
         return replace(user_sky, sha256=digest or hashlib.sha256(content.tobytes()).hexdigest())
     if name not in list_sky_names():

@@ -24,7 +24,7 @@ from urllib.parse import unquote
 
 from splits.core.atomic import atomic_write
 from splits.core.optional import import_optional
-from splits.core.validation import expand_path, format_key, invalid, short_repr
+from splits.core.validation import check_relations, expand_path, format_key, invalid, short_repr
 from splits.io.ro_crate import METADATA_FILE
 
 ROOT_MEMBERS = (
@@ -137,10 +137,11 @@ def unpack_archive(archive: str | Path, folder: str | Path) -> ArchiveReport:
         If files cannot be read or written.
     """
     folder = expand_path(folder, "folder").resolve()
-    if not folder.parent.is_dir():
-        raise invalid("folder", str(folder), "in a folder that exists")
-    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
-        raise invalid("folder", str(folder), "a new or an empty folder")
+    is_new = not folder.exists() or (folder.is_dir() and not any(folder.iterdir()))
+    check_relations(
+        (folder.parent.is_dir(), "folder", str(folder), "in a folder that exists"),
+        (is_new, "folder", str(folder), "a new or an empty folder"),
+    )
     with atomic_write(folder) as temporary:
         temporary.mkdir()
         return _read_archive(expand_path(archive, "archive"), temporary)
@@ -157,7 +158,14 @@ def _read_archive(archive: Path, target: Path | None) -> ArchiveReport:
             with zipfile.ZipFile(raw) as file:
                 members = _check_members(file.infolist(), archive.stat().st_size)
                 properties, listed = _read_metadata(file)
-                _check_listing(set(members) - {METADATA_FILE}, set(listed))
+                present = set(members) - {METADATA_FILE}
+                for names, problem in (
+                    (set(listed) - present, "listed, but missing"),
+                    (present - set(listed), "not listed"),
+                ):
+                    if names:
+                        count = f"({len(names)} files)"
+                        raise ArchiveError(f"{short_repr(min(names))} is {problem} {count}")
                 for name, info in members.items():
                     digest = _copy_member(file, info, target)
                     if listed.get(name, digest) != digest:
@@ -277,16 +285,6 @@ def _read_metadata(file: zipfile.ZipFile) -> tuple[list[str], dict[str, str]]:
         if "File" in entity.type
     }
     return [str(getattr(value, "id", value)) for value in properties], listed
-
-
-def _check_listing(present: set[str], listed: set[str]) -> None:
-    """Check that the files present are exactly those listed."""
-    for names, problem in (
-        (listed - present, "listed, but missing"),
-        (present - listed, "not listed"),
-    ):
-        if names:
-            raise ArchiveError(f"{short_repr(min(names))} is {problem} ({len(names)} files)")
 
 
 def _copy_member(file: zipfile.ZipFile, info: zipfile.ZipInfo, target: Path | None) -> str:

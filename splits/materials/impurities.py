@@ -18,7 +18,7 @@ import numpy as np
 from splits.core.arrays import ContentEquality, check_array_range
 from splits.core.declarations import Quantity
 from splits.core.inputs import check_mapping
-from splits.core.validation import check_range, invalid, suggest_name
+from splits.core.validation import check_range, check_relations, invalid, suggest_name
 from splits.materials.csv_table import read_numeric_csv, read_tabulated_function
 from splits.materials.refractive_index import check_wavelength_range
 
@@ -157,11 +157,16 @@ def _make_mass_impurity(name: Any, value: Any) -> Impurity:
         allowed = "ng_g and table, or ng_g, wavelength_nm and absorption_m2_kg"
         raise invalid(key, sorted(map(str, value)), allowed)
     amount = MASS_RATIO_PER_NG_G * check_range(f"{key}.ng_g", value["ng_g"], 0.0, MAX_NG_G)
-    if name in _load_known_impurities():
-        raise invalid("impurities_ng_g", name, "a new name for a user table")
-    if not (USER_IMPURITY_NAME_PATTERN.fullmatch(str(name)) and str(name).isprintable()):
-        allowed = "a name of at most 80 characters without /, not ground or refractive_index"
-        raise invalid("impurities_ng_g", name, allowed, "it names attributes of datasets")
+    is_name = USER_IMPURITY_NAME_PATTERN.fullmatch(str(name)) and str(name).isprintable()
+    is_known, keyword = name in _load_known_impurities(), "impurities_ng_g"
+    check_relations(
+        (not is_known, keyword, name, "a new name for a user table"),
+        (
+            is_name, keyword, name,
+            "a name of at most 80 characters without /, not ground or refractive_index",
+            "it names attributes of datasets",
+        ),
+    )  # fmt: skip
     columns = {name: given for name, given in value.items() if name != "ng_g"}
     table_key, table = (f"{key}.table", value["table"]) if "table" in value else (key, columns)
     names = ("wavelength_nm", "absorption_m2_kg")

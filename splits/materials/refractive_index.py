@@ -16,8 +16,14 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from splits.core.arrays import ContentEquality, as_float_array
-from splits.core.validation import InvalidValue, check_range, invalid, snap_to_limits
+from splits.core.arrays import ContentEquality, as_float_array, check_array_range
+from splits.core.validation import (
+    InvalidValue,
+    check_range,
+    check_relations,
+    invalid,
+    snap_to_limits,
+)
 
 
 class RefractiveIndex(Protocol):
@@ -111,10 +117,14 @@ class TabulatedIndex(ContentEquality):
         key = f"refractive_index ({self.name})"
         if not (w.ndim == 1 and w.size >= 2 and w.shape == n.shape == k.shape):
             raise invalid(key, w.shape, "three columns of equal length, at least 2 rows")
-        if not (np.isfinite([w, n, k]).all() and (np.diff(w) > 0).all() and w[0] > 0):
-            raise invalid(key, "wavelength_nm", "finite, positive and strictly increasing")
-        if not ((n > 0).all() and (k >= 0).all()):
-            raise invalid(key, "n, k", "n > 0 and k >= 0 in every row")
+        is_finite = np.isfinite([w, n, k]).all()
+        check_relations(
+            (
+                is_finite and (np.diff(w) > 0).all() and w[0] > 0, key, "wavelength_nm",
+                "finite, positive and strictly increasing",
+            ),
+            ((n > 0).all() and (k >= 0).all(), key, "n, k", "n > 0 and k >= 0 in every row"),
+        )  # fmt: skip
 
     def __repr__(self) -> str:
         low, high = self.wavelength_nm[0], self.wavelength_nm[-1]
@@ -336,13 +346,9 @@ def make_goethite() -> LorentzIndex:
 
 
 def _check_arguments(matrix: Any, inclusion: Any, fraction: Any) -> tuple[np.ndarray, ...]:
-    volume_fraction = snap_to_limits(
-        as_float_array("fraction", fraction, allow_gaps=True), 0.0, 1.0
-    )
-    outside = volume_fraction[~((volume_fraction >= 0.0) & (volume_fraction <= 1.0))]
-    if outside.size:
-        raise invalid("fraction", float(outside.flat[0]), "in [0, 1]")
-    return np.asarray(matrix, dtype=complex), np.asarray(inclusion, dtype=complex), volume_fraction
+    numbers = as_float_array("fraction", fraction, "in [0, 1]")
+    fractions = check_array_range("fraction", numbers, 0.0, 1.0)
+    return np.asarray(matrix, dtype=complex), np.asarray(inclusion, dtype=complex), fractions
 
 
 def maxwell_garnett(matrix: Any, inclusion: Any, fraction: Any) -> np.ndarray:

@@ -7,12 +7,12 @@ on reflectance.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from typing import Annotated, Any, Literal, Self, get_args, get_type_hints
 
 from splits.core.arrays import ContentEquality
 from splits.core.declarations import Quantity, declare_class
-from splits.core.validation import check_choice, invalid, join_names, key_prefix, suggest_name
+from splits.core.validation import check_choice, check_relations, invalid, join_names, key_prefix
 from splits.kernels.scene import (
     ENTRY_SAMPLING,
     FACET_SAMPLING,
@@ -112,11 +112,13 @@ class TransportInterpretation(ContentEquality):
     grain_extent: Literal["finite", "point"] = "finite"
 
     def __post_init__(self) -> None:
-        for name in ("overlap_with_previous_segment", "overlap_with_boundary"):
-            rule = getattr(self, name)
-            if self.grain_extent == "point" and rule != "keep":
-                hint = "or grain_extent finite, as in the set geometric"
-                raise invalid(name, rule, "keep with grain_extent point", hint)
+        rules = {
+            "overlap_with_previous_segment": self.overlap_with_previous_segment,
+            "overlap_with_boundary": self.overlap_with_boundary,
+        }
+        hint = "or grain_extent finite, as in the set geometric"
+        for name, rule in rules.items() if self.grain_extent == "point" else ():
+            check_relations((rule == "keep", name, rule, "keep with grain_extent point", hint))
 
     @classmethod
     def from_input(cls, value: Any) -> Self:
@@ -144,11 +146,6 @@ class TransportInterpretation(ContentEquality):
             name = check_choice(key, given[SET_KEY], INTERPRETATION_SETS)
             own_choices = {key: choice for key, choice in given.items() if key != SET_KEY}
             given = {**INTERPRETATION_SETS[name], **own_choices}
-        names = [f.name for f in fields(cls)]
-        for name in given:
-            if name not in names:
-                allowed = "one of " + ", ".join(names)
-                raise invalid("interpretation", name, allowed, suggest_name(name, names))
         with key_prefix("interpretation"):
             return cls(**given)
 
@@ -245,13 +242,11 @@ class SandInterpretation(TransportInterpretation):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.attenuation_factor == "as_printed" and self.mean_free_path != "pore_only":
-            hint = "mean chord and mean distance are both 1/K, which leaves no pore space"
             raise invalid(
-                "attenuation_factor",
-                self.attenuation_factor,
+                "attenuation_factor", self.attenuation_factor,
                 "solid_fraction with this mean_free_path",
-                hint,
-            )
+                "mean chord and mean distance are both 1/K, which leaves no pore space",
+            )  # fmt: skip
 
 
 INTERPRETATION_SCHEMA = {"anyOf": [{"enum": list(INTERPRETATION_SETS)}, {"type": "object"}]}

@@ -199,7 +199,11 @@ def replace_parameters(medium: Any, values: Mapping[str, float]) -> Any:
         location = _locate_parameter(medium, name)
         layer, key = location.layer, location.key
         changes = pending.setdefault(layer, {})
-        if any(_is_related(key, other) for other in changes):
+        # A value of a fraction, or of an alternative, depends on other ones that have changed.
+        replaced = ALTERNATIVES.get(key)
+        unrelated = {*list_amounts(), *ALTERNATIVES.values()} - {replaced}
+        is_related = replaced is not None and not changes.keys() <= unrelated
+        if changes and (is_related or get_quantity(key).parts):
             layers[layer] = replace(layers[layer], **changes)
             changes.clear()
         changes |= _compute_change(layers[layer], location, float(value), changes)
@@ -214,13 +218,6 @@ def replace_parameters(medium: Any, values: Mapping[str, float]) -> Any:
 def shift_parameter(medium: Any, name: str, shift: float) -> Any:
     """Return a copy of a medium with a parameter shifted; see `replace_parameter`."""
     return replace_parameter(medium, name, get_parameter(medium, name) + shift)
-
-
-def _is_related(key: str, changed: str) -> bool:
-    """Return whether a new value of a keyword depends on another one that has changed."""
-    replaced = ALTERNATIVES.get(key)
-    unrelated = {*list_amounts(), *ALTERNATIVES.values()} - {replaced}
-    return bool(get_quantity(key).parts) or (replaced is not None and changed not in unrelated)
 
 
 def _compute_change(

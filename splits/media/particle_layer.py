@@ -36,6 +36,7 @@ from splits.core.validation import (
     ROUNDING_TOLERANCE,
     check_choice,
     check_integer,
+    check_relations,
     expand_path,
     format_limit,
     invalid,
@@ -216,13 +217,15 @@ class ScatteringMatrix(ContentEquality):
         if set(COEFFICIENTS) & set(columns):
             if set(columns) != set(COEFFICIENTS):
                 raise invalid(MATRIX_KEY, sorted(map(str, columns)), join_names(COEFFICIENTS))
-            rows = [as_1d_array(f"{MATRIX_KEY}.{name}", columns[name]) for name in COEFFICIENTS]
-            if len({row.size for row in rows}) != 1 or not rows[0].size or rows[0][0] <= 0.0:
+            given = {f"{MATRIX_KEY}.{name}": columns[name] for name in COEFFICIENTS}
+            rows = [
+                check_array_range(key, as_1d_array(key, one), -MAX_DENSITY, MAX_DENSITY)
+                for key, one in given.items()
+            ]
+            if len({row.size for row in rows}) != 1 or rows[0][0] <= 0.0:
                 found = dict(zip(COEFFICIENTS, [row.size for row in rows], strict=True))
                 allowed = "lists of the same length from order 0 on, with alpha1 above 0"
                 raise invalid(MATRIX_KEY, found, allowed)
-            for name, row in zip(COEFFICIENTS, rows, strict=True):
-                check_array_range(f"{MATRIX_KEY}.{name}", row, -MAX_DENSITY, MAX_DENSITY)
             matrix = cls(*sum_expansion(np.stack(rows)))
         else:
             stderr = {n.removesuffix(STDERR): columns[n] for n in columns if STDERR in n}
@@ -282,12 +285,13 @@ def _select_variables(dataset: xr.Dataset) -> Mapping[str, Any]:
     if not set(NETCDF_NAMES) <= set(dataset.variables):
         names = [ANGLE, *ELEMENTS, *(f"{name}{STDERR}" for name in ELEMENTS), *COEFFICIENTS]
         columns = {str(name): dataset[name] for name in names if name in dataset.variables}
-        for name, variable in columns.items():
-            if variable.ndim != 1:
-                hint = "select one: dataset.sel(wavelength=…)"
-                raise invalid(
-                    f"{MATRIX_KEY}.{name}", f"over {variable.dims}", "of one wavelength", hint
-                )
+        allowed, hint = "of one wavelength", "select one: dataset.sel(wavelength=…)"
+        check_relations(
+            *(
+                (one.ndim == 1, f"{MATRIX_KEY}.{name}", f"over {one.dims}", allowed, hint)
+                for name, one in columns.items()
+            )
+        )
         return {name: variable.values for name, variable in columns.items()}
     theta, phase, n_angles = (
         # Rows shorter than the longest one end with fill values.
@@ -301,14 +305,17 @@ def _select_variables(dataset: xr.Dataset) -> Mapping[str, Any]:
         for name in NETCDF_NAMES
     )
     shape = phase.shape[-2:]
-    if phase.size != np.prod(shape):
-        hint = "select one: dataset.isel(nlam=[0], nreff=[0])"
-        raise invalid(MATRIX_KEY, f"of shape {phase.shape}", "one wavelength and one size", hint)
-    if theta.size != phase.size or n_angles.size != shape[0]:
-        found = {name: dataset[name].shape for name in NETCDF_NAMES}
-        raise invalid(
-            MATRIX_KEY, found, "theta and phase over nphamat and nthetamax, ntheta over nphamat"
-        )
+    check_relations(
+        (
+            phase.size == np.prod(shape), MATRIX_KEY, f"of shape {phase.shape}",
+            "one wavelength and one size", "select one: dataset.isel(nlam=[0], nreff=[0])",
+        ),
+        (
+            theta.size == phase.size and n_angles.size == np.prod(shape[:1]), MATRIX_KEY,
+            {name: dataset[name].shape for name in NETCDF_NAMES},
+            "theta and phase over nphamat and nthetamax, ntheta over nphamat",
+        ),
+    )  # fmt: skip
     theta, phase = theta.reshape(shape), phase.reshape(shape)
     # A file with a fill value for whole numbers is read as floats.
     n_angles = np.array(
@@ -392,15 +399,14 @@ Surface = Annotated[
 ]
 
 
-def _check_phase_function(key: str, value: Any) -> Any:
-    return value if isinstance(value, Mapping) else check_choice(key, value, PHASE_FUNCTIONS)
-
-
 PHASE_FUNCTIONS = ("henyey_greenstein", "rayleigh")
 PhaseFunctionInput = Annotated[
     Any,
     Quantity(
-        "phase function", check=_check_phase_function,
+        "phase function",
+        check=lambda key, value: (
+            value if isinstance(value, Mapping) else check_choice(key, value, PHASE_FUNCTIONS)
+        ),
         schema={"anyOf": [{"enum": list(PHASE_FUNCTIONS)}, {"type": "object"}]},
     ),
 ]  # fmt: skip
@@ -515,8 +521,7 @@ class ParticleLayer(ContentEquality, ParticleMedium):
             if self.polarized:
                 hint = "a phase function alone does not determine polarization"
                 raise invalid("polarized", True, "with scattering_matrix", hint)
-            key = "phase_function"
-            columns = ("cosine", "density")
+            key, columns = "phase_function", ("cosine", "density")
             (cosine, density), _ = read_tabulated_function(key, self.phase_function, columns)
             if not np.allclose(cosine[[0, -1]], (-1.0, 1.0), rtol=ROUNDING_TOLERANCE, atol=0.0):
                 raise invalid(f"{key}.cosine", cosine.tolist(), "increasing from -1 to 1")

@@ -10,16 +10,14 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
-from splits.core.arrays import ContentEquality, as_float_array, check_increasing
-from splits.core.declarations import Quantity, declare_class, defer_check
-from splits.core.validation import (
-    check_integer,
-    check_range,
-    invalid,
-    key_prefix,
-    snap_to_limits,
-    suggest_name,
+from splits.core.arrays import (
+    ContentEquality,
+    as_float_array,
+    check_array_range,
+    check_axis,
 )
+from splits.core.declarations import Quantity, declare_class, defer_check, list_inputs
+from splits.core.validation import check_integer, check_range, check_relations, invalid, key_prefix
 from splits.kernels.rng import make_table_probabilities, start_stream
 from splits.kernels.rough_surface import realization as kernels
 from splits.materials.csv_table import read_tabulated_function
@@ -102,7 +100,6 @@ HEIGHT_SPECTRA = {
         lambda r: np.exp(-r * r),
     ),
 }
-CORRELATIONS = (*HEIGHT_SPECTRA, "spectrum")
 MAX_WAVES = 100_000
 SPECTRUM_COLUMNS = ("wave_number_per_m", "density")
 
@@ -210,37 +207,47 @@ class RandomHeightField(ContentEquality):
 
     def __post_init__(self) -> None:
         if self.correlation == "spectrum":
-            for key in ("wave_number_per_m", "band_limit_per_m"):
-                if getattr(self, key) is not None:
-                    raise invalid(key, getattr(self, key), "left out", "the spectrum has its own")
-            if not isinstance(self.spectrum, Mapping):
-                allowed = f"a mapping of {', '.join(SPECTRUM_COLUMNS)}, lists of the same length"
-                raise invalid("spectrum", self.spectrum, allowed)
+            others = {"wave_number_per_m": self.wave_number_per_m,
+                      "band_limit_per_m": self.band_limit_per_m}  # fmt: skip
+            check_relations(
+                *(
+                    (value is None, key, value, "left out", "the spectrum has its own")
+                    for key, value in others.items()
+                ),
+                (
+                    isinstance(self.spectrum, Mapping), "spectrum", self.spectrum,
+                    f"a mapping of {', '.join(SPECTRUM_COLUMNS)}, lists of the same length",
+                ),
+            )  # fmt: skip
             (k, density), _ = read_tabulated_function("spectrum", self.spectrum, SPECTRUM_COLUMNS)
-            k = check_increasing("spectrum.wave_number_per_m", snap_to_limits(k, 0.0, math.inf))
-            if k[0] < 0.0:
-                raise invalid("spectrum.wave_number_per_m", k.tolist(), "0 or more and increasing")
-            density = snap_to_limits(density, 0.0, math.inf)
-            if (density < 0.0).any() or not density[k > 0.0].any():
+            k = check_axis("spectrum.wave_number_per_m", k, 0.0, math.inf)
+            density = check_array_range("spectrum.density", density, 0.0, math.inf)
+            if not density[k > 0.0].any():
                 allowed = "0 or more, and positive somewhere"
                 raise invalid("spectrum.density", density.tolist(), allowed)
             columns = (tuple(k.tolist()), tuple(density.tolist()))
             table = dict(zip(SPECTRUM_COLUMNS, columns, strict=True))
             object.__setattr__(self, "spectrum", table)
             return
-        if self.spectrum is not None:
-            raise invalid("spectrum", self.spectrum, 'left out unless correlation is "spectrum"')
         k0, limit = self.wave_number_per_m, self.band_limit_per_m
-        if k0 is None:
-            hint = "the inverse of the correlation length"
-            raise invalid("wave_number_per_m", None, "given (1/m)", hint)
-        if limit is None and self.correlation == "exponential":
-            raise invalid(
+        check_relations(
+            (
+                self.spectrum is None, "spectrum", self.spectrum,
+                'left out unless correlation is "spectrum"',
+            ),
+            (
+                k0 is not None, "wave_number_per_m", None, "given (1/m)",
+                "the inverse of the correlation length",
+            ),
+            (
+                limit is not None or self.correlation != "exponential",
                 "band_limit_per_m", None, "given (1/m)",
                 "slopes, about rms_height_m √(k0 limit), grow without bound with it and change "
                 "reflectance; give the largest wave number of the surface, or infinity; only the "
                 'default correlation "exponential" needs it, "gaussian" does not',
-            )  # fmt: skip
+            ),
+        )  # fmt: skip
+        assert k0 is not None
         if limit is not None and not (isinstance(limit, float) and limit == math.inf):
             limit = check_range("band_limit_per_m", limit, 1e-3 * k0, math.inf, "1/m")
         object.__setattr__(self, "band_limit_per_m", math.inf if limit is None else limit)
@@ -334,19 +341,13 @@ def _check_fields(given: Any) -> tuple[RandomHeightField, ...]:
         given = [given]
     if isinstance(given, (str, bytes)) or not isinstance(given, Sequence) or not given:
         raise invalid("surface", given, "one field, or a list of fields, of keys and values")
-    names = [f.name for f in fields(RandomHeightField)]
-    allowed = "one of " + ", ".join(names)
+    allowed = "a mapping of keys, each one of " + ", ".join(list_inputs(RandomHeightField))
     height_fields = []
     for number, value in enumerate(given):
         key = f"surface[{number}]" if len(given) > 1 else "surface"
         if not isinstance(value, RandomHeightField):
             if not isinstance(value, Mapping):
-                raise invalid(key, value, "a mapping of keys, each " + allowed)
-            for name in value:
-                if name not in names:
-                    raise invalid(key, name, allowed, suggest_name(name, names))
-            if "rms_height_m" not in value:
-                raise invalid(f"{key}.rms_height_m", None, "given (m)")
+                raise invalid(key, value, allowed)
             with key_prefix(key):
                 value = RandomHeightField(**value)
         height_fields.append(value)

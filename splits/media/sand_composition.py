@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.core.arrays import ContentEquality
-from splits.core.validation import ROUNDING_TOLERANCE, invalid
+from splits.core.validation import ROUNDING_TOLERANCE, check_relations, invalid
 from splits.kernels.rng import make_table_probabilities
 from splits.materials import MINERAL_DENSITY_KG_M3
 from splits.media.grain_statistics import (
@@ -145,11 +145,16 @@ def make_size_distribution(
         For a texture that is not that of a sand.
     """
     clay, silt, sand = texture
-    if min(clay, silt, sand) < 0.0 or abs(clay + silt + sand - 1.0) > 1e-9:
-        raise invalid("texture", texture, "three fractions (clay, silt, sand) that add up to 1")
-    if silt + 1.5 * clay > MAX_FINES_FRACTION + 1e-9:
-        allowed = f"silt + 1.5 clay at most {MAX_FINES_FRACTION:g}"
-        raise invalid("texture", texture, allowed, "more is not a sand")
+    check_relations(
+        (
+            min(clay, silt, sand) >= 0.0 and abs(clay + silt + sand - 1.0) <= 1e-9,
+            "texture", texture, "three fractions (clay, silt, sand) that add up to 1",
+        ),
+        (
+            silt + 1.5 * clay <= MAX_FINES_FRACTION + 1e-9, "texture", texture,
+            f"silt + 1.5 clay at most {MAX_FINES_FRACTION:g}", "more is not a sand",
+        ),
+    )  # fmt: skip
     cumulative = np.clip(
         [tail_mass, clay, clay + silt, 1.0 - tail_mass], tail_mass, 1.0 - tail_mass
     )
@@ -195,8 +200,6 @@ def make_size_distribution(
 # water collects at grain contacts and wets a much larger fraction of the grain surface than of the
 # pore volume.
 
-WATER_MODELS = ("whole_pores", "narrow_pores", "film")
-"""Water by volume of pores, in the shortest path segments, or in films on the grains."""
 MAX_RELATIVE_FILM_THICKNESS = 0.05
 """Relative thickness up to which a film is treated as a flat slab."""
 MAX_SERIES_SATURATION = 1e-6
@@ -293,8 +296,6 @@ def narrow_pore_fraction(saturation: float) -> float:
 # Composition of sand: particle types by volume from mineral concentrations by mass.
 
 IRON_OXIDES = ("hematite", "goethite")
-EXCESS_MAGNETITE_RULES = ("first", "clipped")
-"""Rules for more magnetite than the fraction of pure particles (Eq 9 turns negative)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Hashable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +27,14 @@ from splits.core.labels import (
     normalize_attributes,
     normalize_labels,
 )
-from splits.core.validation import as_scalar, invalid, join_names, suggest_name, unknown_key
+from splits.core.validation import (
+    as_scalar,
+    check_relations,
+    invalid,
+    join_names,
+    suggest_name,
+    unknown_key,
+)
 from splits.materials.impurities import list_impurities
 from splits.materials.refractive_index import check_wavelength_range
 from splits.media.ground import (
@@ -37,7 +45,7 @@ from splits.media.ground import (
     Ground,
     is_ground_spectrum,
 )
-from splits.media.parameters import describe_parameter, parse_impurity_parameter
+from splits.media.parameters import describe_parameter
 from splits.media.snow import OPTICAL_RADIUS_KEY, SURFACE_AREA_KEY
 
 # --------------------------------------------------------------------------------------------------
@@ -222,10 +230,9 @@ class SnowPackGround(NamedTuple):
 
 def _parse_name(name: str) -> float | str:
     """Return the albedo of a name that is a number; other names unchanged."""
-    try:
+    with suppress(ValueError):
         return float(name)
-    except ValueError:
-        return name
+    return name
 
 
 # --------------------------------------------------------------------------------------------------
@@ -305,18 +312,16 @@ def read_input(data: Any, label: str | None, ground: Any) -> SnowPackInput:
         hint = "stack other dimensions: dataset.stack(snowpack=('time', 'point'))"
         allowed = f"over {label or 'time, or another label,'} and {LAYER_DIM}"
         raise invalid(f"{THICKNESS_KEY} dimensions", tuple(dims), allowed, hint)
-    for name, size in data[THICKNESS_KEY].sizes.items():
-        if size == 0:
-            raise invalid(str(name), "no values", "at least one")
+    sizes = data[THICKNESS_KEY].sizes.items()
+    check_relations(*((size, str(name), "no values", "at least one") for name, size in sizes))
     label = others[0]
     _check_label_name(label)
     data = _normalize_coordinates(data, label)
     pack_ground, data = _read_ground(data, label, ground)
     if LAYER_DIM in data.coords:
-        as_float_array(LAYER_DIM, data[LAYER_DIM], "numbers, 0 at the top")
+        number = as_float_array(LAYER_DIM, data[LAYER_DIM], "numbers, 0 at the top")
+        check_increasing(LAYER_DIM, np.sort(number))
         data = data.sortby(LAYER_DIM)
-        number = data[LAYER_DIM].values.astype(float)
-        check_increasing(LAYER_DIM, number)
         check_direction(data[LAYER_DIM], "down")
     layered: set[str] = set()
     values = {}
@@ -352,12 +357,16 @@ def read_input(data: Any, label: str | None, ground: Any) -> SnowPackInput:
 
 def _check_label_name(label: Any) -> None:
     """Check that a label is a text, and no name of another dimension or of a variable."""
-    if not isinstance(label, str):
-        raise invalid("label", label, "a text, the name of a dimension or column")
     others = (LAYER_DIM, WAVELENGTH_DIM, FLAG_NAME, LAYER_FLAG_NAME, GROUND_ATTRIBUTE)
-    if label in (*KNOWN_NAMES, *others) or label.startswith(f"{IMPURITIES_KEY}."):
-        hint = f"rename it: data.rename({{{label!r}: 'time'}})"
-        raise invalid("label", label, "a name that no variable of snowpacks has", hint)
+    text = str(label)
+    is_known = text in (*KNOWN_NAMES, *others) or text.startswith(f"{IMPURITIES_KEY}.")
+    check_relations(
+        (isinstance(label, str), "label", label, "a text, the name of a dimension or column"),
+        (
+            not is_known, "label", label, "a name that no variable of snowpacks has",
+            f"rename it: data.rename({{{label!r}: 'time'}})",
+        ),
+    )  # fmt: skip
 
 
 def _normalize_coordinates(data: xr.Dataset, label: str) -> xr.Dataset:
@@ -409,22 +418,20 @@ def check_names(given: Iterable[Hashable]) -> None:
     """Check that all required variables are given and that all given ones are known."""
     names = [str(name) for name in given]
     for name in names:
-        kind = (parse_impurity_parameter(name) or ("", ""))[1]
         if name.startswith(f"{IMPURITIES_KEY}."):
-            if kind not in list_impurities():
-                kind = name.partition(".")[2]
-                hint = suggest_name(kind, list_impurities())
-                raise invalid(IMPURITIES_KEY, kind, f"one of {join_names(list_impurities())}", hint)
+            kind, known = name.partition(".")[2], list_impurities()
+            if kind not in known:
+                allowed = f"one of {join_names(known)}"
+                raise invalid(IMPURITIES_KEY, kind, allowed, suggest_name(kind, known))
         elif name not in KNOWN_NAMES:
             raise unknown_key(name, [*KNOWN_NAMES, f"{IMPURITIES_KEY}.black_carbon"])
-    for name in (THICKNESS_KEY, DENSITY_KEY):
-        if name not in names:
-            raise invalid(name, None, "given", f"a variable over snowpacks and {LAYER_DIM}")
-    sizes = [name for name in (SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY) if name in names]
-    if not sizes:
-        raise invalid(SURFACE_AREA_KEY, None, f"given, or {OPTICAL_RADIUS_KEY}")
-    if len(sizes) == 2:
-        raise invalid(OPTICAL_RADIUS_KEY, "given", f"left out where {SURFACE_AREA_KEY} is given")
+    area, radius, hint = SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY, f"over snowpacks and {LAYER_DIM}"
+    check_relations(
+        (THICKNESS_KEY in names, THICKNESS_KEY, None, "given", f"a variable {hint}"),
+        (DENSITY_KEY in names, DENSITY_KEY, None, "given", f"a variable {hint}"),
+        (area in names or radius in names, area, None, f"given, or {radius}"),
+        (not {area, radius} <= {*names}, radius, "given", f"left out where {area} is given"),
+    )
 
 
 def _pivot_frame(frame: pd.DataFrame, label: str | None) -> xr.Dataset:
@@ -433,13 +440,15 @@ def _pivot_frame(frame: pd.DataFrame, label: str | None) -> xr.Dataset:
         frame = frame.reset_index()
     label = label or DEFAULT_LABEL
     _check_label_name(label)
-    for name in (label, LAYER_DIM):
-        if name not in frame.columns:
-            hint = suggest_name(name, map(str, frame.columns))
-            other = "label= names that of the snowpacks" if name == label else LAYER_HINT
-            raise invalid(name, None, "a column", hint or other)
-    if not len(frame):
-        raise invalid("data", "no rows", "at least one")
+    hints = {label: "label= names that of the snowpacks", LAYER_DIM: LAYER_HINT}
+    columns = frame.columns
+    check_relations(
+        *(
+            (name in columns, name, None, "a column", suggest_name(name, map(str, columns)) or hint)
+            for name, hint in hints.items()
+        ),
+        (len(frame), "data", "no rows", "at least one"),
+    )
     rows, labels = pd.factorize(frame[label])
     number = as_float_array(LAYER_DIM, frame[LAYER_DIM], "numbers, 0 at the top")
     if (rows < 0).any():

@@ -10,7 +10,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from splits.experiments.config.figure import INSTRUMENT_FIGURES
+from splits.experiments.config.experiment import INSTRUMENT_FIGURES
 from splits.experiments.config.media import make_label
 from splits.plotting.figure import POINT_KINDS
 from splits.plotting.panels import FIGURE_SETTINGS

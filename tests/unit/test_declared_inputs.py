@@ -331,8 +331,8 @@ SECTIONS = {
         "line 1: medium.ssa: unknown key, must be one of … (did you mean "
         "specific_surface_area_m2_kg?)",
     "medium: {density_kg_m3: [200, 300]}":
-        "line 1: medium.density_kg_m3 = [200, 300]: must be in [1e-12, 916.9) kg/m3 (one "
-        "number, not several) (several values belong under grid)",
+        "line 1: medium.density_kg_m3 = [200, 300]: must be in [1e-12, 916.9) kg/m3 (several "
+        "values belong under grid)",
     "medium: {interpretation: {boundary_fresnel: maybe}}":
         "line 1: medium.interpretation.boundary_fresnel = 'maybe': must be one of no, yes",
     "medium: {kind: stack, layers: [{depth_m: -1}]}":

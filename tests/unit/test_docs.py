@@ -17,8 +17,7 @@ from splits.core.declarations import list_inputs
 from splits.core.keywords import INSTRUMENTS
 from splits.core.yaml import read_yaml
 from splits.experiments import load_settings
-from splits.experiments.config.experiment import ExperimentConfig
-from splits.experiments.config.figure import FigureSection
+from splits.experiments.config.experiment import ExperimentConfig, FigureSection
 from splits.experiments.config.instruments import KINDS, list_section_inputs
 from splits.experiments.config.retrieval import NoiseSection, PriorFromSample, RetrieveSection
 from splits.experiments.config.sections import Accuracy

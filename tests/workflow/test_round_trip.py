@@ -15,7 +15,7 @@ from compliance import collect_remarks
 import splits
 from splits.core.atomic import atomic_write
 from splits.experiments import ExperimentConfig, SimulationConfig, load_experiment, load_settings
-from splits.experiments.config.figure import INSTRUMENT_FIGURES
+from splits.experiments.config.experiment import INSTRUMENT_FIGURES
 from splits.experiments.run import run
 from splits.plotting import draw
 from splits.plotting.style import FIGURE_SUFFIXES

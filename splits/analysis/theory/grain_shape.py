@@ -20,7 +20,7 @@ import numpy as np
 from splits.core.inputs import RayCount, Seed, Threads
 from splits.core.keywords import declare_function
 from splits.core.uncertainty import compute_jackknife_stderr
-from splits.core.validation import invalid
+from splits.core.validation import check_relations
 from splits.instruments.single_scattering import single_scattering
 from splits.media import Snow
 
@@ -80,13 +80,13 @@ def compute_optical_shape(
     ValueError
         For wet snow, impurities, or a wavelength at which ice does not absorb.
     """
-    if snow.saturation > 0.0 or snow.pores:
-        raise invalid("saturation", snow.saturation, "0, as shape factors are those of dry grains")
-    if snow.impurities_ng_g or snow.algae_cells_ml:
-        raise invalid("impurities_ng_g", dict(snow.impurities_ng_g), "empty")
+    is_dry, impurities = not (snow.saturation or snow.pores), dict(snow.impurities_ng_g)
     k = float(snow.refractive_index["ice"](np.array([wavelength_nm]))[0].imag)
-    if k <= 0.0:
-        raise invalid("wavelength_nm", wavelength_nm, "where ice absorbs")
+    check_relations(
+        (is_dry, "saturation", snow.saturation, "0, as shape factors are those of dry grains"),
+        (not (impurities or snow.algae_cells_ml), "impurities_ng_g", impurities, "empty"),
+        (k > 0.0, "wavelength_nm", wavelength_nm, "where ice absorbs"),
+    )
     optics = single_scattering(
         snow, [wavelength_nm], moments=1, rays=rays, seed=seed, threads=threads
     )

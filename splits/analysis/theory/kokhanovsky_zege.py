@@ -8,6 +8,7 @@ import numpy as np
 import snowoptics
 import xarray as xr
 
+from splits.core.inputs import DIFFUSE
 from splits.core.validation import invalid
 from splits.materials.impurities import make_impurities
 from splits.media.parameters import parse_impurity_parameter
@@ -16,7 +17,6 @@ from splits.tables.axes import INCIDENCE
 from splits.tables.table import Table
 
 KOKHANOVSKY_ZEGE = "kokhanovsky_zege_2004"
-ALBEDO_LAWS = (KOKHANOVSKY_ZEGE,)
 ICE_DENSITY_KG_M3 = 917.0
 """Density of ice in the law (kg/m³)."""
 FORMULA_STDERR = 1e-6
@@ -69,18 +69,20 @@ def make_law_table(
                 "retrieve.compare_with", law, f"left out where {name} is on the grid without 0"
             )
     wavelength = dataset.wavelength.values
-    ice, absorbed = snowoptics.refice(1e-9 * wavelength, "p2016")
+    _, absorbed = snowoptics.refice(1e-9 * wavelength, "p2016")
     shape = [dataset.sizes[axis] for axis in law_axes]
     values = np.empty((*shape, wavelength.size))
     for index in np.ndindex(*shape):
         point = {a: dataset[a].values[i] for a, i in zip(law_axes, index, strict=True)}
-        added_k = _compute_impurity_k(point, wavelength)
+        k = absorbed + _compute_impurity_k(point, wavelength)
         by_area = size == SURFACE_AREA_KEY
-        area = point[size] if by_area else 3e6 / (ICE_DENSITY_KG_M3 * point[size])
+        area = float(point[size] if by_area else 3e6 / (ICE_DENSITY_KG_M3 * point[size]))
         incidence = point.get(INCIDENCE, dataset.attrs.get(INCIDENCE, 0.0))
-        values[index] = _compute_albedo(
-            1e-9 * wavelength, incidence, float(area), (ice, absorbed + added_k)
-        )
+        if incidence == DIFFUSE:
+            values[index] = snowoptics.albedo_diffuse_KZ04(1e-9 * wavelength, area, ni=k)
+        else:
+            angle = np.radians(float(incidence))
+            values[index] = snowoptics.albedo_direct_KZ04(1e-9 * wavelength, angle, area, ni=k)
     dims = (*law_axes, "wavelength")
     coordinates = {axis: dataset[axis] for axis in dims}
     attributes = dataset.reflectance.attrs
@@ -109,23 +111,6 @@ def _compute_impurity_k(point: dict[str, Any], wavelength_nm: np.ndarray) -> np.
         (impurity.compute_absorption_per_kg_ice(wavelength_nm) for impurity in impurities),
         np.zeros(wavelength_nm.size),
     )
-    k: np.ndarray = (
+    return np.asarray(
         per_ice * ICE_DENSITY_KG_M3 / snowoptics.default_B * (1e-9 * wavelength_nm) / (4.0 * np.pi)
     )
-    return k
-
-
-def _compute_albedo(
-    wavelength_m: np.ndarray,
-    incidence: object,
-    ssa_m2_kg: float,
-    index: tuple[np.ndarray, np.ndarray],
-) -> np.ndarray:
-    """Return the albedo of deep snow for a beam (degrees) or diffuse light."""
-    if incidence == "diffuse":
-        albedo = snowoptics.albedo_diffuse_KZ04(wavelength_m, ssa_m2_kg, ni=index[1])
-    else:
-        albedo = snowoptics.albedo_direct_KZ04(
-            wavelength_m, np.radians(float(str(incidence))), ssa_m2_kg, ni=index[1]
-        )
-    return np.asarray(albedo, dtype=float)

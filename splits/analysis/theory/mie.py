@@ -41,7 +41,7 @@ from splits.core.inputs import Numbers, check_wavelengths, declare_numbers
 from splits.core.keywords import declare_function
 from splits.core.optional import import_optional
 from splits.core.uncertainty import Variable, make_variable
-from splits.core.validation import InvalidValue, invalid
+from splits.core.validation import InvalidValue, check_relations, invalid
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.materials import make_refractive_index, parse_refractive_index
 from splits.materials.library import MATERIALS
@@ -174,8 +174,7 @@ def _compute_amplitudes(
 
     def multiply(terms: np.ndarray, function: np.ndarray) -> np.ndarray:
         """Return the product of a complex and a real matrix, by two real products."""
-        product: np.ndarray = terms.real @ function + 1j * (terms.imag @ function)
-        return product
+        return np.asarray(terms.real @ function + 1j * (terms.imag @ function))
 
     return multiply(a, pi) + multiply(b, tau), multiply(a, tau) + multiply(b, pi)
 
@@ -266,16 +265,6 @@ class GammaSizes:
     effective_radius_um: float
     effective_variance: float
     tolerance: float
-
-    @classmethod
-    def from_input(
-        cls, radius: float | None, variance: float | None, tolerance: float
-    ) -> GammaSizes:
-        """Return sizes from the arguments of a user."""
-        if radius is None or variance is None:
-            key = "effective_radius_um" if radius is None else "effective_variance"
-            raise invalid(key, None, "given, as the other one is")
-        return cls(radius, variance, tolerance)
 
     @property
     def relative_limits(self) -> tuple[float, float]:
@@ -466,21 +455,35 @@ def compute_mie_matrix(
     """
     wavelengths = check_wavelengths("wavelength_nm", wavelength_nm)
     indices = _read_index(index, wavelengths, find_labels(wavelength_nm))
-    by_moments = (effective_radius_um, effective_variance) != (None, None)
-    if by_moments == (radius_um is not None or number_density is not None):
-        given = "both" if by_moments else "none"
-        raise invalid("sizes", given, f"either {' or '.join(SIZE_ARGUMENTS)}")
+    moments = {
+        "effective_radius_um": effective_radius_um, "effective_variance": effective_variance,
+    }  # fmt: skip
+    by_moments = any(one is not None for one in moments.values())
+    by_radii = radius_um is not None or number_density is not None
+    given, allowed = "both" if by_moments else "none", f"either {' or '.join(SIZE_ARGUMENTS)}"
+    check_relations(
+        (by_moments != by_radii, "sizes", given, allowed),
+        *(
+            (by_radii or value is not None, key, None, "given, as the other one is")
+            for key, value in moments.items()
+        ),
+    )
     sizes = (
-        GammaSizes.from_input(effective_radius_um, effective_variance, tolerance)
-        if by_moments
-        else GivenSizes.from_input(radius_um, number_density)
+        GivenSizes.from_input(radius_um, number_density)
+        if effective_radius_um is None or effective_variance is None
+        else GammaSizes(effective_radius_um, effective_variance, tolerance)
     )
     size_per_um = 2.0 * np.pi * 1e3 / wavelengths
     max_size = float(size_per_um[0] * sizes.largest_um)
     if max_size > MAX_SIZE_PARAMETER:
         allowed = f"at most {MAX_SIZE_PARAMETER:g} for the largest sphere"
         raise invalid("size parameter", max_size, allowed, "geometric optics is for larger spheres")
-    angles = _choose_angles(max_size) if angle_deg is None else np.asarray(angle_deg)
+    angles = np.asarray(angle_deg)
+    if angle_deg is None:
+        # Structures of backscattering are as narrow as the peak of diffraction.
+        forward = choose_resolving_angles(int(np.ceil(2.0 * max_size)))
+        forward = forward[forward < 90.0]
+        angles = np.concatenate([forward, [90.0], 180.0 - forward[::-1]])
     functions = AngularFunctions(angles, max_size)
     sums, radii = zip(
         *(
@@ -513,10 +516,9 @@ def _read_index(index: Any, wavelengths: np.ndarray, labels: pd.Index | None) ->
         try:
             values = parse_refractive_index(MATERIAL, index, MATERIALS)(wavelengths)
         except InvalidValue as error:
-            if not error.key.startswith("refractive_index"):
-                raise
-            key = f"index{error.key.partition(']')[2]}"
-            raise invalid(key, error.value, error.allowed, error.hint) from None
+            if error.key.startswith("refractive_index"):
+                error.key = f"index{error.key.partition(']')[2]}"
+            raise
     if values.shape != wavelengths.shape:
         allowed = f"one number, or {wavelengths.size}, one for each wavelength"
         raise invalid("index", f"{values.size} numbers", allowed)
@@ -536,16 +538,7 @@ def _read_index_array(index: Any) -> np.ndarray:
     real, imaginary = (
         as_1d_array("index", part, "finite numbers") for part in (filled.real, filled.imag)
     )
-    values: np.ndarray = real + 1j * imaginary
-    return values
-
-
-def _choose_angles(max_size: float) -> np.ndarray:
-    """Return scattering angles (degrees) for spheres of a largest size parameter."""
-    # Structures of backscattering are as narrow as the peak of diffraction.
-    forward = choose_resolving_angles(int(np.ceil(2.0 * max_size)))
-    forward = forward[forward < 90.0]
-    return np.concatenate([forward, [90.0], 180.0 - forward[::-1]])
+    return np.asarray(real + 1j * imaginary)
 
 
 def _make_dataset(

@@ -77,8 +77,7 @@ def with_diffraction(optics: xr.Dataset, radius_um: SphereRadius = None) -> xr.D
     def mix(albedo: np.ndarray, moment: np.ndarray) -> np.ndarray:
         """Return moments of all scattered light."""
         medium_radius = (albedo * extinction)[..., np.newaxis]
-        variables: np.ndarray = (medium_radius * moment + grains * peak) / (medium_radius + grains)
-        return variables
+        return np.asarray((medium_radius * moment + grains * peak) / (medium_radius + grains))
 
     moment = mix(optics[ALBEDO].values, optics[MOMENT].values)
     jackknife = mix(optics[f"{ALBEDO}_jackknife"].values, optics[f"{MOMENT}_jackknife"].values)
@@ -123,8 +122,7 @@ def compute_diffraction_moments(
     """Return Legendre moments of light diffracted by large spheres, shape (wavelengths, orders)."""
     size = 2.0 * np.pi * radius_um * 1e3 / wavelength_nm[:, np.newaxis]
     t = np.minimum(np.sqrt(order * (order + 1.0)) / (2.0 * size), 1.0)
-    moments: np.ndarray = (2.0 / np.pi) * (np.arccos(t) - t * np.sqrt((1.0 - t) * (1.0 + t)))
-    return moments
+    return np.asarray((2.0 / np.pi) * (np.arccos(t) - t * np.sqrt((1.0 - t) * (1.0 + t))))
 
 
 ScatteringAngles = Annotated[
@@ -229,8 +227,7 @@ def _compute_damping_factors(max_order: int) -> np.ndarray:
     moments = np.array(
         [(peak * polynomial).sum() for polynomial in _generate_legendre_polynomials(mu, max_order)]
     )
-    damping: np.ndarray = moments / moments[0]
-    return damping
+    return np.asarray(moments / moments[0])
 
 
 def _find_largest_zero(order: int) -> float:

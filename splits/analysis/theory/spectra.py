@@ -16,9 +16,10 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import as_1d_array, as_float_array
+from splits.core.inputs import check_incidence
 from splits.core.optional import import_optional
 from splits.core.uncertainty import Variable, compute_jackknife_stderr, make_variable
-from splits.core.validation import check_choice, check_range, invalid
+from splits.core.validation import check_range, check_relations, invalid
 from splits.discrete_ordinates.adding import Boundary, Element, compute_budget, make_isotropic
 from splits.discrete_ordinates.homogeneous_layer import LayerOptics, Streams, solve_slab
 from splits.media.ground import Ground, describe_ground
@@ -57,7 +58,11 @@ def propagate_errors(theory: TheoryFunction, optics: xr.Dataset) -> np.ndarray:
 
 def compute_jackknife_results(theory: TheoryFunction, optics: xr.Dataset) -> np.ndarray | None:
     """Return a theory's results with each batch of rays left out, or None without batches."""
-    values = [theory(variant) for variant in _iterate_jackknife_optics(optics)]
+    names = _list_names_with_suffix(optics, JACKKNIFE_SUFFIX)
+    values = []
+    for batch in range(optics.sizes["batch"] if names else 0):
+        parts = {name: optics[name + JACKKNIFE_SUFFIX].isel(batch=batch) for name in names}
+        values.append(theory(optics.assign(parts)))
     return np.stack(values) if values else None
 
 
@@ -87,15 +92,6 @@ def _iterate_components(bound: xr.DataArray) -> Iterator[xr.DataArray]:
             component = xr.zeros_like(bound)
             component[selection] = bound[selection]
             yield component
-
-
-def _iterate_jackknife_optics(optics: xr.Dataset) -> Iterator[xr.Dataset]:
-    """Yield the optics with each batch of rays left out in turn."""
-    names = _list_names_with_suffix(optics, JACKKNIFE_SUFFIX)
-    for batch in range(optics.sizes["batch"] if names else 0):
-        yield optics.assign(
-            {name: optics[name + JACKKNIFE_SUFFIX].isel(batch=batch) for name in names}
-        )
 
 
 def _list_names_with_suffix(optics: xr.Dataset, suffix: str) -> list[str]:
@@ -175,7 +171,7 @@ def kz04(
     ssa_m2_kg : float
         Specific surface area (m²/kg), see `splits.Snow.specific_surface_area_m2_kg`.
     incidence_deg : float or "diffuse"
-        Polar angle of a beam, 0 to 89.99 degrees, or isotropic diffuse light.
+        Polar angle of a beam, 0 to 89.9999 degrees, or isotropic diffuse light.
     extinction_coefficient : array_like or str
         k of ice at the wavelengths, or the name of one of the package's datasets.
     absorption_enhancement, asymmetry : float or array_like
@@ -260,12 +256,8 @@ def compute_shape_factors(
 
 def compute_incidence_cosine(incidence_deg: float | str) -> float | None:
     """Return the cosine of incidence, or None for diffuse light."""
-    if isinstance(incidence_deg, str):
-        check_choice("incidence_deg", incidence_deg, ["diffuse"])
-        return None
-    return float(
-        np.cos(np.radians(check_range("incidence_deg", incidence_deg, 0.0, 89.99, "degrees")))
-    )
+    incidence = check_incidence("incidence_deg", incidence_deg)
+    return None if isinstance(incidence, str) else float(np.cos(np.radians(incidence)))
 
 
 OPTICS_INPUTS = ("optical_thickness", "single_scattering_albedo", "legendre_moment")
@@ -294,7 +286,7 @@ def solve_discrete_ordinates(
         with at least `streams` moments, or a dataset with ``single_scattering_albedo``,
         ``optical_thickness`` and ``legendre_moment``.
     incidence_deg : float or "diffuse"
-        Polar angle of a beam, 0 to 89.99 degrees, or isotropic diffuse light.
+        Polar angle of a beam, 0 to 89.9999 degrees, or isotropic diffuse light.
     streams : int
         Number of streams in both hemispheres: even, at least 4.
     ground : number, str, mapping or path, optional
@@ -324,45 +316,50 @@ def solve_discrete_ordinates(
     layers = [optics] if isinstance(optics, xr.Dataset) else list(optics)
     if not layers:
         raise invalid("optics", optics, "those of at least one layer")
-    for number, layer in enumerate(layers):
-        if "optical_thickness" not in layer:
-            hint = "give the medium a depth_m"
-            raise invalid(f"optics[{number}]", "without optical_thickness", "of finite depth", hint)
-    if isinstance(streams, bool) or streams % 2 or streams < 4:
-        raise invalid("streams", streams, "an even number of at least 4")
+    is_even = not (isinstance(streams, bool) or streams % 2 or streams < 4)
     min_moments = min(layer.sizes["order"] for layer in layers)
-    if min_moments <= streams:
-        raise invalid("streams", streams, f"below the number of moments, {min_moments}")
-    ground_model = Ground.from_input(ground)
-    wavelengths = layers[0].wavelength.values
-    for number, layer in enumerate(layers):
-        if not np.array_equal(layer.wavelength.values, wavelengths):
-            raise invalid(
-                f"optics[{number}].wavelength", layer.wavelength.values, "that of optics[0]"
+    wavelengths, rows = layers[0].wavelength.values, [one.wavelength.values for one in layers]
+    check_relations(
+        *(
+            (
+                "optical_thickness" in layer, f"optics[{number}]", "without optical_thickness",
+                "of finite depth", "give the medium a depth_m",
             )
+            for number, layer in enumerate(layers)
+        ),
+        (is_even, "streams", streams, "an even number of at least 4"),
+        (
+            min_moments > streams, "streams", streams,
+            f"below the number of moments, {min_moments}",
+        ),
+        *(
+            (
+                np.array_equal(row, wavelengths), f"optics[{number}].wavelength", row,
+                "that of optics[0]",
+            )
+            for number, row in enumerate(rows)
+        ),
+    )  # fmt: skip
+    ground_model = Ground.from_input(ground)
     albedo = (
         np.zeros(wavelengths.shape) if ground_model is None else ground_model.albedo(wavelengths)
     )
     fine, coarse = (_solve_stack(layers, cosine, n, albedo) for n in (streams, 2 * (streams // 4)))
     truncation = np.abs(fine - coarse)
     n_response_streams = min(streams, N_RESPONSE_STREAMS)
-    inputs = [_select_inputs(layer).isel(order=slice(n_response_streams + 1)) for layer in layers]
-    parts = []
-    for i, layer in enumerate(inputs):
-        layers_above, layers_below = inputs[:i], inputs[i + 1 :]
-        parts.append(
-            propagate_errors(
-                partial(
-                    _solve_with_layer,
-                    layers_above,
-                    layers_below,
-                    cosine,
-                    n_response_streams,
-                    albedo,
-                ),
-                layer,
-            )
+    inputs = [
+        layer[[name for name in layer.data_vars if str(name).startswith(OPTICS_INPUTS)]].isel(
+            order=slice(n_response_streams + 1)
         )
+        for layer in layers
+    ]
+
+    def solve_with(number: int, layer: xr.Dataset) -> np.ndarray:
+        """Return the results with another layer of a number."""
+        others = [*inputs[:number], layer, *inputs[number + 1 :]]
+        return _solve_stack(others, cosine, n_response_streams, albedo)
+
+    parts = [propagate_errors(partial(solve_with, i), layer) for i, layer in enumerate(inputs)]
     stderr = np.sqrt(truncation**2 + sum(part**2 for part in parts))
     variables: dict[str, Variable] = {}
     for row, name in enumerate(("reflectance", "transmittance", "absorptance")):
@@ -377,21 +374,6 @@ def solve_discrete_ordinates(
     }
     attributes |= describe_ground(ground_model)
     return xr.Dataset(variables, {"wavelength": wavelengths}, attributes)
-
-
-def _solve_with_layer(
-    layers_above: list[xr.Dataset],
-    layers_below: list[xr.Dataset],
-    cosine: float | None,
-    streams: int,
-    ground: np.ndarray,
-    layer: xr.Dataset,
-) -> np.ndarray:
-    return _solve_stack([*layers_above, layer, *layers_below], cosine, streams, ground)
-
-
-def _select_inputs(optics: xr.Dataset) -> xr.Dataset:
-    return optics[[name for name in optics.data_vars if str(name).startswith(OPTICS_INPUTS)]]
 
 
 def _solve_stack(

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import (
+    AfterValidator,
     BeforeValidator,
     Field,
     ValidationInfo,
@@ -16,8 +17,8 @@ from pydantic import (
     model_validator,
 )
 
-from splits.core.validation import expand_path, invalid
-from splits.experiments.config.figure import FigureSection, resolve_figure
+from splits.core.validation import check_choice, check_relations, expand_path, invalid
+from splits.experiments.config.media import find_label, to_coordinate_values
 from splits.experiments.config.retrieval import (
     RetrieveReturnSection,
     RetrieveSection,
@@ -27,10 +28,19 @@ from splits.experiments.config.sections import (
     FIGURE_SUFFIXES,
     Caption,
     ConfigSection,
+    FiniteSection,
+    Interval,
+    Label,
+    MeasuredFile,
+    Number,
     Title,
+    accept_single,
+    check_different,
     match_pattern,
 )
 from splits.experiments.config.simulation import Name, SimulationConfig
+from splits.plotting.panels import INSTRUMENT_FIGURES, check_settings
+from splits.tables.axes import ALL_QUANTITIES
 
 # --------------------------------------------------------------------------------------------------
 # Section `reproduces`: the published figure or table that an experiment reproduces.
@@ -131,6 +141,82 @@ def parse_place(text: str) -> Place:
 
 
 # --------------------------------------------------------------------------------------------------
+# Section `figure`; the functions that draw check their data.
+
+QuantityName = Literal[
+    "reflectance", "transmittance", "absorptance", "mean_grain_distance",
+    "brdf", "btdf", "reflectance_factor", "anisotropy_factor", "brdf_dolp",
+]  # fmt: skip
+FigureKind = Literal[
+    "spectra", "points", "refractive_index", "swatches", "fit",
+    "principal_plane", "hemisphere", "lobes", "bins", "spread", "surface", "lens",
+    "polarization", "return", "range_bias", "summary", "season", "none",
+]  # fmt: skip
+
+INSTRUMENT_QUANTITIES: dict[str, tuple[str, ...]] = {
+    "spectrophotometer": ("reflectance", "transmittance", "absorptance", "mean_grain_distance"),
+    "goniophotometer": ("brdf", "btdf", "reflectance_factor", "anisotropy_factor", "brdf_dolp"),
+    "table": ALL_QUANTITIES,
+}
+"""Quantities that the figures of an instrument may show."""
+
+
+def _check_mathematics(value: str) -> str:
+    """Return a text that may contain formulas between dollar signs; reject invalid formulas."""
+    # A single dollar sign starts no formula.
+    n_dollars = value.count("$") - value.count(r"\$")
+    if n_dollars < 2 or n_dollars % 2:
+        return value
+    from matplotlib.mathtext import MathTextParser  # a figure's job loads it anyway
+
+    try:
+        MathTextParser("path").parse(value)
+    except (ValueError, RuntimeError):
+        hint = r"write \$ for a dollar sign"
+        raise invalid("", value, "text that matplotlib can typeset", hint) from None
+    return value
+
+
+Formula = AfterValidator(_check_mathematics)
+
+
+class FigureSection(FiniteSection):
+    """Settings of an experiment's figure."""
+
+    quantity: Annotated[
+        tuple[QuantityName, ...], accept_single(QuantityName), AfterValidator(check_different)
+    ] = ("reflectance",)
+    """one quantity, or several; `brdf` for a goniophotometer"""
+    kind: FigureKind | None = None
+    """kind of the figure, see the instruments above; by default the first one of the instrument, or
+    `points` for a grid at one wavelength; `none` for no figure"""
+    wavelength_nm: Interval | None = None
+    """limits of the wavelength axis of spectra (nm); by default all"""
+    select: dict[str, Number | str] = Field({})
+    """values at which parameters of the grid are fixed: a text is a label, a number is a value;
+    required for figures that show one point"""
+    measured: MeasuredFile | None = None
+    """name of a file of `config/measured/` that is drawn with spectra of one panel, with
+    `wavelength_nm`, the quantity, and optionally its `…_min` and `…_max`"""
+    legend: Annotated[Label, Formula] | None = None
+    """title of the legend, by default the parameters of the grid; may contain formulas between
+    dollar signs"""
+    ylim: Interval | None = None
+    """limits of the vertical axis of spectra and principal planes; in a figure of differences from
+    `default`, those of the panel of the default"""
+    note: Annotated[Title, Formula] | None = None
+    """a sentence below the figure; may contain formulas between dollar signs"""
+
+    @field_validator("select", mode="before")
+    @classmethod
+    def _label_booleans(cls, value: Any) -> Any:
+        # Labels of booleans on a grid are texts.
+        if not isinstance(value, dict):
+            return value
+        return {key: str(v) if isinstance(v, bool) else v for key, v in value.items()}
+
+
+# --------------------------------------------------------------------------------------------------
 # An experiment.
 
 RESERVED_NAMES = (
@@ -141,10 +227,6 @@ RESERVED_NAMES = (
 """Names of rules of the workflow, which experiments may not have."""
 OWN_GROUP = "own"
 """Group of experiments that name none."""
-
-
-def _parse_no_figure(value: Any) -> Any:
-    return {"kind": "none"} if value == "none" else value
 
 
 class ExperimentConfig(SimulationConfig):
@@ -161,7 +243,10 @@ class ExperimentConfig(SimulationConfig):
     """caption of the figure in the report; plain text, an empty line begins a paragraph"""
     figure: Annotated[
         FigureSection,
-        BeforeValidator(_parse_no_figure, json_schema_input_type=Literal["none"] | FigureSection),
+        BeforeValidator(
+            lambda value: {"kind": "none"} if value == "none" else value,
+            json_schema_input_type=Literal["none"] | FigureSection,
+        ),
     ] = Field(default_factory=FigureSection)
     """settings of the figure, or `none` for no figure"""
     retrieve: RetrieveSection | None = None
@@ -182,16 +267,12 @@ class ExperimentConfig(SimulationConfig):
     @model_validator(mode="after")
     def _check_sections(self) -> ExperimentConfig:
         """Reject a figure or a retrieval of what the experiment does not have."""
+        given, hint = self.figure.model_fields_set, "the figure shows the retrieved parameters"
         for name in ("retrieve", "retrieve_return"):
-            section = getattr(self, name)
-            if section:
+            if section := getattr(self, name):
                 check_retrieval(self, section, name)
-            if section and self.figure.model_fields_set:
-                given, hint = (
-                    sorted(self.figure.model_fields_set),
-                    "the figure shows the retrieved parameters",
-                )
-                raise invalid("figure", given, f"left out with a section {name}", hint)
+                allowed = f"left out with a section {name}"
+                check_relations((not given, "figure", sorted(given), allowed, hint))
         self.resolve_figure()
         return self
 
@@ -240,6 +321,33 @@ class ExperimentConfig(SimulationConfig):
     def resolve_figure(self) -> dict[str, Any]:
         """Return the section `figure` for `splits.draw`, with its kind resolved.
 
-        The selected values are those of the dataset's coordinates.
+        The selected values are those of the dataset's coordinates.  Kinds, quantities and values
+        that the experiment does not have are rejected.
         """
-        return resolve_figure(self, self.figure)
+        instrument, grid = self.instrument, self.grid
+        kinds = [
+            kind
+            for kind in INSTRUMENT_FIGURES.get(instrument.kind, ())
+            if kind not in ("fit", "season")
+        ] or ["none"]
+        if self.has_packs or self.fit:
+            kinds = ["season" if self.has_packs else "fit"]
+        is_single = kinds[0] == "spectra" and grid and instrument.get_wavelengths().size == 1
+        kind = self.figure.kind or ("points" if is_single else kinds[0])
+        if kind not in (*kinds, "none"):
+            allowed = f"one of {', '.join(kinds)} or none for instrument.kind = {instrument.kind!r}"
+            raise invalid("figure.kind", kind, allowed)
+        given = self.figure.model_dump(mode="json", exclude_unset=True, exclude_none=True)
+        check_settings(kind, given)
+        quantities = instrument.get("quantities") or INSTRUMENT_QUANTITIES.get(instrument.kind, ())
+        for quantity in given.get("quantity", ()):
+            check_choice("figure.quantity", quantity, quantities)
+        fixed = {}
+        for dimension, label in self.figure.select.items():
+            if not grid:
+                raise invalid("figure.select", dimension, "left out where there is no grid")
+            check_choice("figure.select", dimension, grid)
+            values = grid[dimension]
+            index = list(values).index(find_label(dimension, values, label))
+            fixed[dimension] = to_coordinate_values(values)[index].item()
+        return {**given, "kind": kind, "select": fixed}

@@ -40,6 +40,7 @@ from splits.core.validation import (
     MAX_INT64,
     InvalidValue,
     check_choice,
+    check_relations,
     invalid,
     key_prefix,
     unknown_key,
@@ -132,25 +133,13 @@ ErrorScale = Annotated[
 ]
 
 
-def _check_point_scales(key: str, value: Any) -> tuple[float, ...] | None:
-    if value is None:
-        return None
-    if not isinstance(value, list | tuple):
-        raise invalid(key, value, "a list of numbers")
-    scale = find_quantity(ErrorScale)
-    assert scale is not None
-    return tuple(scale.check_number(f"{key}[{i}]", one) for i, one in enumerate(value))
-
-
 PointErrorScales = Annotated[
-    tuple[float, ...] | None,
+    tuple[ErrorScale, ...] | None,
     Quantity(
         "further factors of the target error, one for each point of the grid, of which the last "
-        "parameter varies fastest",
-        check=_check_point_scales,
-        schema={"type": "array", "items": {"type": "number", "minimum": 0.01, "maximum": 100.0}},
+        "parameter varies fastest"
     ),
-]  # fmt: skip
+]
 TableQuantities = Annotated[
     tuple[str, ...] | None,
     Quantity(
@@ -322,8 +311,7 @@ class Instrument:
 
     def get_seed(self, default: int) -> int:
         """Return the seed of the experiment, by default that of the main file."""
-        seed: int = self.settings.get("seed", default)
-        return seed
+        return int(self.settings.get("seed", default))
 
     def get_views(self) -> dict[str, tuple[float, ...]]:
         """Return the axes of directions that a table has besides those of the grid."""
@@ -367,40 +355,53 @@ class Instrument:
             solver, media, wavelengths, obstacle=obstacle, max_stderr=max_stderr
         ).solver
 
-    def check_sky(self, *, has_packs: bool) -> None:
-        """Reject a sky whose sun is not where snowpacks, or any other medium, need it."""
-        name = self.get("sky")
-        if has_packs and name == ASTM_G173:
-            hint = f"the sun of {ASTM_G173} does not move"
-            raise invalid("instrument.sky", name, f"{CLEAR_SKY} or a sky of SNICAR", hint)
-        if not has_packs and name == CLEAR_SKY:
-            allowed = f"{ASTM_G173} or a sky of SNICAR, such as midlatitude_winter"
-            hint = "only snowpacks of a file have the zenith angle of the sun that it needs"
-            raise invalid("instrument.sky", name, allowed, hint)
+    def check_simulation(
+        self, grid: Mapping[str, Mapping[str, Any]], *, is_single: bool, has_packs: bool
+    ) -> None:
+        """Reject a grid or a medium that the instrument does not allow.
 
-    def check_grid(self, grid: Mapping[str, Mapping[str, Any]], *, is_single: bool) -> None:
-        """Reject a grid that the instrument does not allow.
-
-        `is_single` is whether each point is simulated alone.
+        `is_single` is whether each point is simulated alone.  The sun of a sky must be where
+        snowpacks, or any other medium, need it.
         """
-        inputs = list_section_inputs(self.kind)
-        if "incidence_deg" in grid and "incidence_deg" not in inputs:
-            given, allowed = [*grid["incidence_deg"].values()], f"left out for {self.kind}"
-            raise invalid("grid.incidence_deg", given, allowed)
-        if "incidence_deg" in grid and self.get_incidence() != 0.0:
-            allowed = "left out, because grid.incidence_deg sets it"
-            raise invalid("instrument.incidence_deg", self.get_incidence(), allowed)
+        inputs, incidence = list_section_inputs(self.kind), self.get_incidence()
+        sky_key, sky_name = "instrument.sky", self.get("sky")
+        angles = [*grid.get("incidence_deg", {}).values()]
         scales, n_points = self.get("point_stderr_scale"), math.prod(map(len, grid.values()))
-        if scales is not None and (len(scales) != n_points or not is_single):
-            allowed = f"{n_points} numbers, one for each point of the grid"
-            allowed = allowed if is_single else "left out for tables, fits and snowpacks"
-            raise invalid("instrument.point_stderr_scale", list(scales), allowed)
-        if self.kind == "beam_spread" and grid and "half_width_m" not in self.settings:
-            allowed, hint = "given where there is a grid", "all maps have the same axes"
-            raise invalid("instrument.half_width_m", None, allowed, hint)
+        numbers = f"{n_points} numbers, one for each point of the grid"
         varied = {key: list(given) for key, given in grid.items() if len(given) > 1}
-        if self.kind == "refractive_index" and varied:
-            raise invalid("grid", varied, f"of one value for {self.kind}")
+        check_relations(
+            (
+                not angles or "incidence_deg" in inputs, "grid.incidence_deg", angles,
+                f"left out for {self.kind}",
+            ),
+            (
+                not angles or incidence == 0.0, "instrument.incidence_deg", incidence,
+                "left out, because grid.incidence_deg sets it",
+            ),
+            (
+                scales is None or (is_single and len(scales) == n_points),
+                "instrument.point_stderr_scale", scales,
+                numbers if is_single else "left out for tables, fits and snowpacks",
+            ),
+            (
+                self.kind != "beam_spread" or not grid or "half_width_m" in self.settings,
+                "instrument.half_width_m", None, "given where there is a grid",
+                "all maps have the same axes",
+            ),
+            (
+                self.kind != "refractive_index" or not varied, "grid", varied,
+                f"of one value for {self.kind}",
+            ),
+            (
+                not (has_packs and sky_name == ASTM_G173), sky_key, sky_name,
+                f"{CLEAR_SKY} or a sky of SNICAR", f"the sun of {ASTM_G173} does not move",
+            ),
+            (
+                has_packs or sky_name != CLEAR_SKY, sky_key, sky_name,
+                f"{ASTM_G173} or a sky of SNICAR, such as midlatitude_winter",
+                "only snowpacks of a file have the zenith angle of the sun that it needs",
+            ),
+        )  # fmt: skip
 
 
 def _check_setting(declared: Input, key: str, value: Any) -> None:
@@ -409,7 +410,7 @@ def _check_setting(declared: Input, key: str, value: Any) -> None:
         declared.check(key, value)
     except InvalidValue as error:
         if isinstance(value, str) and "," in value and error.allowed.startswith("numbers"):
-            raise invalid(key, value, error.allowed, f"write [{value}]") from None
+            error.hint = f"write [{value}]"
         raise
 
 

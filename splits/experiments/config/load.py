@@ -5,22 +5,52 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from pydantic import BaseModel, ValidationError
+
+from splits.core.declarations import MAPPING, describe_error
 from splits.core.validation import ConfigError, InvalidValue, check_choice, expand_path, invalid
 from splits.core.yaml import find_key, locate_message, read_yaml
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.media import SAMPLE_KEY, is_merged
-from splits.experiments.config.messages import suggest_mapping, validate_content
 from splits.experiments.config.sections import check_path
 from splits.experiments.config.settings import Settings
 from splits.experiments.config.simulation import SimulationConfig
-from splits.media.kinds import LAYERS_KEY, NAMED_MEDIA, get_kind, iter_layers, read_named_medium
+from splits.media.kinds import (
+    LAYERS_KEY,
+    MEDIUM_CLASSES,
+    NAMED_MEDIA,
+    get_kind,
+    iter_layers,
+    read_named_medium,
+)
 from splits.media.parameters import ALTERNATIVES, override_keywords
+from splits.plotting.panels import FIGURE_SETTINGS
 
+SectionType = TypeVar("SectionType", bound=BaseModel)
 MAX_MESSAGE_CHARS = 450
 """Largest number of characters of a message, without the name of its file."""
 MAIN_FILE = "config/config.yaml"
+
+
+def validate_content(model: type[SectionType], content: Any) -> SectionType:
+    """Return the model of some content; raise a one-line error for invalid content."""
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        described = describe_error(error, content=content)
+    if isinstance(described, InvalidValue) and (described.allowed, described.hint) == (MAPPING, ""):
+        described.hint = suggest_mapping(described.key, described.value)
+    raise described
+
+
+def suggest_mapping(key: str, value: Any) -> str:
+    """Return a hint for a text in place of a section, or ""."""
+    if key == "medium" and value in NAMED_MEDIA:
+        return f"write {key}: {{base: {value}}}"
+    kinds = {"medium": [*MEDIUM_CLASSES], "figure": [*FIGURE_SETTINGS]}.get(key, [])
+    return f"write {key}: {{kind: {value}, …}}" if value in kinds else ""
 
 
 def load_experiment(
@@ -52,8 +82,7 @@ def load_experiment(
         _check_replaced(given)
         medium, grid = content.get("medium", {}), content.get("grid")
         if not isinstance(medium, dict):
-            hint = suggest_mapping("medium", medium, ())
-            raise invalid("medium", medium, "a mapping of keys to values", hint)
+            raise invalid("medium", medium, MAPPING, suggest_mapping("medium", medium))
         if medium:
             content["medium"] = _apply_bases(medium, "medium", media)
         if isinstance(grid, dict):

@@ -17,6 +17,7 @@ from splits.core.validation import (
     expand_path,
     format_key,
     invalid,
+    join_names,
     key_prefix,
     unknown_key,
 )
@@ -92,10 +93,7 @@ def is_table_path(keyword: str, value: Any) -> bool:
 
 def get_keyword(parameter: str) -> str:
     """Return the keyword of a medium that a parameter of a grid sets, perhaps for a layer."""
-    impurity, layer = (
-        parse_impurity_parameter(parameter),
-        parse_layer_parameter(parameter),
-    )
+    impurity, layer = parse_impurity_parameter(parameter), parse_layer_parameter(parameter)
     return impurity[0] if impurity else layer[1] if layer else parameter
 
 
@@ -292,9 +290,8 @@ def find_label(parameter: str, values: Mapping[str, Any], given: float | str) ->
     text = str(given) if isinstance(given, str) else f"{given:g}"
     if text in values and not _is_number(values[text]):
         return text
-    names = ", ".join(format_key(label) for label in list(values)[:12])
-    suffix = f", … ({len(values)} in all)" if len(values) > 12 else ""
-    raise invalid(f"figure.select.{format_key(parameter)}", given, f"one of {names}{suffix}")
+    allowed = f"one of {join_names(map(format_key, values))}"
+    raise invalid(f"figure.select.{format_key(parameter)}", given, allowed)
 
 
 def load_packs(settings: Mapping[str, Any]) -> SnowPacks:

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, PlainSerializer, model_validator
 
+from splits.core.declarations import Quantity
 from splits.core.inputs import RayCount
-from splits.core.validation import check_choice, invalid, snap_to_limits
+from splits.core.validation import check_choice, check_relations, invalid, snap_to_limits
 from splits.experiments.config.sections import (
     FiniteSection,
     Interval,
     Label,
     MeasuredFile,
     Number,
-    Whole,
     accept_single,
 )
 from splits.instruments.delay_record import DelayEdges, PulseInput
@@ -59,11 +59,16 @@ class NoiseSection(FiniteSection):
 
     @model_validator(mode="after")
     def _check_noise(self) -> NoiseSection:
-        if not self.absolute + self.relative > 0.0:
-            raise invalid("absolute", 0.0, "above 0, or relative", "no measurement is exact")
-        if self.correlation_nm is not None and not self.relative:
-            hint = "absolute errors are independent"
-            raise invalid("correlation_nm", self.correlation_nm, "left out without relative", hint)
+        check_relations(
+            (
+                self.absolute + self.relative > 0.0, "absolute", 0.0, "above 0, or relative",
+                "no measurement is exact",
+            ),
+            (
+                self.correlation_nm is None or self.relative, "correlation_nm",
+                self.correlation_nm, "left out without relative", "absolute errors are independent",
+            ),
+        )  # fmt: skip
         return self
 
     def evaluate(self, values: np.ndarray) -> Any:
@@ -133,7 +138,7 @@ class SyntheticReturn(FiniteSection):
     """edges of the bins in which photons are counted (s), also as `{start, stop, step}`"""
     rays: RayCount = 200_000
     """number of rays of a return, which limits its accuracy besides the photons"""
-    seed_offset: Whole = Field(1, ge=1, lt=2**31)
+    seed_offset: Annotated[int, Quantity("difference of seeds", low=1, high=2**31 - 1)] = 1
     """difference of the seed from that of the table; returns and table are independent"""
 
 
@@ -167,17 +172,23 @@ class RetrieveReturnSection(FiniteSection):
 
     @model_validator(mode="after")
     def _check_source(self) -> RetrieveReturnSection:
-        if (self.measured is None) == (self.synthetic is None):
-            given = "left out" if self.measured is None else "given"
-            raise invalid("measured", given, "given, or synthetic instead, not both")
-        if self.synthetic is None:
-            return self
-        if self.photons is None:
-            raise invalid("photons", None, "given", "synthetic returns are counted photons")
-        for key in ("samples", "reference_values"):
-            if getattr(self, key):
-                hint = "synthetic.truth has the samples and their values"
-                raise invalid(key, getattr(self, key), "left out with synthetic", hint)
+        is_synthetic, is_measured = self.synthetic is not None, self.measured is not None
+        of_file = {"samples": self.samples, "reference_values": self.reference_values}
+        hint = "synthetic.truth has the samples and their values"
+        check_relations(
+            (
+                is_synthetic != is_measured, "measured", "given" if is_measured else "left out",
+                "given, or synthetic instead, not both",
+            ),
+            (
+                is_measured or self.photons is not None, "photons", None, "given",
+                "synthetic returns are counted photons",
+            ),
+            *(
+                (is_measured or not value, key, value, "left out with synthetic", hint)
+                for key, value in of_file.items()
+            ),
+        )  # fmt: skip
         return self
 
     def list_references(self) -> dict[str, dict[str, float]]:
@@ -209,32 +220,46 @@ def check_retrieval(
             check_choice(f"{name}.{key}", one, names)
     if not isinstance(section, RetrieveSection):
         return
-    quantities = instrument.list_quantities()
-    if section.quantity not in quantities:
-        raise invalid("instrument.quantities", quantities, f"with {section.quantity}")
-    if instrument.get_views() and "quantity" not in section.model_fields_set:
-        allowed = "given: reflectance or reflectance_factor"
-        raise invalid("retrieve.quantity", None, allowed, "the table has directions")
+    quantities, model_axis = instrument.list_quantities(), section.model_axis
     texts = [axis for axis, nodes in axes.items() if isinstance(nodes[0], str)]
-    if section.model_axis is not None and section.model_axis not in texts:
-        allowed = f"one of {', '.join(texts)}" if texts else "left out: no axis is of texts"
-        raise invalid("retrieve.model_axis", section.model_axis, allowed, "an axis of the grid")
-    for key in ("fixed", "free", "reference_values"):
-        if section.model_axis in getattr(section, key):
-            where = f"retrieve.{key}.{section.model_axis}"
-            raise invalid(where, "given", "left out", "it is model_axis")
-    if not section.compare_with:
-        return
+    check_relations(
+        (
+            section.quantity in quantities, "instrument.quantities", quantities,
+            f"with {section.quantity}",
+        ),
+        (
+            not instrument.get_views() or "quantity" in section.model_fields_set,
+            "retrieve.quantity", None, "given: reflectance or reflectance_factor",
+            "the table has directions",
+        ),
+        (
+            model_axis in (None, *texts), "retrieve.model_axis", model_axis,
+            f"one of {', '.join(texts)}" if texts else "left out: no axis is of texts",
+            "an axis of the grid",
+        ),
+        *(
+            (
+                model_axis not in getattr(section, key), f"retrieve.{key}.{model_axis}", "given",
+                "left out", "it is model_axis",
+            )
+            for key in ("fixed", "free", "reference_values")
+        ),
+    )  # fmt: skip
     key, law, medium = "retrieve.compare_with", section.compare_with, experiment.medium
     media_kind = medium.get("kind")
-    if media_kind not in ("snow", "natural_snow"):
-        raise invalid(key, law, "left out for media other than snow")
     unsupported = [keyword for keyword in LAW_UNSUPPORTED_KEYWORDS if medium.get(keyword)]
     if medium.get("depth_m", math.inf if media_kind == "natural_snow" else None) != math.inf:
         unsupported.append("a finite depth_m")
-    if unsupported:
-        hint = "it describes deep, dry snow with the parameters of the grid"
-        raise invalid(key, law, f"left out with {unsupported[0]}", hint)
+    check_relations(
+        (
+            not law or media_kind in ("snow", "natural_snow"), key, law,
+            "left out for media other than snow",
+        ),
+        (
+            not law or not unsupported, key, law, f"left out with {', '.join(unsupported[:1])}",
+            "it describes deep, dry snow with the parameters of the grid",
+        ),
+    )  # fmt: skip
 
 
 def check_on_grid(key: str, value: Any, nodes: tuple[Any, ...] | None) -> None:

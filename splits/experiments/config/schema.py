@@ -56,8 +56,7 @@ def make_schema(model: type[BaseModel]) -> dict[str, Any]:
         definitions["Study"]["properties"]["outputs"]["propertyNames"] = {
             "pattern": rf"^{NAME_PATTERN.pattern}\.({suffixes})$"
         }
-    simplified: dict[str, Any] = _simplify(schema, definitions)
-    return simplified
+    return dict(_simplify(schema, definitions))
 
 
 def _add_media(properties: dict[str, Any], definitions: dict[str, Any]) -> None:

@@ -16,10 +16,9 @@ from pydantic import (
     WithJsonSchema,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
 from splits.core.inputs import MaxRays, RelativeError, StandardError
-from splits.core.validation import invalid, unknown_key
+from splits.core.validation import check_relations, invalid, unknown_key
 
 MAX_LABEL_CHARS = 80
 MAX_TITLE_CHARS = 200
@@ -30,11 +29,11 @@ FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 
 def check_text(key: str, value: str, max_chars: int, multiline: bool = False) -> str:
     """Return a printable text of one or several lines; reject others."""
-    if len(value) > max_chars:
-        raise invalid(key, value, f"at most {max_chars} characters")
     joined = value.replace("\n", "").replace("\t", "") if multiline else value
-    if not joined.isprintable():
-        raise invalid(key, value, "text without control characters or line breaks")
+    check_relations(
+        (len(value) <= max_chars, key, value, f"at most {max_chars} characters"),
+        (joined.isprintable(), key, value, "text without control characters or line breaks"),
+    )
     return value
 
 
@@ -65,7 +64,7 @@ def check_measured_file(name: str) -> str:
 
 
 def check_different(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return names; reject none at all and repeated ones."""
+    """Return names of a field; reject none at all and repeated ones."""
     if not names or len(set(names)) < len(names):
         raise invalid("", list(names), "at least one, without repetition")
     return names
@@ -87,18 +86,9 @@ def accept_single(kind: Any) -> BeforeValidator:
     return BeforeValidator(to_tuple, json_schema_input_type=kind | tuple[kind, ...])
 
 
-def _reject_switch(value: Any) -> Any:
-    # Pydantic would convert true to the number 1.
-    if isinstance(value, bool):
-        raise PydanticCustomError("int_type", "a whole number")
-    return value
-
-
 # Validators raise errors with a key relative to their section, or without one for their own field;
-# `splits.experiments.config.messages` prefixes the rest.
+# `splits.experiments.config.load.validate_content` prefixes the rest.
 Number = Annotated[float, Strict()]
-NO_SWITCH = BeforeValidator(_reject_switch)
-Whole = Annotated[int, NO_SWITCH]
 Label = Annotated[str, AfterValidator(lambda text: check_text("", text, MAX_LABEL_CHARS))]
 Title = Annotated[
     str,

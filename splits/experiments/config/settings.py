@@ -19,6 +19,7 @@ from splits.core.provenance import hash_files
 from splits.core.validation import (
     ConfigError,
     check_choice,
+    check_relations,
     expand_path,
     invalid,
     join_names,
@@ -165,12 +166,18 @@ class Study(ConfigSection):
                 read(folders[kind] / file, f"{kind}.{parameter}")
         for file, output in self.list_outputs(name).items():
             path = PurePath(file)
-            if path.suffix not in OUTPUT_FOLDERS or not NAME_PATTERN.fullmatch(path.stem):
-                allowed = f"NAME{', NAME'.join(OUTPUT_FOLDERS)}, and NAME of {NAME_RULE}"
-                raise invalid("outputs (key)", file, allowed)
-            if output.comparison and (path.suffix != ".csv" or not self.reproduces):
-                allowed = "left out, except for a table of a study with the key reproduces"
-                raise invalid(f"outputs.{file}.comparison", True, allowed)
+            check_relations(
+                (
+                    path.suffix in OUTPUT_FOLDERS and NAME_PATTERN.fullmatch(path.stem),
+                    "outputs (key)", file,
+                    f"NAME{', NAME'.join(OUTPUT_FOLDERS)}, and NAME of {NAME_RULE}",
+                ),
+                (
+                    not output.comparison or (path.suffix == ".csv" and self.reproduces),
+                    f"outputs.{file}.comparison", True,
+                    "left out, except for a table of a study with the key reproduces",
+                ),
+            )  # fmt: skip
 
 
 def read_parameters(function: str) -> dict[str, bool]:

@@ -27,9 +27,11 @@ from pydantic import (
 
 from splits.core.inputs import check_incidence
 from splits.core.validation import (
+    SEVERAL_HINTS,
     InvalidValue,
     UnknownKey,
     check_choice,
+    check_relations,
     expand_path,
     invalid,
     unknown_key,
@@ -129,15 +131,18 @@ class SimulationConfig(ConfigSection):
         """Reject settings that exclude each other, and values that a medium does not have."""
         kind, instrument = get_kind(self.medium), self.instrument
         check_choice("medium.kind", kind, (*MEDIUM_CLASSES, PACKS_KIND))
-        instrument.check_grid(self.grid, is_single=not (self.is_in_parts or self.fit))
-        instrument.check_sky(has_packs=self.has_packs)
+        is_single = not (self.is_in_parts or self.fit)
+        instrument.check_simulation(self.grid, is_single=is_single, has_packs=self.has_packs)
         if self.has_packs:
-            for key in ("grid", "fit"):
-                if getattr(self, key):
-                    raise invalid(key, "given", f"left out for medium.kind = {kind!r}")
-            if instrument.kind not in PACK_INSTRUMENTS:
-                allowed = f"{' or '.join(PACK_INSTRUMENTS)} for medium.kind = {kind!r}"
-                raise invalid("instrument.kind", instrument.kind, allowed)
+            of_packs = f"for medium.kind = {kind!r}"
+            check_relations(
+                (not self.grid, "grid", "given", f"left out {of_packs}"),
+                (not self.fit, "fit", "given", f"left out {of_packs}"),
+                (
+                    instrument.kind in PACK_INSTRUMENTS, "instrument.kind", instrument.kind,
+                    f"{' or '.join(PACK_INSTRUMENTS)} {of_packs}",
+                ),
+            )  # fmt: skip
             self.load_packs()
             return self
         if self.fit:
@@ -213,10 +218,6 @@ class SimulationConfig(ConfigSection):
         self, rows: Iterable[tuple[str, ...]] | None = None
     ) -> Iterator[tuple[dict[str, str], dict[str, Any], float | str]]:
         """Yield the labels, the keywords of the medium and the angle of incidence of points."""
-        interpretation = self.medium.get("interpretation", {})
-        if not isinstance(interpretation, Mapping | str):
-            allowed = "a mapping of interpretation keywords, or the name of a set"
-            raise invalid("medium.interpretation", interpretation, allowed)
         if rows is None:
             is_table = self.instrument.kind == TABLE
             rows = self._iter_axis_labels() if is_table else itertools.product(*self.grid.values())
@@ -256,21 +257,14 @@ class SimulationConfig(ConfigSection):
             else:
                 prefix = "fit" if key in FitSection.model_fields else "medium"
             error.key = error.key.removeprefix("medium.")
-            if prefix == "grid" and isinstance(error, UnknownKey) and key in self.grid:
+            if prefix == "grid" and isinstance(error, UnknownKey) and path == key in self.grid:
                 keywords = list(signature(MEDIUM_CLASSES[get_kind(self.medium)]).parameters)
                 raise unknown_key(f"grid.{key}", [*keywords, INCIDENCE, SAMPLE_KEY]) from None
             if error.key == SAMPLE_KEY:
                 raise
-            has_several = prefix == "medium" and self._has_several_values(key)
-            raise error.add_prefix(prefix, USE_GRID_HINT if has_several else "") from None
-
-    def _has_several_values(self, key: str) -> bool:
-        """Return whether a keyword of the medium has a list of values that belongs on a grid."""
-        value = self.medium.get(key)
-        default = getattr(MEDIUM_CLASSES[get_kind(self.medium)], key, None)
-        if not isinstance(value, (list, tuple)) or default is None:
-            return False
-        return not isinstance(default, tuple) or any(isinstance(v, (list, tuple)) for v in value)
+            if prefix == "medium" and error.hint in SEVERAL_HINTS:
+                error.hint = USE_GRID_HINT
+            raise error.add_prefix(prefix) from None
 
     def merge_settings(self, values: dict[str, Any]) -> dict[str, Any]:
         """Return the keywords of the medium at a point of the grid, merged into the common ones."""
@@ -299,8 +293,7 @@ class SimulationConfig(ConfigSection):
 
     def dump_simulation(self) -> dict[str, Any]:
         """Return all settings that affect the results, for `SimulationConfig.model_validate`."""
-        content = self.model_dump(mode="json", include=set(SimulationConfig.model_fields))
-        return content
+        return self.model_dump(mode="json", include=set(SimulationConfig.model_fields))
 
     def dump_configuration(self) -> str:
         """Return `dump_simulation` as JSON, with users' tables identified by name and content."""

@@ -13,9 +13,8 @@ from splits.core.inputs import check_wavelengths
 from splits.core.validation import ConfigError
 from splits.experiments import ExperimentConfig, load_experiments, load_settings
 from splits.experiments.config.experiment import RESERVED_NAMES
-from splits.experiments.config.load import read_yaml
+from splits.experiments.config.load import read_yaml, validate_content
 from splits.experiments.config.media import make_label
-from splits.experiments.config.messages import validate_content
 from splits.experiments.config.simulation import SimulationConfig
 
 ROOT = Path(__file__).parents[3]

@@ -3,7 +3,7 @@
 import pytest
 
 from splits.experiments.config.experiment import ExperimentConfig
-from splits.experiments.config.messages import validate_content
+from splits.experiments.config.load import validate_content
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run
 

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 import splits
 from splits.core.validation import InvalidValue
 from splits.experiments.config.experiment import ExperimentConfig
-from splits.experiments.config.messages import validate_content
+from splits.experiments.config.load import validate_content
 from splits.experiments.config.retrieval import NoiseSection, RetrieveSection
 from splits.experiments.run_retrieve import (
     combine_samples,

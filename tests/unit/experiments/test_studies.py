@@ -9,8 +9,7 @@ from shipped import CONFIG
 
 from splits.core.validation import ConfigError
 from splits.experiments import ExperimentConfig, load_experiments, load_settings
-from splits.experiments.config.load import read_yaml
-from splits.experiments.config.messages import validate_content
+from splits.experiments.config.load import read_yaml, validate_content
 from splits.experiments.config.settings import (
     Study,
     find_incomplete_studies,

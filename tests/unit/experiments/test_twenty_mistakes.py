@@ -10,8 +10,7 @@ from splits import cli
 from splits.core.validation import ConfigError
 from splits.core.yaml import read_yaml
 from splits.experiments import load_experiment
-from splits.experiments.config.experiment import ExperimentConfig
-from splits.experiments.config.figure import FigureKind
+from splits.experiments.config.experiment import ExperimentConfig, FigureKind
 from splits.experiments.config.schema import make_schema
 
 MEDIA = CONFIG / "media"

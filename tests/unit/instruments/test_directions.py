@@ -8,7 +8,7 @@ from experiment_jobs import COARSE
 import splits
 from splits.analysis.directions import merge_angular_bins, select_principal_plane
 from splits.experiments.config.experiment import ExperimentConfig
-from splits.experiments.config.messages import validate_content
+from splits.experiments.config.load import validate_content
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run
 from splits.instruments.angular_estimate import (

@@ -31,7 +31,7 @@ INVALID_TABLES = [
     ({"wave_number_per_m": [1.0, 2.0]}, "must be a mapping"),
     (TABLE | {"density": [1.0, 2.0]}, "3 wave_number_per_m, 2 density"),
     (TABLE | {"density": [1.0, "x", 2.0]}, "spectrum.density = 'x': must be numbers"),
-    (TABLE | {"density": [1.0, -1.0, 2.0]}, "spectrum.density = .*0 or more"),
+    (TABLE | {"density": [1.0, -1.0, 2.0]}, "spectrum.density = -1.0: must be at least 0"),
     (TABLE | {"density": [0.0, 0.0, 0.0]}, "spectrum.density = .*0 or more"),
     (TABLE | {"wave_number_per_m": [1.0, 1.0, 2.0]}, "spectrum.wave_number_per_m = .*increasing"),
     ({"wave_number_per_m": [1.0], "density": [1.0]}, "at least 2"),

@@ -53,6 +53,7 @@ OTHER_SETTINGS = ("kind", "note", "measured")
 
 
 @declare_function
+@use_style()
 def draw(
     dataset: ResultDataset,
     section: Mapping[str, Any] = NO_SETTINGS,
@@ -102,8 +103,7 @@ def draw(
     if measured is not None:
         settings["measured"] = measured
     figure = FUNCTIONS[kind](dataset, **settings)
-    with use_style():
-        add_notes(figure, section.get("note") or "")
+    add_notes(figure, section.get("note") or "")
     return figure
 
 

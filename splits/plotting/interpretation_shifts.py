@@ -7,7 +7,6 @@ from textwrap import fill
 
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from splits.plotting.lines import draw_node_ticks, find_coarse_nodes, make_nodes_note
@@ -17,6 +16,7 @@ from splits.plotting.style import (
     NOMINAL_PARAMETERS,
     TWO_COLUMNS_INCHES,
     annotate_figure,
+    draw_curve,
     format_parameter,
     format_value,
     make_subplots,
@@ -54,6 +54,7 @@ def compute_shift(dataset: xr.Dataset, name: str, dim: str) -> tuple[xr.DataArra
     return dataset[name] - default[name], variance**0.5
 
 
+@use_style()
 def draw_shifts(
     dataset: xr.Dataset,
     quantity: Sequence[str],
@@ -88,36 +89,32 @@ def draw_shifts(
     columns = min(MAX_SHIFT_COLUMNS, 1 + len(others))
     rows_per_quantity = -(-(1 + len(others)) // columns)
     nodes = find_coarse_nodes(dataset) if axis_dim == "wavelength" else {}
-    with use_style():
-        figure, panels = make_subplots(
-            rows_per_quantity * len(quantity),
-            columns,
-            width=TWO_COLUMNS_INCHES,
-            sharex=True,
-            squeeze=False,
-            height=0.4 + _PANEL_HEIGHT_INCHES * rows_per_quantity * len(quantity),
-        )
-        for number, (name, label) in enumerate(zip(quantity, labels[1], strict=True)):
-            part = panels[number * rows_per_quantity : (number + 1) * rows_per_quantity].ravel()
-            _draw_block(part, dataset, name, dim, axis_dim)
-            part[0].set_ylabel(label)
-            start_at_zero(part[0], name, ylim)
-            for axes in part:
-                draw_node_ticks(axes, nodes)
-                axes.spines[["top", "right"]].set_visible(False)
-            for row in (
-                part.reshape(rows_per_quantity, columns)[:, 0]
-                if rows_per_quantity > 1
-                else part[1:2]
-            ):
-                if row is not part[0]:
-                    row.set_ylabel("shift")
-        for column in panels.T:
-            shown = [axes for axes in column if axes.get_visible()]
-            shown[-1].tick_params(labelbottom=True)
-            shown[-1].set_xlabel(labels[0])
-        shift_note = f"Shifts: value minus that of the default in panel (a); {INDEPENDENCE_NOTE}."
-        return annotate_figure(figure, panels.flat, note, shift_note, make_nodes_note(nodes))
+    figure, panels = make_subplots(
+        rows_per_quantity * len(quantity),
+        columns,
+        width=TWO_COLUMNS_INCHES,
+        sharex=True,
+        squeeze=False,
+        height=0.4 + _PANEL_HEIGHT_INCHES * rows_per_quantity * len(quantity),
+    )
+    for number, (name, label) in enumerate(zip(quantity, labels[1], strict=True)):
+        part = panels[number * rows_per_quantity : (number + 1) * rows_per_quantity].ravel()
+        _draw_block(part, dataset, name, dim, axis_dim)
+        part[0].set_ylabel(label)
+        start_at_zero(part[0], name, ylim)
+        for axes in part:
+            draw_node_ticks(axes, nodes)
+        for row in (
+            part.reshape(rows_per_quantity, columns)[:, 0] if rows_per_quantity > 1 else part[1:2]
+        ):
+            if row is not part[0]:
+                row.set_ylabel("shift")
+    for column in panels.T:
+        shown = [axes for axes in column if axes.get_visible()]
+        shown[-1].tick_params(labelbottom=True)
+        shown[-1].set_xlabel(labels[0])
+    shift_note = f"Shifts: value minus that of the default in panel (a); {INDEPENDENCE_NOTE}."
+    return annotate_figure(figure, panels.flat, note, shift_note, make_nodes_note(nodes))
 
 
 def _draw_block(
@@ -126,14 +123,16 @@ def _draw_block(
     """Draw the default in the first panel, and the shifts of the others in the following ones."""
     x = dataset[axis_dim].values
     default = dataset.sel({dim: DEFAULT_LABEL})
-    _draw_curve(panels[0], x, default[name].values, default[f"{name}_stderr"].values, "black")
+    errors = default[f"{name}_stderr"].values
+    draw_curve(panels[0], x, default[name].values, errors, color="black")
     panels[0].set_title("default")
     shift, error = compute_shift(dataset, name, dim)
     others = [v for v in dataset[dim].values if str(v) != DEFAULT_LABEL]
     limit = 1.05 * float((np.abs(shift) + BAND_SIGMA * error).max()) or 1.0
     for axes, other in zip(panels[1:], others, strict=False):
         selection = {dim: other}
-        _draw_curve(axes, x, shift.sel(selection).values, error.sel(selection).values, SHIFT_COLOUR)
+        values, errors = shift.sel(selection).values, error.sel(selection).values
+        draw_curve(axes, x, values, errors, color=SHIFT_COLOUR)
         axes.axhline(0.0, color="black", lw=0.6, zorder=1.5)
         axes.set_ylim(-limit, limit)
         # A line break may separate a dollar sign from its escape.
@@ -141,13 +140,7 @@ def _draw_block(
         text = value if dim in NOMINAL_PARAMETERS else f"{format_parameter(dim)}: {value}"
         title = fill(text, _MAX_TITLE_CHARS).replace("\\\n$", "\n\\$")
         axes.set_title(title)
+    for axes in panels[: 1 + len(others)]:
+        axes.margins(x=0.01)
     for axes in panels[1 + len(others) :]:
         axes.set_visible(False)
-
-
-def _draw_curve(axes: Axes, x: np.ndarray, y: np.ndarray, error: np.ndarray, colour: str) -> None:
-    axes.plot(x, y, color=colour)
-    axes.fill_between(
-        x, y - BAND_SIGMA * error, y + BAND_SIGMA * error, color=colour, alpha=0.3, lw=0
-    )
-    axes.margins(x=0.01)

@@ -21,6 +21,7 @@ from splits.plotting.style import (
     TWO_COLUMNS_INCHES,
     annotate_figure,
     describe_conditions,
+    draw_curve,
     format_parameter,
     format_value,
     make_subplots,
@@ -36,6 +37,7 @@ MAX_TEXT_TICKS = 24
 _DAYS = "days since 1970-01-01"
 
 
+@use_style()
 def draw_season(dataset: xr.Dataset, quantity: Sequence[str] = ("reflectance",)) -> Figure:
     """Draw band albedos, or spectra at some wavelengths, over time or another label of snowpacks.
 
@@ -55,49 +57,40 @@ def draw_season(dataset: xr.Dataset, quantity: Sequence[str] = ("reflectance",))
     """
     names = ["band_albedo"] if "band_albedo" in dataset else list(quantity)
     (label,) = dataset.quality_flag.dims
-    with use_style():
-        figure, panels = make_subplots(
-            len(names), 1, width=TWO_COLUMNS_INCHES, height=2.4 * len(names), squeeze=False,
-            sharex=True,
-        )  # fmt: skip
-        x, has_order = _set_label_axis(panels[-1, 0], dataset.get_index(label))
-        for axes, name in zip(panels[:, 0], names, strict=True):
-            line_dim = str(dataset[name].dims[-1])
-            n_lines = dataset.sizes[line_dim]
-            rows = np.linspace(0, n_lines - 1, min(n_lines, MAX_WAVELENGTHS)).round().astype(int)
-            rows = np.arange(n_lines) if line_dim == "band" else np.unique(rows)
-            for row, colour in zip(rows, pick_colours(len(rows), line_dim), strict=True):
-                part = dataset.isel({line_dim: row})
-                y, error = part[name].values, BAND_SIGMA * part[f"{name}_stderr"].values
-                text = format_value(part[line_dim].values.item(), line_dim)
-                if has_order:
-                    axes.plot(x, y, color=colour, label=text)
-                    axes.fill_between(x, y - error, y + error, color=colour, alpha=0.25, lw=0)
-                else:
-                    axes.errorbar(x, y, error, fmt="o", ms=2.5, color=colour, label=text)
-            axes.set_ylabel("albedo" if name == "band_albedo" else make_axis_label(dataset[name]))
-            # Snowpacks without a result are on the axis, too.
-            axes.update_datalim([(one, 0.0) for one in np.atleast_1d(axes.convert_xunits(x))])
-            axes.autoscale_view()
-            start_at_zero(axes, name)
-            axes.margins(x=0.01)
-            axes.spines[["top", "right"]].set_visible(False)
-            title = "wavelength (nm)" if line_dim == "wavelength" else None
-        panels[-1, 0].set_xlabel(format_parameter(str(label)))
-        legend = panels[0, 0].legend(title=title, frameon=False)
-        if is_covering_line(legend, panels[0, 0]):
-            legend.remove()
-            place_legend_above(figure, panels[0, 0].get_legend_handles_labels()[0], title)
-        band = "bands" if has_order else "bars"
-        return annotate_figure(
-            figure, panels.flat, describe_conditions(dataset, band=band), _describe_gaps(dataset)
-        )
-
-
-def _describe_gaps(dataset: xr.Dataset) -> str:
-    """Return the number of snowpacks without a result by the meaning of their flag."""
+    figure, panels = make_subplots(
+        len(names), 1, width=TWO_COLUMNS_INCHES, height=2.4 * len(names), squeeze=False,
+        sharex=True,
+    )  # fmt: skip
+    x, has_order = _set_label_axis(panels[-1, 0], dataset.get_index(label))
+    for axes, name in zip(panels[:, 0], names, strict=True):
+        line_dim = str(dataset[name].dims[-1])
+        n_lines = dataset.sizes[line_dim]
+        rows = np.linspace(0, n_lines - 1, min(n_lines, MAX_WAVELENGTHS)).round().astype(int)
+        rows = np.arange(n_lines) if line_dim == "band" else np.unique(rows)
+        for row, colour in zip(rows, pick_colours(len(rows), line_dim), strict=True):
+            part = dataset.isel({line_dim: row})
+            y, error = part[name].values, part[f"{name}_stderr"].values
+            text = format_value(part[line_dim].values.item(), line_dim)
+            if has_order:
+                draw_curve(axes, x, y, error, alpha=0.25, color=colour, label=text)
+            else:
+                axes.errorbar(x, y, BAND_SIGMA * error, fmt="o", ms=2.5, color=colour, label=text)
+        axes.set_ylabel("albedo" if name == "band_albedo" else make_axis_label(dataset[name]))
+        # Snowpacks without a result are on the axis, too.
+        axes.update_datalim([(one, 0.0) for one in np.atleast_1d(axes.convert_xunits(x))])
+        axes.autoscale_view()
+        start_at_zero(axes, name)
+        axes.margins(x=0.01)
+        title = "wavelength (nm)" if line_dim == "wavelength" else None
+    panels[-1, 0].set_xlabel(format_parameter(str(label)))
+    legend = panels[0, 0].legend(title=title, frameon=False)
+    if is_covering_line(legend, panels[0, 0]):
+        legend.remove()
+        place_legend_above(figure, panels[0, 0].get_legend_handles_labels()[0], title)
+    band = "bands" if has_order else "bars"
     counts = count_missing_results(dataset)
-    return f"Gaps: snowpacks without a result ({counts})." if counts else ""
+    gaps = f"Gaps: snowpacks without a result ({counts})." if counts else ""
+    return annotate_figure(figure, panels.flat, describe_conditions(dataset, band=band), gaps)
 
 
 def _set_label_axis(axes: Axes, index: pd.Index) -> tuple[np.ndarray, bool]:

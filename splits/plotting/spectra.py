@@ -32,6 +32,8 @@ from splits.plotting.style import (
     annotate_figure,
     compute_axis_top,
     describe_conditions,
+    draw_band,
+    draw_curve,
     make_panel_title,
     make_subplots,
     start_at_zero,
@@ -53,6 +55,7 @@ _MAX_LABEL_CHARS = 30
 """Number of characters that fit along an axis."""
 
 
+@use_style()
 def draw_spectra(
     dataset: xr.Dataset,
     quantity: Sequence[str] = ("reflectance",),
@@ -121,23 +124,25 @@ def draw_spectra(
         return draw_shifts(dataset, quantity, dim, "wavelength", labels, note, ylim)
     lines = PlotLines(dataset, dims)
     nodes = find_coarse_nodes(dataset)
-    with use_style():
-        figure, panels = make_subplots(
-            len(quantity), 1, height=2.2 * len(quantity), squeeze=False, sharex=True
-        )
-        measured_handles = []
-        for axes, name in zip(panels[:, 0], quantity, strict=True):
-            _draw_lines(axes, dataset, name, lines)
-            if measured is not None and name in measured:
-                measured_handles = [_draw_measured(axes, measured, name)]
-            axes.set_ylabel(make_axis_label(dataset[name]))
-            start_at_zero(axes, name, ylim)
-            axes.margins(x=0.01)
-            draw_node_ticks(axes, nodes)
-            axes.spines[["top", "right"]].set_visible(False)
-        panels[-1, 0].set_xlabel("wavelength (nm)")
-        lines.add_legend(figure, list(panels[:, 0]), legend, extra_handles=measured_handles)
-        return annotate_figure(figure, panels.flat, note, make_nodes_note(nodes))
+    figure, panels = make_subplots(
+        len(quantity), 1, height=2.2 * len(quantity), squeeze=False, sharex=True
+    )
+    measured_handles = []
+    for axes, name in zip(panels[:, 0], quantity, strict=True):
+        for line in lines.lines:
+            part = dataset.sel(line.labels)
+            x, y, error = (part[one].values for one in ("wavelength", name, f"{name}_stderr"))
+            style = line.to_plot_style() | {"label": line.label or "model"}
+            draw_curve(axes, x, y, error, 0.0, alpha=0.25, **style)
+        if measured is not None and name in measured:
+            measured_handles = [_draw_measured(axes, measured, name)]
+        axes.set_ylabel(make_axis_label(dataset[name]))
+        start_at_zero(axes, name, ylim)
+        axes.margins(x=0.01)
+        draw_node_ticks(axes, nodes)
+    panels[-1, 0].set_xlabel("wavelength (nm)")
+    lines.add_legend(figure, list(panels[:, 0]), legend, extra_handles=measured_handles)
+    return annotate_figure(figure, panels.flat, note, make_nodes_note(nodes))
 
 
 def check_measured(measured: pd.DataFrame, quantity: Sequence[str]) -> None:
@@ -160,17 +165,6 @@ def check_measured(measured: pd.DataFrame, quantity: Sequence[str]) -> None:
             raise invalid(key, name, f"with {low} <= {name} <= {high}")
 
 
-def _draw_lines(axes: Axes, dataset: xr.Dataset, name: str, lines: PlotLines) -> None:
-    for line in lines.lines:
-        part = dataset.sel(line.labels)
-        x, y = part.wavelength.values, part[name].values
-        error = BAND_SIGMA * part[f"{name}_stderr"].values
-        axes.plot(x, y, label=line.label or "model", **line.to_plot_style())
-        axes.fill_between(
-            x, np.maximum(y - error, 0.0), y + error, color=line.colour, alpha=0.25, lw=0
-        )
-
-
 def _draw_measured(axes: Axes, table: pd.DataFrame, name: str) -> Artist:
     y = table[name]
     error_range = None
@@ -188,6 +182,7 @@ def make_axis_label(variable: xr.DataArray) -> str:
     return f"{first}\n{last}" if first and len(label) > _MAX_LABEL_CHARS else label
 
 
+@use_style()
 def draw_refractive_indices(dataset: xr.Dataset) -> Figure:
     """Draw n (left axis) and k (right axis, logarithmic) of the materials of `MATERIAL_COLOURS`.
 
@@ -198,25 +193,26 @@ def draw_refractive_indices(dataset: xr.Dataset) -> Figure:
     dataset : xarray.Dataset
         Variables ``n`` and ``k`` over wavelength and material.
     """
-    with use_style():
-        figure, left = make_subplots(height=2.6)
-        right = left.twinx()
-        nodes = find_coarse_nodes(dataset)
-        for material, label, colour in _list_materials(dataset):
-            part = dataset.sel(material=material)
-            left.plot(part.wavelength, part.n, color=colour, label=label)
-            if float(part.k.max()) > 0.0:
-                right.plot(part.wavelength, part.k, color=colour, ls="--")
-                _draw_table_rows(right, part, nodes, colour)
-        right.set_yscale("log")
-        left.set_xlabel("wavelength (nm)")
-        left.set_ylabel("refractive index n (solid)")
-        right.set_ylabel("extinction coefficient k (dashed)")
-        left.margins(x=0.01)
-        place_legend_above(figure, left.get_lines(), None)
-        names = ", ".join(nodes)
-        note = f"Dots: rows of coarse tables, between which k is interpolated: {names}."
-        return annotate_figure(figure, [left], note if nodes else "")
+    figure, left = make_subplots(height=2.6)
+    right = left.twinx()
+    for axes in (left, right):
+        axes.spines[:].set_visible(True)
+    nodes = find_coarse_nodes(dataset)
+    for material, label, colour in _list_materials(dataset):
+        part = dataset.sel(material=material)
+        left.plot(part.wavelength, part.n, color=colour, label=label)
+        if float(part.k.max()) > 0.0:
+            right.plot(part.wavelength, part.k, color=colour, ls="--")
+            _draw_table_rows(right, part, nodes, colour)
+    right.set_yscale("log")
+    left.set_xlabel("wavelength (nm)")
+    left.set_ylabel("refractive index n (solid)")
+    right.set_ylabel("extinction coefficient k (dashed)")
+    left.margins(x=0.01)
+    place_legend_above(figure, left.get_lines(), None)
+    names = ", ".join(nodes)
+    note = f"Dots: rows of coarse tables, between which k is interpolated: {names}."
+    return annotate_figure(figure, [left], note if nodes else "")
 
 
 def _list_materials(dataset: xr.Dataset) -> list[tuple[str, str, str]]:
@@ -253,6 +249,7 @@ _RASTERIZED_ZORDER = -10.0
 """Drawing order of lines and bands, which SVG files contain as one image per panel."""
 
 
+@use_style()
 def draw_small_multiples(
     dataset: xr.Dataset,
     quantity: Sequence[str],
@@ -288,59 +285,48 @@ def draw_small_multiples(
     n_title_lines = max(title.count("\n") for title in titles) + 1
     rows = -(-len(panel_points) // columns) * len(quantity)
     nodes = find_coarse_nodes(dataset)
-    with use_style():
-        figure, panels = make_subplots(
-            rows,
-            columns,
-            width=TWO_COLUMNS_INCHES,
-            height=0.5 + (_PANEL_HEIGHT_INCHES + _TITLE_LINE_INCHES * n_title_lines) * rows,
-            sharex=True,
-            squeeze=False,
-        )
-        blocks = np.split(panels, len(quantity))
-        for panels_of_quantity, name in zip(blocks, quantity, strict=True):
-            top = ylim or (0.0, _compute_axis_top(dataset, name))
-            for axes, panel_point, title in zip(
-                panels_of_quantity.flat, panel_points, titles, strict=False
-            ):
-                labels = dict(zip(panel_dims, panel_point, strict=True))
-                _draw_panel(axes, dataset.sel(labels), name, lines)
-                draw_node_ticks(axes, nodes)
-                axes.set_title(title)
-                axes.set_ylim(top)
-                axes.label_outer()
-            for axes in panels_of_quantity.flat[len(panel_points) :]:
-                axes.set_visible(False)
-            for axes in panels_of_quantity[:, 0]:
-                axes.set_ylabel(name)
-        # The lowest panel of a column may be hidden.
-        for column in panels.T:
-            shown = [axes for axes in column if axes.get_visible()]
-            shown[-1].tick_params(labelbottom=True)
-            shown[-1].set_xlabel("wavelength (nm)")
-        lines.add_legend(figure, list(panels.flat), legend, max_inset_entries=0)
-        return annotate_figure(figure, panels.flat, note, make_nodes_note(nodes))
-
-
-def _compute_axis_top(dataset: xr.Dataset, name: str) -> float:
-    """Return the upper limit of the axis of all panels."""
-    highest = float((dataset[name] + BAND_SIGMA * dataset[f"{name}_stderr"]).max())
-    return compute_axis_top(highest, name)
+    figure, panels = make_subplots(
+        rows,
+        columns,
+        width=TWO_COLUMNS_INCHES,
+        height=0.5 + (_PANEL_HEIGHT_INCHES + _TITLE_LINE_INCHES * n_title_lines) * rows,
+        sharex=True,
+        squeeze=False,
+    )
+    blocks = np.split(panels, len(quantity))
+    for panels_of_quantity, name in zip(blocks, quantity, strict=True):
+        highest = float((dataset[name] + BAND_SIGMA * dataset[f"{name}_stderr"]).max())
+        top = ylim or (0.0, compute_axis_top(highest, name))
+        for axes, panel_point, title in zip(
+            panels_of_quantity.flat, panel_points, titles, strict=False
+        ):
+            labels = dict(zip(panel_dims, panel_point, strict=True))
+            _draw_panel(axes, dataset.sel(labels), name, lines)
+            draw_node_ticks(axes, nodes)
+            axes.set_title(title)
+            axes.set_ylim(top)
+            axes.label_outer()
+        for axes in panels_of_quantity.flat[len(panel_points) :]:
+            axes.set_visible(False)
+        for axes in panels_of_quantity[:, 0]:
+            axes.set_ylabel(name)
+    # The lowest panel of a column may be hidden.
+    for column in panels.T:
+        shown = [axes for axes in column if axes.get_visible()]
+        shown[-1].tick_params(labelbottom=True)
+        shown[-1].set_xlabel("wavelength (nm)")
+    lines.add_legend(figure, list(panels.flat), legend, max_inset_entries=0)
+    return annotate_figure(figure, panels.flat, note, make_nodes_note(nodes))
 
 
 def _draw_panel(axes: Axes, part: xr.Dataset, name: str, lines: PlotLines) -> None:
     axes.set_rasterization_zorder(0.0)
     x = part.wavelength.values
     rows = part.transpose(*lines.dims, "wavelength")
-    values = rows[name].values.reshape(-1, x.size)
-    errors = BAND_SIGMA * rows[f"{name}_stderr"].values.reshape(-1, x.size)
+    values, errors = (rows[one].values.reshape(-1, x.size) for one in (name, f"{name}_stderr"))
     for line, y, error in zip(lines.lines, values, errors, strict=True):
         style = line.to_plot_style() | {"lw": 0.7, "zorder": _RASTERIZED_ZORDER + line.zorder}
         axes.plot(x, y, **style)
-        axes.fill_between(
-            x, np.maximum(y - error, 0.0), y + error, color=line.colour, alpha=0.25, lw=0,
-            zorder=_RASTERIZED_ZORDER,
-        )  # fmt: skip
+        draw_band(axes, x, y, error, 0.0, color=line.colour, alpha=0.25, zorder=_RASTERIZED_ZORDER)
     axes.margins(x=0.01)
     axes.tick_params(labelsize=SMALL_FONT_PT)
-    axes.spines[["top", "right"]].set_visible(False)

@@ -29,7 +29,6 @@ from splits.plotting.style import (
     ONE_COLUMN_INCHES,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
-    Colour,
     OffscreenFigure,
     annotate_figure,
     describe_conditions,
@@ -364,12 +363,6 @@ _SURFACE_STYLE: dict[str, Any] = {
 }  # fmt: skip
 
 
-def _lighten(colour: Colour) -> Colour:
-    """Return a lighter colour, which remains visible when shaded."""
-    red, green, blue = (0.6 * c + 0.4 for c in to_rgb(colour))
-    return red, green, blue
-
-
 @use_style()
 def draw_lobes(dataset: xr.Dataset, select: Mapping[str, float | str] | None = None) -> Figure:
     """Draw the BRDF of every point of a grid as a surface, and its principal plane below.
@@ -409,7 +402,8 @@ def draw_lobes(dataset: xr.Dataset, select: Mapping[str, float | str] | None = N
             radius * np.sin(polar) * np.cos(azimuth),
             radius * np.sin(polar) * np.sin(azimuth),
             radius * np.cos(polar) * np.ones_like(azimuth),
-            color=_lighten(grid_line.colour), **_SURFACE_STYLE,
+            # Lighter, so that it remains visible when shaded.
+            color=[0.6 * c + 0.4 for c in to_rgb(grid_line.colour)], **_SURFACE_STYLE,
         )  # fmt: skip
         axes.set(xlim=(-top, top), ylim=(-top, top), zlim=(0.0, top))
         axes.set_box_aspect((2, 2, 1), zoom=1.5)

@@ -8,7 +8,6 @@ from types import MappingProxyType
 from typing import Any
 
 import pandas as pd
-import xarray as xr
 from matplotlib.figure import Figure
 
 from splits.core.inputs import ResultDataset
@@ -81,7 +80,9 @@ def draw(
     for key in section:
         if key not in known:
             raise unknown_key(f"figure.{key}", sorted(known))
-    kind = section.get("kind") or _choose_kind(dataset)
+    kinds = INSTRUMENT_FIGURES.get(str(dataset.attrs.get("instrument")), ("spectra",))
+    default_kind = kinds[0] if kinds[0] != "season" else "spectra"
+    kind = section.get("kind") or ("season" if FLAG_NAME in dataset else default_kind)
     check_choice("figure.kind", kind, FUNCTIONS)
     check_settings(kind, section)
     settings = {key: value for key, value in section.items() if value and key not in OTHER_SETTINGS}
@@ -99,26 +100,15 @@ def draw(
     for name in settings.get("quantity", ()) if "band_albedo" not in names else ():
         check_choice("figure.quantity", name, names)
     if kind in POINT_KINDS:
-        _check_point(kind, dataset, settings.get("select", {}))
+        select = settings.get("select", {})
+        grid = json.loads(dataset.attrs.get("configuration", "{}")).get("grid", {})
+        free = [name for name in grid if name in dataset.dims and name not in select]
+        if len(free) > (kind == "lobes"):
+            allowed = f"with a value of {', '.join(free)} for a figure of kind {kind}"
+            hint = "it shows one point of the grid; the dataset holds all"
+            raise invalid("figure.select", dict(select), allowed, hint)
     if measured is not None:
         settings["measured"] = measured
     figure = FUNCTIONS[kind](dataset, **settings)
     add_notes(figure, section.get("note") or "")
     return figure
-
-
-def _choose_kind(dataset: xr.Dataset) -> str:
-    """Return the kind of figure for the result of an instrument, by default spectra."""
-    kinds = INSTRUMENT_FIGURES.get(str(dataset.attrs.get("instrument")), ("spectra",))
-    is_season = FLAG_NAME in dataset
-    return "season" if is_season else kinds[0] if kinds[0] != "season" else "spectra"
-
-
-def _check_point(kind: str, dataset: xr.Dataset, select: Mapping[str, Any]) -> None:
-    """Reject the points of a grid for a figure that shows a single one."""
-    grid = json.loads(dataset.attrs.get("configuration", "{}")).get("grid", {})
-    free = [name for name in grid if name in dataset.dims and name not in select]
-    if len(free) > (kind == "lobes"):
-        allowed = f"with a value of {', '.join(free)} for a figure of kind {kind}"
-        hint = "it shows one point of the grid; the dataset holds all"
-        raise invalid("figure.select", dict(select), allowed, hint)

@@ -6,7 +6,7 @@ import itertools
 import math
 import re
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -96,7 +96,11 @@ class PlotLines:
             d for d in dims if d != self.colour_dim and sizes[d] > 1 and not is_crowded
         ]
         values = self._values.get(self.colour_dim, np.zeros(n_lines if is_crowded else 1))
-        self.colours = _assign_colours(values, self.colour_dim if is_nominal else None)
+        coloured = [v for v in values if str(v) != DEFAULT_LABEL]
+        colours = iter(pick_colours(len(coloured), self.colour_dim if is_nominal else None))
+        self.colours: list[Colour] = [
+            "black" if str(v) == DEFAULT_LABEL else next(colours) for v in values
+        ]
         self.has_colour_bar = len(values) > MAX_COLOUR_ENTRIES and not is_nominal and not is_crowded
         dash_points = list(np.ndindex(*(sizes[d] for d in self.dash_dims)))
         self.lines: list[PlotLine] = []
@@ -211,13 +215,6 @@ class PlotLines:
         colour_bar.ax.minorticks_off()
 
 
-def _assign_colours(values: np.ndarray, parameter: str | None) -> list[Colour]:
-    """Return a colour per value, black for the default."""
-    coloured = [v for v in values if str(v) != DEFAULT_LABEL]
-    colours = iter(pick_colours(len(coloured), parameter))
-    return ["black" if str(v) == DEFAULT_LABEL else next(colours) for v in values]
-
-
 def _make_heading(text: str) -> Line2D:
     return Line2D([], [], ls="none", label=text)
 
@@ -228,11 +225,24 @@ def is_covering_line(legend: Legend, axes: Axes) -> bool:
     assert figure is not None
     figure.draw_without_rendering()  # type: ignore[union-attr]
     box = legend.get_window_extent()
-    for line in axes.lines:
-        path = line.get_transform().transform_path(line.get_path())
-        if path.intersects_bbox(box, filled=False):
-            return True
-    return False
+    paths = (line.get_transform().transform_path(line.get_path()) for line in axes.lines)
+    return any(path.intersects_bbox(box, filled=False) for path in paths)
+
+
+def _place_legend(
+    figure: Figure, handles: Sequence[Artist], title: str | None,
+    loc: Literal["outside upper center", "outside right upper"], columns: int, max_width: float,
+) -> float:  # fmt: skip
+    """Place a legend in as many columns as a width (pixels) allows; return its height (inches)."""
+    for n_columns in range(columns, 0, -1):
+        legend = figure.legend(
+            handles=list(handles), title=title, frameon=False, loc=loc, ncols=n_columns
+        )
+        box = legend.get_window_extent()
+        if n_columns == 1 or box.width < max_width:
+            break
+        legend.remove()
+    return float(box.height / figure.dpi)
 
 
 def place_legend_above(figure: Figure, handles: Sequence[Artist], title: str | None) -> None:
@@ -245,18 +255,11 @@ def place_legend_above(figure: Figure, handles: Sequence[Artist], title: str | N
     handles : sequence of artists
     title : str or None
     """
-    if not handles:
-        return
-    for columns in range(len(handles), 0, -1):
-        legend = figure.legend(
-            handles=list(handles), title=title, frameon=False, loc="outside upper center",
-            ncols=columns,
-        )  # fmt: skip
-        box = legend.get_window_extent()
-        if columns == 1 or box.width < figure.bbox.width:
-            break
-        legend.remove()
-    figure.set_figheight(figure.get_figheight() + box.height / figure.dpi)
+    if handles:
+        height = _place_legend(
+            figure, handles, title, "outside upper center", len(handles), figure.bbox.width
+        )
+        figure.set_figheight(figure.get_figheight() + height)
 
 
 def place_legend_beside(figure: Figure, handles: Sequence[Artist], title: str | None) -> None:
@@ -270,19 +273,13 @@ def place_legend_beside(figure: Figure, handles: Sequence[Artist], title: str | 
     title : str or None
     """
     figure.set_figwidth(TWO_COLUMNS_INCHES)
-    if not handles:
-        return
-    rows = max(1, int(figure.get_figheight() / _LEGEND_ENTRY_INCHES) - 2)
-    for columns in range(-(-len(handles) // rows), 0, -1):
-        legend = figure.legend(
-            handles=list(handles), title=title, frameon=False, loc="outside right upper",
-            ncols=columns,
+    if handles:
+        rows = max(1, int(figure.get_figheight() / _LEGEND_ENTRY_INCHES) - 2)
+        height = _place_legend(
+            figure, handles, title, "outside right upper", -(-len(handles) // rows),
+            _MAX_LEGEND_FRACTION * figure.bbox.width,
         )  # fmt: skip
-        box = legend.get_window_extent()
-        if columns == 1 or box.width < _MAX_LEGEND_FRACTION * figure.bbox.width:
-            break
-        legend.remove()
-    figure.set_figheight(max(figure.get_figheight(), box.height / figure.dpi + 0.1))
+        figure.set_figheight(max(figure.get_figheight(), height + 0.1))
 
 
 COARSE_STEP_RATIO = 2.0
@@ -321,9 +318,12 @@ def find_coarse_nodes(dataset: xr.Dataset) -> dict[str, np.ndarray]:
     nodes: dict[str, tuple[float, np.ndarray]] = {}
     for key, name in dataset.attrs.items():
         match = _INDEX_ATTRIBUTE.fullmatch(str(key))
-        if match is None or not _is_in_use(dataset, match["medium"], match["material"]):
+        if match is None:
             continue
-        table = _find_table(match["material"], str(name))
+        medium, material = match.groups()
+        needed = (f"{medium}_{one}" for one in _FRACTION_PARAMETERS.get(material, ()))
+        is_in_use = all(float(dataset.attrs.get(one, 1.0)) > 0.0 for one in needed)
+        table = _find_table(material, str(name)) if is_in_use else None
         if table is None:
             continue
         rows = table.wavelength_nm
@@ -332,24 +332,14 @@ def find_coarse_nodes(dataset: xr.Dataset) -> dict[str, np.ndarray]:
         is_at_gap = np.concatenate([[False], is_wide]) | np.concatenate([is_wide, [False]])
         rows = rows[is_at_gap & (rows >= x[0]) & (rows <= x[-1])]
         if rows.size:
-            label = f"{match['material']} ({_format_table_name(str(name))})"
+            # The printed name of a table, such as Hale & Querry 1973.
+            table_name = re.sub(
+                r"^([a-z]+)_([a-z]+)_(\d{4})", r"\1 & \2 \3", str(name).partition(",")[0]
+            )
+            label = f"{material} ({table_name.replace('_', ' ').title()})"
             nodes[label] = (float(largest_gap), rows)
     order = sorted(nodes, key=lambda label: -nodes[label][0])
     return {label: nodes[label][1] for label in order}
-
-
-def _format_table_name(name: str) -> str:
-    """Return the printed name of a table, such as Hale & Querry 1973."""
-    authors = re.sub(r"^([a-z]+)_([a-z]+)_(\d{4})", r"\1 & \2 \3", name.partition(",")[0])
-    return authors.replace("_", " ").title()
-
-
-def _is_in_use(dataset: xr.Dataset, medium: str, material: str) -> bool:
-    """Return whether a medium contains a material according to its attributes."""
-    fractions = [
-        dataset.attrs.get(f"{medium}_{key}") for key in _FRACTION_PARAMETERS.get(material, ())
-    ]
-    return all(fraction is None or float(fraction) > 0.0 for fraction in fractions)
 
 
 def _find_table(material: str, name: str) -> TabulatedIndex | None:

@@ -85,7 +85,15 @@ def draw_points(
             _draw_series(axes, dataset, name, series, dim)
             axes.set_xlabel(_make_axis_label(dataset, name, long_name, dim))
         else:
-            _draw_lengths(axes, 1e3 * dataset[name].values.ravel())
+            # Lengths have no errors.
+            values = 1e3 * dataset[name].values.ravel()
+            axes.plot(values, range(values.size), "o", color=pick_colours(1)[0])
+            for y, x in enumerate(values):
+                axes.annotate(
+                    f"{x:.3f}", (x, y), xytext=(5, 0), textcoords="offset points", va="center",
+                    fontsize=SMALL_FONT_PT,
+                )  # fmt: skip
+            axes.set_xlim(0, 1.2 * values.max())
             axes.set_xlabel(f"{long_name} (mm)")
         axes.grid(axis="x", alpha=0.3)
         axes.set_ylim(len(names) - 0.4, -0.6)
@@ -142,18 +150,6 @@ def _draw_series(
         )  # fmt: skip
 
 
-def _draw_lengths(axes: Axes, value: np.ndarray) -> None:
-    """Draw lengths, which have no errors, with their values."""
-    rows = range(value.size)
-    axes.plot(value, rows, "o", color=pick_colours(1)[0])
-    for x, y in zip(value, rows, strict=True):
-        axes.annotate(
-            f"{x:.3f}", (x, y), xytext=(5, 0), textcoords="offset points", va="center",
-            fontsize=SMALL_FONT_PT,
-        )  # fmt: skip
-    axes.set_xlim(0, 1.2 * value.max())
-
-
 MAX_SUMMARY_LINES = 6
 """Largest number of values of the axis whose spectra are lines."""
 MAX_SUMMARY_PANELS = (3, 4)
@@ -191,7 +187,10 @@ def draw_summary(
     free = sorted((n for n in axes if n not in select), key=lambda n: -dataset.sizes[n])
     views = [name for name in free if name in VIEW_AXES and dataset.sizes[name] > 1]
     is_directional = all(name in VIEW_QUANTITIES for name in quantity)
-    if is_directional and len(views) == len(VIEW_AXES) and _has_principal_planes(dataset):
+    # Under beams, and with both sides of the principal plane.
+    is_beam = INCIDENCE not in dataset.dims or dataset[INCIDENCE].dtype.kind in "fi"
+    is_directional = is_directional and is_beam and len(views) == len(VIEW_AXES)
+    if is_directional and np.isin([0.0, 180.0], dataset[AZIMUTH]).all():
         return _draw_views(dataset.sel(dict(select)), quantity, legend)
     free = [name for name in free if name not in VIEW_AXES and dataset.sizes[name] > 1]
     lines, panel_dims, rest = free[:1], free[1:3], free[3:] + views
@@ -224,13 +223,6 @@ def draw_summary(
 
 BRIGHTNESS_LEVELS = (0.9, 0.5, 0.1)
 """Mean reflectances of the wavelengths that are shown, relative to the largest."""
-
-
-def _has_principal_planes(dataset: xr.Dataset) -> bool:
-    """Return whether a table is under beams and has both sides of the principal plane."""
-    azimuth = dataset[AZIMUTH].values
-    is_beam = INCIDENCE not in dataset.dims or dataset[INCIDENCE].dtype.kind in "fi"
-    return is_beam and bool(np.isin([0.0, 180.0], azimuth).all())
 
 
 @use_style()

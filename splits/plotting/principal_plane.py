@@ -253,6 +253,9 @@ def draw_bin_sizes(dataset: xr.Dataset, select: Mapping[str, float | str] | None
 def _draw_beams(axes: Axes, plane: xr.Dataset, lines: PlotLines, downward: bool) -> None:
     """Draw the direction of the source, or that of direct transmission."""
     top = axes.get_ylim()[1]
+    style: dict[str, Any] = {"lw": 0.7, "ls": "-"}
+    if not downward:
+        style |= {"marker": "o", "ms": 3.5, "markevery": [-1], "clip_on": False}
     colours_by_incidence: dict[float, list[Colour]] = {}
     for grid_line in lines.lines:
         colours_by_incidence.setdefault(
@@ -266,14 +269,14 @@ def _draw_beams(axes: Axes, plane: xr.Dataset, lines: PlotLines, downward: bool)
             plot_angle,
             [0.0, top],
             color=used[0] if use_own_colour else "black",
-            **_get_beam_style(downward),
+            **style,
         )
     axes.set_ylim(0.0, top)
     legend_line = Line2D(
         [],
         [],
         color="black" if len(colours_by_incidence) == 1 else "0.5",
-        **_get_beam_style(downward),
+        **style,
     )
     legend_line.set_label("straight on" if downward else "towards the source")
     axes.legend(
@@ -281,13 +284,6 @@ def _draw_beams(axes: Axes, plane: xr.Dataset, lines: PlotLines, downward: bool)
         loc="lower center" if downward else "upper center",
         bbox_to_anchor=(0.5, 0.92) if downward else (0.5, 0.08),
     )  # fmt: skip
-
-
-def _get_beam_style(downward: bool) -> dict[str, Any]:
-    mark: dict[str, Any] = (
-        {} if downward else {"marker": "o", "ms": 3.5, "markevery": [-1], "clip_on": False}
-    )
-    return {"lw": 0.7, "ls": "-", **mark}
 
 
 @use_style()
@@ -321,10 +317,12 @@ def draw_polarization(
         line = select_line(plane, grid_line.labels)
         angle = line.angle.values
         value, error = line.brdf.values, line.brdf_stderr.values
-        degree, degree_error = _extract_degree(line, is_symmetric)
+        # −Q/I has no bias; without light, neither is a number.
+        light = line.brdf.where(line.brdf > 0.0)
+        degree = -line.brdf_q / light if is_symmetric else line.brdf_dolp.where(light > 0.0)
         style = grid_line.to_plot_style() | {"label": grid_line.label}
         draw_curve(left, angle, value, error, **style)
-        draw_curve(right, angle, degree, degree_error, **style)
+        draw_curve(right, angle, degree.values, line.brdf_dolp_stderr.values, **style)
     left.set_ylabel(QUANTITY_LABELS["brdf"])
     start_at_zero(left, "brdf")
     right.set_ylabel("degree of polarization" + (", −Q/I" if is_symmetric else ""))
@@ -337,12 +335,3 @@ def draw_polarization(
     return annotate_figure(
         figure, [left, right], describe_conditions(dataset, select), describe_bins(dataset)
     )
-
-
-def _extract_degree(line: xr.Dataset, is_symmetric: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return the degree of polarization and its error, not a number without light."""
-    degree = line.brdf_dolp
-    if is_symmetric:
-        # This has no bias.
-        degree = -line.brdf_q / line.brdf.where(line.brdf > 0.0)
-    return degree.where(line.brdf > 0.0).values, line.brdf_dolp_stderr.values

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import xarray as xr
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -127,7 +127,7 @@ def draw_spectra(
     figure, panels = make_subplots(
         len(quantity), 1, height=2.2 * len(quantity), squeeze=False, sharex=True
     )
-    measured_handles = []
+    measured_handles: list[Any] = []
     for axes, name in zip(panels[:, 0], quantity, strict=True):
         for line in lines.lines:
             part = dataset.sel(line.labels)
@@ -135,7 +135,15 @@ def draw_spectra(
             style = line.to_plot_style() | {"label": line.label or "model"}
             draw_curve(axes, x, y, error, 0.0, alpha=0.25, **style)
         if measured is not None and name in measured:
-            measured_handles = [_draw_measured(axes, measured, name)]
+            y, limits = measured[name], None
+            if f"{name}_min" in measured:
+                limits = np.stack([y - measured[f"{name}_min"], measured[f"{name}_max"] - y])
+            measured_handles = [
+                axes.errorbar(
+                    measured["wavelength_nm"], y, limits, fmt="s", color="black", ms=2.5,
+                    label="measured",
+                )
+            ]  # fmt: skip
         axes.set_ylabel(make_axis_label(dataset[name]))
         start_at_zero(axes, name, ylim)
         axes.margins(x=0.01)
@@ -163,16 +171,6 @@ def check_measured(measured: pd.DataFrame, quantity: Sequence[str]) -> None:
             raise invalid(f"{key} ({name})", largest, allowed, hint)
         if (np.diff(rows, axis=1) < 0.0).any():
             raise invalid(key, name, f"with {low} <= {name} <= {high}")
-
-
-def _draw_measured(axes: Axes, table: pd.DataFrame, name: str) -> Artist:
-    y = table[name]
-    error_range = None
-    if f"{name}_min" in table:
-        error_range = np.stack([y - table[f"{name}_min"], table[f"{name}_max"] - y])
-    return axes.errorbar(  # type: ignore[return-value]
-        table["wavelength_nm"], y, error_range, fmt="s", color="black", ms=2.5, label="measured"
-    )
 
 
 def make_axis_label(variable: xr.DataArray) -> str:
@@ -203,7 +201,9 @@ def draw_refractive_indices(dataset: xr.Dataset) -> Figure:
         left.plot(part.wavelength, part.n, color=colour, label=label)
         if float(part.k.max()) > 0.0:
             right.plot(part.wavelength, part.k, color=colour, ls="--")
-            _draw_table_rows(right, part, nodes, colour)
+            for rows in [rows for name, rows in nodes.items() if name.startswith(str(material))]:
+                k = np.exp(np.interp(rows, part.wavelength, np.log(part.k)))
+                right.plot(rows, k, ".", color=colour, ms=4)
     right.set_yscale("log")
     left.set_xlabel("wavelength (nm)")
     left.set_ylabel("refractive index n (solid)")
@@ -229,16 +229,6 @@ def _list_materials(dataset: xr.Dataset) -> list[tuple[str, str, str]]:
             label = material if is_same else name.removeprefix("layers.").replace(".", ": ")
             materials.append((name, label if is_same else f"layer {label}", colour))
     return materials
-
-
-def _draw_table_rows(
-    axes: Axes, part: xr.Dataset, nodes: dict[str, np.ndarray], colour: str
-) -> None:
-    """Draw a dot at every row of a coarse table."""
-    for name, rows in nodes.items():
-        if name.startswith(str(part.material.values)):
-            k = np.exp(np.interp(rows, part.wavelength, np.log(part.k)))
-            axes.plot(rows, k, ".", color=colour, ms=4)
 
 
 DEFAULT_COLUMNS = 4

@@ -96,6 +96,10 @@ def _serialize_table(label: str, entry: ExplorerTable) -> dict[str, Any]:
             nodes[np.abs(transformed - 0.5 * (transformed[0] + transformed[-1])).argmin()]
         )
         attributes = dataset[name].attrs
+        # The first node is clean or dry; directions are of such grains.
+        is_addition = (
+            parse_impurity_parameter(name) is not None or get_quantity(name).root_at == 0.0
+        )
         axes.append(
             {
                 "name": name,
@@ -105,7 +109,7 @@ def _serialize_table(label: str, entry: ExplorerTable) -> dict[str, Any]:
                 ),
                 "nodes": nodes.tolist(),
                 "law": transform,
-                "start": float(nodes[0]) if _is_addition(name) else middle,
+                "start": float(nodes[0]) if is_addition else middle,
                 **_serialize_interpolation(interpolation[name], names),
             }
         )
@@ -228,11 +232,6 @@ def _estimate_interpolation_error(values: np.ndarray, axis: int, nodes: np.ndarr
         (1.0 - fraction) * rows[:-2] + fraction * rows[2:] - rows[1:-1]
     )
     return error
-
-
-def _is_addition(name: str) -> bool:
-    """Return whether the first node of an axis is clean or dry; directions are of such grains."""
-    return parse_impurity_parameter(name) is not None or get_quantity(name).root_at == 0.0
 
 
 def _make_axis_label(name: str, long_name: str) -> str:

@@ -419,7 +419,7 @@ def make_true_medium(
     """Return a known medium and the incidence angle of its light, within the table."""
     assert section.synthetic is not None
     truth, key = dict(section.synthetic.truth[sample]), f"retrieve_return.synthetic.truth.{sample}"
-    rows = dict(zip(*experiment.make_axes(), strict=True))
+    rows = experiment.make_axes()
     keywords = list(signature(MEDIUM_CLASSES[get_kind(experiment.medium)]).parameters)
     for name in section.free:
         if name != SCALE and name not in truth:

@@ -59,7 +59,7 @@ class TableVariable(NamedTuple):
     @property
     def dims(self) -> tuple[str, ...]:
         """Dimensions."""
-        return (*self.leading, *self.grid.names, *self.trailing)
+        return (*self.leading, *self.grid, *self.trailing)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -139,7 +139,15 @@ def _make_dataset(
         **({} if request.views is None else request.views.to_coordinates()),
         "wavelength": make_wavelength_coordinate(plan.wavelengths),
     }
-    spectral_request = request.spectral_request
+    media, spectral_request = plan.list_media(), request.spectral_request
+    described = [{f"{m.kind}_{key}": v for key, v in m.describe().items()} for m in media]
+    common = {
+        key: value
+        for key, value in described[0].items()
+        if all(key in one and np.array_equal(one[key], value) for one in described)
+    }
+    if INCIDENCE not in plan.grid:
+        common[INCIDENCE] = plan.path_groups[0].incidence
     dataset_attrs: dict[str, Any] = {
         "title": f"Table of {plan.grid.size} spectra",
         "path_sharing_axes": ", ".join(plan.path_sharing_axes) or "none",
@@ -157,7 +165,8 @@ def _make_dataset(
         "ensembles": len(plan.path_groups),
         "wall_time_s": round(wall_time_s, 3),
         "physics_sources_sha256": hash_physics_sources(),
-        **_find_common_attributes(plan),
+        "medium": media[0].kind,
+        **common,
         **make_provenance("table"),
     }
     return xr.Dataset(variables, coordinates, to_netcdf_attributes(dataset_attrs))
@@ -182,20 +191,6 @@ def average_nodes(
         variables |= make_variable(f"band_{quantity}", dims, values, stderr, label)
     digests = {f"band_{name}_sha256": one.sha256 for name, one in bands.items() if one.sha256}
     return table.assign(variables).assign_coords(band=list(bands)).assign_attrs(digests)
-
-
-def _find_common_attributes(plan: TablePlan) -> dict[str, Any]:
-    """Return the attributes common to all media of a table."""
-    media = plan.list_media()
-    described = [{f"{m.kind}_{key}": v for key, v in m.describe().items()} for m in media]
-    attrs = {
-        key: value
-        for key, value in described[0].items()
-        if all(key in one and np.array_equal(one[key], value) for one in described)
-    }
-    if INCIDENCE not in plan.grid.names:
-        attrs["incidence_deg"] = plan.path_groups[0].incidence
-    return {"medium": media[0].kind, **attrs}
 
 
 MAX_BYTES_IN_MEMORY = 2**28

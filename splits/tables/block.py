@@ -23,7 +23,6 @@ from splits.instruments.solver import (
     DISCRETE_ORDINATES,
     MONTE_CARLO,
     AngularRequest,
-    AngularResult,
     make_estimate,
     solve_angular_results,
 )
@@ -67,9 +66,27 @@ def prepare_media(group: PathGroup, request: TableRequest) -> Any:
     """
     if request.solver == MONTE_CARLO:
         return request.spectral_request.truncate(group.path_sharing)
-    if request.views is None:
-        return _solve_spectra(group, request.spectral_request)
-    return _solve_directions(group, request.spectral_request, request.views)
+    spectral_request, media = request.spectral_request, group.path_sharing.media
+    wavelengths, max_stderr = spectral_request.wavelengths, spectral_request.max_stderr
+    threads = spectral_request.run.threads
+    if request.views is not None:
+        target = _make_target(request.views)
+        angular_request = AngularRequest(wavelengths, *request.views, max_stderr, target)
+        return [
+            solve_angular_results(medium, angular_request, group.incidences, threads)
+            for medium in media
+        ]
+    angles = [float(incidence) for incidence in group.incidences if incidence != DIFFUSE]
+    cosines = np.cos(np.radians(angles))
+    # Paths through grains use all threads themselves.
+    stacks = [make_granular_stack(medium, wavelengths, max_stderr, threads) for medium in media]
+
+    def solve(stack: GranularStack) -> SpectrumSolution:
+        return solve_with_exponent_error(stack, cosines, max_stderr)
+
+    # The error determines the number of streams.
+    with limit_blas_threads(), DaemonThreadPool(threads) as pool:
+        return list(pool.map(solve, stacks))
 
 
 def compute_block(
@@ -100,24 +117,6 @@ def compute_block(
     return xr.Dataset(
         variables, {"point": point_coordinate, "wavelength": spectral_request.wavelengths}, attrs
     )
-
-
-def _solve_spectra(group: PathGroup, request: SpectralRequest) -> list[SpectrumSolution]:
-    """Return the solution of each medium; the error determines the number of streams."""
-    angles = [float(incidence) for incidence in group.incidences if incidence != DIFFUSE]
-    cosines, max_stderr = np.cos(np.radians(angles)), request.max_stderr
-    threads = request.run.threads
-    # Paths through grains use all threads themselves.
-    stacks = [
-        make_granular_stack(medium, request.wavelengths, max_stderr, threads)
-        for medium in group.path_sharing.media
-    ]
-
-    def solve(stack: GranularStack) -> SpectrumSolution:
-        return solve_with_exponent_error(stack, cosines, max_stderr)
-
-    with limit_blas_threads(), DaemonThreadPool(threads) as pool:
-        return list(pool.map(solve, stacks))
 
 
 def _compute_spectra(
@@ -153,19 +152,6 @@ def _compute_spectra(
             spectral_request.max_stderr, spectral_request.max_rays
         ),
     }
-
-
-def _solve_directions(
-    group: PathGroup, request: SpectralRequest, views: ViewGrid
-) -> list[list[AngularResult]]:
-    """Return the results of each medium of a group for all incidences."""
-    angular_request = AngularRequest(
-        request.wavelengths, *views, request.max_stderr, _make_target(views)
-    )
-    return [
-        solve_angular_results(medium, angular_request, group.incidences, request.run.threads)
-        for medium in group.path_sharing.media
-    ]
 
 
 def _compute_directions(

@@ -33,7 +33,11 @@ from splits.tables.axes import (
 )
 from splits.tables.comparison import rename_comparison
 from splits.tables.interpolation import check_within_axis
-from splits.tables.table_interpolation import TableInterpolation, combine_axis_errors
+from splits.tables.table_interpolation import (
+    LocatedQuantity,
+    TableInterpolation,
+    combine_axis_errors,
+)
 
 N_RINGS, N_RING_DIRECTIONS = 3, 8
 """Numbers of rings of a field of view, and of directions in each."""
@@ -103,7 +107,12 @@ class ViewRequest(NamedTuple):
                 allowed = f"a number, or {wavelengths.size}, one for each wavelength"
                 raise invalid("diffuse_fraction", f"of shape {fraction.shape}", allowed)
         check_array_range("diffuse_fraction", np.atleast_1d(fraction), 0.0, 1.0)
-        missing = [name for name in _list_mixed(dataset) if name not in dataset]
+        # A mixture of anisotropy factors is weighted by the reflectances.
+        names = [name for name in MIXED_QUANTITIES if name in dataset]
+        beam = ["reflectance"] if "anisotropy_factor" in names else []
+        needed = [*dict.fromkeys([*beam, *names])]
+        needed += [DIFFUSE_PREFIX + name for name in needed]
+        missing = [name for name in needed if name not in dataset]
         if fraction.any() and missing:
             hint = f"the table lacks {', '.join(missing)}, see quantities of splits.build_table"
             raise invalid("diffuse_fraction", diffuse_fraction, "0 for this table", hint)
@@ -162,14 +171,6 @@ def _choose_azimuth(dataset: xr.Dataset, polar: float, azimuth_deg: float | None
     return float(nodes[0]) if azimuth_deg is None else azimuth_deg
 
 
-def _list_mixed(dataset: xr.Dataset) -> list[str]:
-    """Return the quantities that a mixture of a beam and isotropic light needs."""
-    names = [name for name in MIXED_QUANTITIES if name in dataset]
-    if "anisotropy_factor" in names:
-        names = [*dict.fromkeys(("reflectance", *names))]
-    return [*names, *(DIFFUSE_PREFIX + name for name in names)]
-
-
 def select_view(interpolation: TableInterpolation, request: ViewRequest) -> xr.Dataset:
     """Return a table of spectra for one request, with the interpolation error in its errors.
 
@@ -210,12 +211,11 @@ def select_view(interpolation: TableInterpolation, request: ViewRequest) -> xr.D
         if axis not in VIEW_AXES and all(name in part for name in names):
             # Positions between nodes of other axes, in the same direction and under the same sky.
             # Quantities under isotropic light do not depend on the incidence of beams.
-            needed = (
-                [DIFFUSE_PREFIX + name for name in names] if request.diffuse_fraction.any() else []
-            )
-            for name in [one for one in needed if one not in part]:
-                at = {d: part[d] for d in dataset[name].dims if d != "wavelength"}
-                part = part.assign({name: load_selection(dataset[name].sel(at))})
+            for name in names if request.diffuse_fraction.any() else ():
+                diffuse = dataset[DIFFUSE_PREFIX + name]
+                if diffuse.name not in part:
+                    at = {d: part[d] for d in diffuse.dims if d != "wavelength"}
+                    part = part.assign({diffuse.name: load_selection(diffuse.sel(at))})
             exact = part.assign({f"{name}_stderr": 0.0 * part[name] for name in part.data_vars})
             found = _estimate(TableInterpolation(exact), names, request)
             compared = xr.Dataset({
@@ -271,7 +271,7 @@ def _average(
     total: Any = 0.0
     # Errors of neighbouring directions are treated as fully correlated.
     for angles, weight in directions:
-        located = interpolation.locate(name, {axis: angles[axis] for axis in axes})
+        located = LocatedQuantity(interpolation, name, {axis: angles[axis] for axis in axes})
         values = located.read(name)
         value, stderr = located.combine(values), located.read(f"{name}_stderr")
         error = combine_axis_errors(located.estimate_errors(values), value)

@@ -20,8 +20,7 @@ from splits.plotting.points import draw_points, draw_summary, draw_swatches
 from splits.plotting.principal_plane import draw_bin_sizes, draw_polarization, draw_principal_planes
 from splits.plotting.rough_surface import draw_lens, draw_surface
 from splits.plotting.sand_fit import draw_fits
-from splits.plotting.season import draw_season
-from splits.plotting.spectra import draw_refractive_indices, draw_spectra
+from splits.plotting.spectra import draw_refractive_indices, draw_season, draw_spectra
 from splits.plotting.style import add_notes, use_style
 from splits.plotting.time_of_flight import draw_beam_spread, draw_range_bias, draw_returns
 

@@ -16,8 +16,13 @@ from splits.analysis.colour import make_colour_table
 from splits.core.escaping import escape_mathtext
 from splits.core.validation import invalid
 from splits.io.netcdf import select_points
-from splits.plotting.interpretation_shifts import INDEPENDENCE_NOTE, compute_shift, find_default_dim
-from splits.plotting.lines import PlotLines, place_legend_beside
+from splits.plotting.lines import (
+    INDEPENDENCE_NOTE,
+    PlotLines,
+    compute_shift,
+    find_default_dim,
+    place_legend_beside,
+)
 from splits.plotting.panels import DEFAULT_LABEL, MAX_COLUMNS, MAX_ROWS, check_count
 from splits.plotting.principal_plane import draw_principal_planes
 from splits.plotting.spectra import draw_small_multiples, draw_spectra

@@ -34,8 +34,7 @@ from splits.plotting.directions import (
     select_point,
     to_plot_angle,
 )
-from splits.plotting.interpretation_shifts import draw_shifts, find_default_dim
-from splits.plotting.lines import MAX_INSET_ENTRIES, PlotLines
+from splits.plotting.lines import MAX_INSET_ENTRIES, PlotLines, draw_shifts, find_default_dim
 from splits.plotting.panels import can_map_hemisphere
 from splits.plotting.style import (
     BAND_SIGMA,

@@ -176,8 +176,7 @@ def _draw_spectrum(figure: Figure, cell: SubplotSpec, part: xr.Dataset, title: s
     several = part.sizes["model"] > 1
     top.set_ylim(0.0, (1.35 + 0.13 * part.sizes["model"] if several else 1.1) * highest)
     top.tick_params(labelbottom=False)
-    bottom.set_ylabel("difference")
-    bottom.set_xlabel("wavelength (nm)")
+    bottom.set(xlabel="wavelength (nm)", ylabel="difference")
     top.legend(frameon=False, fontsize=SMALL_FONT_PT, loc="upper right" if several else "best",
                handlelength=1.2, borderaxespad=0.0)  # fmt: skip
     return top
@@ -225,7 +224,12 @@ def _draw_corner(
             else:
                 axes.spines[:].set_visible(True)
             axes.set_xlim(low[j], high[j])
-            mark_known_values(axes, known.get(names[j]), known.get(names[i]) if i != j else None)
+            # Known values, if they are inside the panel.
+            x, y = known.get(names[j]), known.get(names[i]) if i != j else None
+            if x is not None and y is not None:
+                axes.plot([x], [y], "x", color=KNOWN_COLOUR, ms=5, mew=1.2)
+            elif x is not None and axes.get_xlim()[0] <= x <= axes.get_xlim()[1]:
+                axes.axvline(x, color=KNOWN_COLOUR, lw=1.2, ls=":")
             _label_corner_axes(axes, names, (i, j))
 
 
@@ -317,13 +321,12 @@ def draw_against_reference(
     top = 1.08 * highest
     axes.plot([0.0, top], [0.0, top], color="black", lw=0.6)
     axes.set_title(escape_mathtext(prefix.strip()) or "against reference values")
-    axes.set_xlabel(f"{format_parameter(name)}, reference")
-    axes.set_ylabel(f"{format_parameter(name)}, retrieved")
-    axes.set_xlim(0.0, top)
-    axes.set_ylim(0.0, top)
+    label = format_parameter(name)
+    axes.set(xlabel=f"{label}, reference", ylabel=f"{label}, retrieved")
+    axes.set(xlim=(0.0, top), ylim=(0.0, top))
     axes.set_aspect("equal", anchor="W")
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(MaxNLocator(5))
+    axes.xaxis.set_major_locator(MaxNLocator(5))
+    axes.yaxis.set_major_locator(MaxNLocator(5))
     if any(not str(handle.get_label()).startswith("_") for handle in axes.get_lines()):
         axes.legend(
             frameon=False, fontsize=SMALL_FONT_PT, loc="upper left", bbox_to_anchor=(1.0, 1.0)
@@ -403,11 +406,3 @@ def draw_return_fit(figure: Figure, cell: SubplotSpec, part: xr.Dataset, title: 
     top.tick_params(labelbottom=False)
     top.legend(frameon=False, fontsize=SMALL_FONT_PT, handlelength=1.2, borderaxespad=0.0)
     return top
-
-
-def mark_known_values(axes: Axes, x: float | None, y: float | None) -> None:
-    """Mark known values of one or two parameters in a panel of draws, if they are inside it."""
-    if x is not None and y is not None:
-        axes.plot([x], [y], "x", color=KNOWN_COLOUR, ms=5, mew=1.2)
-    elif x is not None and axes.get_xlim()[0] <= x <= axes.get_xlim()[1]:
-        axes.axvline(x, color=KNOWN_COLOUR, lw=1.2, ls=":")

@@ -526,9 +526,9 @@ def format_panel_letter(number: int) -> str:
 
 def add_notes(figure: Figure, *notes: str) -> None:
     """Write notes below the panels and earlier notes; the figure height increases accordingly."""
-    inches, dpi = figure.get_figwidth(), figure.dpi
     if not any(notes):
         return
+    inches, dpi = figure.get_figwidth(), figure.dpi
     text = next((item for item in figure.texts if item.get_gid() == NOTES_GID), None)
     height, previous = figure.get_figheight(), ""
     if text is None:

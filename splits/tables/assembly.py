@@ -122,17 +122,16 @@ def _make_dataset(
 ) -> xr.Dataset:
     """Return a table as a dataset from its arrays and the attributes of its blocks."""
     variables = {}
+    is_diffuse = plan.path_groups[0].incidence == DIFFUSE
     for name, variable in list_variables(plan, request).items():
         quantity = variable.quantity
         label = LABELS[quantity]
-        if quantity == "reflectance_factor" and plan.path_groups[0].incidence == DIFFUSE:
+        if quantity == "reflectance_factor" and is_diffuse:
             label = LABELS[DIFFUSE_PREFIX + quantity]
-        attrs = {"long_name": label, "units": "1"}
-        if name == quantity:
-            attrs["ancillary_variables"] = f"{quantity}_stderr"
-        else:
+        attrs = {"long_name": label, "units": "1", "ancillary_variables": f"{quantity}_stderr"}
+        if name != quantity:
             kind = "standard error" if name.endswith("_stderr") else "deviation by batch of rays"
-            attrs["long_name"] = f"{kind} of {attrs['long_name']}"
+            attrs = {"long_name": f"{kind} of {label}", "units": "1"}
         variables[name] = (variable.dims, arrays[name].reshape(variable.shape), attrs)
     coordinates = {
         **plan.grid.to_coordinates(),
@@ -244,7 +243,18 @@ def write_table_blockwise(
         skeleton.drop_vars(list(variables)).to_netcdf(temporary, engine="netcdf4")
         with netCDF4.Dataset(temporary, "a") as file:
             for name in variables:
-                _create_variable(file, name, skeleton)
+                # Without writing its values.
+                variable = skeleton[name]
+                for dim, size in variable.sizes.items():
+                    if dim not in file.dimensions:
+                        file.createDimension(dim, size)
+                created = file.createVariable(
+                    name, "f4", variable.dims, fill_value=False, contiguous=True
+                )
+                created.setncatts(variable.attrs)
+                auxiliary = [str(c) for c in variable.coords if c not in variable.dims]
+                if auxiliary:
+                    created.coordinates = " ".join(auxiliary)
             for name, index, values in _iterate_points(read_blocks(), variables):
                 file.variables[name][index] = values
         with netCDF4.Dataset(temporary) as file:
@@ -256,20 +266,6 @@ def write_table_blockwise(
         if not complete:
             raise OSError(f"{path}: the file written does not hold the table")
         append_checksum(temporary)
-
-
-def _create_variable(file: netCDF4.Dataset, name: str, skeleton: xr.Dataset) -> None:
-    """Create a variable in a file without writing its values."""
-    variable = skeleton[name]
-    dims = [str(dim) for dim in variable.dims]
-    for dim, size in zip(dims, variable.shape, strict=True):
-        if dim not in file.dimensions:
-            file.createDimension(dim, size)
-    created = file.createVariable(name, "f4", dims, fill_value=False, contiguous=True)
-    created.setncatts(variable.attrs)
-    auxiliary = [str(c) for c in variable.coords if c not in variable.dims]
-    if auxiliary:
-        created.coordinates = " ".join(auxiliary)
 
 
 def _iterate_points(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +16,7 @@ from splits.discrete_ordinates.granular_stack import (
     SpectrumSolution,
     solve_with_exponent_error,
 )
-from splits.instruments.angular_estimate import AngularEstimate, join_wavelengths
+from splits.instruments.angular_estimate import join_wavelengths
 from splits.instruments.goniophotometer import make_direction_mask, simulate_directions
 from splits.instruments.solver import (
     DISCRETE_ORDINATES,
@@ -185,42 +184,30 @@ def _compute_directions(
         "stop_reason": "converged" if reached <= spectral_request.max_stderr else otherwise,
         "interpolation_error_bound": 0.0,
     }
-    n_wavelengths = spectral_request.wavelengths.size
-    variables = _make_view_variables(estimate, group, views, n_wavelengths, request.quantities)
-    return variables, attributes
-
-
-def _make_target(views: ViewGrid) -> ErrorTarget:
-    """Return the target of absolute errors of reflectance factors."""
-    return ErrorTarget(0, make_direction_mask(*views), absolute=True)
-
-
-def _make_view_variables(
-    estimate: AngularEstimate,
-    group: PathGroup,
-    views: ViewGrid,
-    n_wavelengths: int,
-    quantities: Sequence[str],
-) -> dict[str, Any]:
-    """Return the variables of a block with their errors, over ``point``, views and wavelength."""
     values = {
         "reflectance": (estimate.hemispherical[0], estimate.hemispherical_stderr[0]),
         "reflectance_factor": (np.pi * estimate.mean[0], np.pi * estimate.stderr[0]),
         "anisotropy_factor": (estimate.anisotropy, estimate.anisotropy_stderr),
     }
-    is_diffuse = group.incidence == DIFFUSE and has_diffuse(quantities)
+    is_diffuse = group.incidence == DIFFUSE and has_diffuse(request.quantities)
     prefix = DIFFUSE_PREFIX if is_diffuse else ""
     variables: dict[str, Any] = {}
-    for name in quantities:
+    for name in request.quantities:
         if name.startswith(DIFFUSE_PREFIX) != is_diffuse:
             continue
         axes = list_view_axes(name)
+        shape = (len(group.path_sharing.media), spectral_request.wavelengths.size)
+        shape += views.shape if axes else ()
         for suffix, array in zip(("", "_stderr"), values[name.removeprefix(prefix)], strict=True):
-            shape = (len(group.path_sharing.media), n_wavelengths, *(views.shape if axes else ()))
             by_medium = np.moveaxis(array.reshape(shape), 1, -1)[group.media_indices]
             if axes != VIEW_AXES and axes:
                 # Under isotropic light, all azimuths are equal.
                 by_medium = by_medium[:, :, 0]
             dims = ("point", *axes, "wavelength")
             variables[name + suffix] = (dims, by_medium.astype(np.float32))
-    return variables
+    return variables, attributes
+
+
+def _make_target(views: ViewGrid) -> ErrorTarget:
+    """Return the target of absolute errors of reflectance factors."""
+    return ErrorTarget(0, make_direction_mask(*views), absolute=True)

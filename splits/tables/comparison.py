@@ -55,14 +55,6 @@ PATH_ERROR_RATIO = 2.0
 ComputeTable = Callable[[TablePlan, TableRequest], xr.Dataset]
 
 
-def find_positions_between(name: str, nodes: np.ndarray, *, has_direction: bool) -> np.ndarray:
-    """Return the compared positions of an axis, as many between all neighbouring nodes."""
-    kind, t = transform_axis(name, nodes, has_direction=has_direction)
-    fractions = POSITIONS["few nodes" if nodes.size <= MAX_FEW_NODES else "more nodes"]
-    rows = [t[:-1] + fraction * np.diff(t) for fraction in fractions]
-    return COORDINATES[kind].invert(np.stack(rows, axis=1).ravel())
-
-
 def list_comparison_grids(
     grid: ParameterGrid, axes: Sequence[str], *, by_ordinates: bool = True
 ) -> dict[str, ParameterGrid]:
@@ -83,7 +75,11 @@ def list_comparison_grids(
         if len(grid[name]) < 2 or isinstance(grid[name][0], str):
             continue
         nodes = np.array(grid[name], dtype=float)
-        between = find_positions_between(name, nodes, has_direction=has_direction)
+        # As many positions between all neighbouring nodes.
+        kind, t = transform_axis(name, nodes, has_direction=has_direction)
+        fractions = POSITIONS["few nodes" if nodes.size <= MAX_FEW_NODES else "more nodes"]
+        rows = [t[:-1] + fraction * np.diff(t) for fraction in fractions]
+        between = COORDINATES[kind].invert(np.stack(rows, axis=1).ravel())
         positions = np.sort(np.concatenate([nodes, between]))
         thinned = _thin_axes(grid.drop(name), has_direction, by_ordinates)
         grids[name] = ParameterGrid(grid | thinned | {name: tuple(positions.tolist())})

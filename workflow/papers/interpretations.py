@@ -27,7 +27,7 @@ from scipy.special import ndtr
 from splits.core.validation import check_choice, invalid, unknown_key
 from splits.media import Interpretation
 from splits.media.interpretations import INTERPRETATION_CHOICES, INTERPRETATION_SETS
-from splits.plotting.interpretation_shifts import INDEPENDENCE_NOTE, SHIFT_COLOUR
+from splits.plotting.lines import INDEPENDENCE_NOTE, SHIFT_COLOUR
 from splits.plotting.style import (
     BAND_SIGMA,
     SMALL_FONT_PT,

@@ -123,29 +123,23 @@ class _RefcountCheck(AnalysisPass):
         AnalysisPass.__init__(self)
 
     def run_pass(self, state: Any) -> bool:
-        if not state.flags.nrt and any(
-            _is_refcounted(state, value_type) for value_type in _list_return_types(state)
+        if state.flags.nrt:
+            return False
+        # Types that the function and the functions that it calls return.
+        return_types = [state.return_type]
+        for call, signature in state.calltypes.items():
+            if isinstance(call, ir.Expr) and call.op == "call":
+                is_constructor = isinstance(state.typemap[call.func.name], types.NamedTupleClass)
+                return_types += [] if is_constructor else [signature.return_type]
+        # The type of a generator does not show what it holds.
+        if any(
+            isinstance(one, types.Generator)
+            or state.targetctx.data_model_manager[one].contains_nrt_meminfo()
+            for one in return_types
         ):
             name = state.func_id.func_qualname
             raise TypeError(f"{name}: allocates or returns arrays: must be `inline_allocating`")
         return False
-
-
-def _list_return_types(state: Any) -> list[Any]:
-    """Return the return types of a function and of the functions that it calls."""
-    return_types = [state.return_type]
-    for call, signature in state.calltypes.items():
-        if isinstance(call, ir.Expr) and call.op == "call":
-            is_constructor = isinstance(state.typemap[call.func.name], types.NamedTupleClass)
-            return_types += [] if is_constructor else [signature.return_type]
-    return return_types
-
-
-def _is_refcounted(state: Any, value_type: Any) -> bool:
-    """Return whether values of a type contain reference-counted memory, such as an array."""
-    has_meminfo: bool = state.targetctx.data_model_manager[value_type].contains_nrt_meminfo()
-    # The type of a generator does not show what it holds.
-    return has_meminfo or isinstance(value_type, types.Generator)
 
 
 class RefcountCheckedCompiler(NonePruningCompiler):

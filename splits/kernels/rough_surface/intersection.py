@@ -18,6 +18,7 @@ from splits.kernels.arithmetic import (
     add_scaled,
     dot,
     normalize,
+    store_vector,
 )
 from splits.kernels.compiler.jit import entry_point, entry_point_no_refcount, inline, inline_only
 from splits.kernels.interface import fresnel, refract
@@ -224,19 +225,6 @@ def refine_probe(probe, sums, band, point, d, side, tolerance):
 
 
 @inline_only
-def _distance_to_max_height(surface, position, d, side):
-    """Return the distance (m) to the maximum height of the surface, inf if a ray never reaches it.
-
-    Parameters are those of `find_first_intersection`.
-    """
-    above = side * position.z - surface.max_height
-    climb = side * d.z
-    if above <= 0.0:
-        return 0.0
-    return above / -climb if climb < 0.0 else math.inf
-
-
-@inline_only
 def make_no_hit(distance, n_evaluations):
     """Return a `Hit` without intersection, with the distance `NO_HIT` or `STEP_LIMIT_REACHED`."""
     return Hit(distance, SurfaceSlope(0.0, 0.0), n_evaluations)
@@ -266,7 +254,10 @@ def find_first_intersection(surface, position, d, side, max_distance=math.inf):
     -------
     Hit
     """
-    s = _distance_to_max_height(surface, position, d, side)
+    # Distance to the maximum height of the surface.
+    s, above, climb = 0.0, side * position.z - surface.max_height, side * d.z
+    if above > 0.0:
+        s = above / -climb if climb < 0.0 else math.inf
     if s > max_distance or s == math.inf:
         return make_no_hit(NO_HIT, 0)
     set_ray_bounds(surface, d)
@@ -292,8 +283,6 @@ def find_first_intersection(surface, position, d, side, max_distance=math.inf):
 
 # --------------------------------------------------------------------------------------------------
 # Refraction of vertical rays at a given realization of a rough surface.
-
-_X, _Y, _Z = range(3)
 
 
 class RefractedRays(NamedTuple):
@@ -338,7 +327,7 @@ def refract_vertical_rays(waves, refractive_index, x, y):
         d = refract(Vector(0.0, 0.0, -1.0), normal, normal.z, fresnel_result)
         position = Vector(x[ray], y[ray], surface_point.height)
         hit = find_first_intersection(surface, position, d, -1.0)
-        for row, vector in ((refracted.position[ray], position), (refracted.direction[ray], d)):
-            row[_X], row[_Y], row[_Z] = vector.x, vector.y, vector.z
+        store_vector(position, refracted.position[ray], 0)
+        store_vector(d, refracted.direction[ray], 0)
         refracted.next_hit_distance[ray] = math.inf if hit.distance == NO_HIT else hit.distance
     return refracted

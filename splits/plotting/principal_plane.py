@@ -98,7 +98,11 @@ def draw_principal_planes(
         labels = [QUANTITY_LABELS[name] for name in quantity]
         note += "; viewing angles are positive forward"
         return draw_shifts(plane, quantity, dim, "angle", (SHORT_ANGLE_LABEL, labels), note, ylim)
-    panel_dim = _choose_panel_dim(plane, lines)
+    # The parameter with a row of panels for every value, "" if one row shows all lines.
+    varying, panel_dim = [one for one in lines.dims if plane.sizes[one] > 1], ""
+    if len(varying) >= 2 and len(lines.lines) > MAX_INSET_ENTRIES:
+        few = (one for one in reversed(varying) if plane.sizes[one] <= MAX_PLANE_ROWS)
+        panel_dim = next(few, "")
     if panel_dim:
         panel_values = plane[panel_dim].values
         lines = make_lines(plane.isel({panel_dim: 0}, drop=True), quantity[0])
@@ -135,14 +139,6 @@ def draw_principal_planes(
     lines.add_legend(figure, [flat for _, _, flat, _ in planes], legend, MAX_INSET_LINES)
     maps_note = make_maps_note(quantity) if n_maps else ""
     return annotate_figure(figure, axes_list, note, describe_bins(dataset), maps_note)
-
-
-def _choose_panel_dim(plane: xr.Dataset, lines: PlotLines) -> str:
-    """Return the parameter with a row of panels for every value, "" if one row shows all lines."""
-    varying = [dim for dim in lines.dims if plane.sizes[dim] > 1]
-    if len(varying) < 2 or len(lines.lines) <= MAX_INSET_ENTRIES:
-        return ""
-    return next((dim for dim in reversed(varying) if plane.sizes[dim] <= MAX_PLANE_ROWS), "")
 
 
 def _draw_plane(

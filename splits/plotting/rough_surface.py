@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from matplotlib import colormaps
-from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LightSource, Normalize
 from matplotlib.figure import Figure
@@ -80,18 +79,6 @@ def draw_surface(dataset: xr.Dataset, select: Mapping[str, float | str] | None =
     return annotate_figure(figure, [left, right], describe_conditions(dataset, select, ""))
 
 
-def _draw_rays(axes: Axes, dataset: xr.Dataset, max_depth: float) -> None:
-    """Draw some of the rays of a ring from above the surface to the screens."""
-    depth, start = dataset.screen_depth.values, dataset.surface_position.values
-    for ray in range(0, dataset.sizes["ray"], max(1, dataset.sizes["ray"] // 24)):
-        is_detected = dataset.detected.values[:, ray] > 0
-        is_detected &= depth <= 1.4 * max_depth
-        x = np.append(start[ray, 0], dataset.screen_position.values[is_detected, ray, 0])
-        z = np.append(start[ray, 2], -depth[is_detected])
-        axes.plot(x, z, color="0.35", lw=0.4)
-        axes.plot([x[0], x[0]], [z[0], 0.3 * max_depth], color="0.35", lw=0.4)
-
-
 @use_style()
 def draw_lens(dataset: xr.Dataset, select: Mapping[str, float | str] | None = None) -> Figure:
     """Draw rays below a surface, the ring on screens, and the concentration of light.
@@ -111,8 +98,15 @@ def draw_lens(dataset: xr.Dataset, select: Mapping[str, float | str] | None = No
     double_depth = int(np.argmin(np.abs(depth - 2.0 * depth[best])))
     shown = sorted({0, best, double_depth})
     figure, (rays, screen, concentration) = _make_panels(3, map_panel=1)
-    start = dataset.surface_position.values
-    _draw_rays(rays, dataset, depth[double_depth])
+    start, n_rays = dataset.surface_position.values, dataset.sizes["ray"]
+    # Some of the rays of the ring, from above the surface to the screens.
+    for ray in range(0, n_rays, max(1, n_rays // 24)):
+        is_detected = dataset.detected.values[:, ray] > 0
+        is_detected &= depth <= 1.4 * depth[double_depth]
+        x = np.append(start[ray, 0], dataset.screen_position.values[is_detected, ray, 0])
+        z = np.append(start[ray, 2], -depth[is_detected])
+        rays.plot(x, z, color="0.35", lw=0.4)
+        rays.plot([x[0], x[0]], [z[0], 0.3 * depth[double_depth]], color="0.35", lw=0.4)
     colours = pick_colours(len(shown))
     order = np.argsort(start[:, 0])
     rays.plot(start[order, 0], start[order, 2], ".", color="black", ms=1)

@@ -338,8 +338,7 @@ def sort_axes(dataset: Any) -> xr.Dataset:
     # Means over bands follow from the spectra, also between the nodes.
     means = [name for name in dataset.data_vars if str(name).startswith("band_")]
     dataset = dataset.drop_vars([*means, "band"] if means else [])
-    if not list_quantities(dataset):
-        raise invalid("table", list(map(str, dataset.data_vars)), "with a quantity and its error")
+    find_variables(dataset, list_quantities(dataset), "with a quantity and its error")
     axes = list_axes(dataset)
     if "wavelength" not in axes:
         hint = "select a list: sel(wavelength=[500]), which keeps the axis"
@@ -347,6 +346,16 @@ def sort_axes(dataset: Any) -> xr.Dataset:
     for name in axes:
         dataset = _sort_axis(dataset, name)
     return dataset.transpose(..., *(name for name in axes if name != "wavelength"), "wavelength")
+
+
+def find_variables(
+    dataset: xr.Dataset, names: Iterable[str], allowed: str, hint: str = ""
+) -> list[str]:
+    """Return the names of the variables that a table has; reject one that has none of them."""
+    found = [name for name in names if name in dataset]
+    if not found:
+        raise invalid("table", list(map(str, dataset.data_vars)), allowed, hint)
+    return found
 
 
 def list_quantities(dataset: xr.Dataset) -> list[str]:

@@ -22,7 +22,15 @@ from splits.core.validation import (
     invalid,
     snap_to_limits,
 )
-from splits.tables.axes import ANGLES, AZIMUTH, INCIDENCE, POLAR, check_axis_values, fold_azimuths
+from splits.tables.axes import (
+    ANGLES,
+    AZIMUTH,
+    INCIDENCE,
+    POLAR,
+    check_axis_values,
+    find_variables,
+    fold_azimuths,
+)
 from splits.tables.interpolation import make_weight_matrix
 
 RADIUS, SURFACE_AREA = "optical_radius_um", "specific_surface_area_m2_kg"
@@ -93,8 +101,7 @@ def select_reflectance_factor(
         range, azimuths that do not extend from 0° to 180°, a missing axis, or gaps.
     """
     allowed = f"with {REFLECTANCE_FACTOR} over {', '.join(ANGLES)}"
-    if REFLECTANCE_FACTOR not in dataset:
-        raise invalid("table", list(map(str, dataset.data_vars)), allowed)
+    find_variables(dataset, [REFLECTANCE_FACTOR], allowed)
     dims = list(map(str, dataset[REFLECTANCE_FACTOR].dims))
     missing = [name for name in ANGLES if name not in dims]
     if missing:
@@ -313,13 +320,9 @@ def _select_diffuse_factor(
     dataset: xr.Dataset, at: Mapping[str, Any], polar_deg: np.ndarray
 ) -> np.ndarray:
     """Return the reflectance of diffuse light over polar angle, size and wavelength."""
-    if DIFFUSE_REFLECTANCE_FACTOR in dataset:
-        name, angle = DIFFUSE_REFLECTANCE_FACTOR, POLAR
-    elif "reflectance" in dataset:
-        name, angle = "reflectance", INCIDENCE
-    else:
-        allowed = f"with {DIFFUSE_REFLECTANCE_FACTOR}, or with reflectance"
-        raise invalid("table", list(map(str, dataset.data_vars)), allowed)
+    names = DIFFUSE_REFLECTANCE_FACTOR, "reflectance"
+    name, *_ = find_variables(dataset, names, f"with {names[0]}, or with {names[1]}")
+    angle = POLAR if name == DIFFUSE_REFLECTANCE_FACTOR else INCIDENCE
     subset = select_at_fixed_axes(dataset, (name,), [angle, RADIUS], at)[name]
     subset = subset.sortby([angle, RADIUS]).transpose(angle, RADIUS, "wavelength")
     if angle == POLAR:

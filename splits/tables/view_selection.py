@@ -25,6 +25,7 @@ from splits.tables.axes import (
     MIXED_QUANTITIES,
     POLAR,
     VIEW_AXES,
+    find_variables,
     fold_azimuths,
     list_axes,
     list_quantities,
@@ -186,11 +187,9 @@ def select_view(interpolation: TableInterpolation, request: ViewRequest) -> xr.D
         For directions outside the table.
     """
     dataset = interpolation.dataset
-    names = [name for name in MIXED_QUANTITIES if name in dataset]
-    if not names:
-        hint = "quantities under isotropic light alone have no beam"
-        allowed = f"with {' or '.join(MIXED_QUANTITIES)}"
-        raise invalid("table", list(map(str, dataset.data_vars)), allowed, hint)
+    allowed = f"with {' or '.join(MIXED_QUANTITIES)}"
+    hint = "quantities under isotropic light alone have no beam"
+    names = find_variables(dataset, MIXED_QUANTITIES, allowed, hint)
     for axis in dict.fromkeys(axis for name in names for axis in list_view_axes(name)):
         request.check_within_table(axis, dataset[axis].values)
     variables: dict[str, Any] = {}

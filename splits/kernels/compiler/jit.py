@@ -96,23 +96,6 @@ def _infer_type(variable: Any, definitions: Any, args: Any) -> Any:
     return None
 
 
-def insert_pass(pipelines: list[Any], before: Any, new_pass: Any, description: str) -> list[Any]:
-    """Insert a pass before another in each pipeline, and return the pipelines."""
-    for pipeline in pipelines:
-        position = [known for known, _ in pipeline.passes].index(before)
-        pipeline.passes.insert(position, (new_pass, description))
-    return pipelines
-
-
-class NonePruningCompiler(Compiler):
-    """Numba's compiler with pruning of None fields."""
-
-    def define_pipelines(self) -> list[Any]:
-        """Return Numba's pipelines with the pruning pass."""
-        pipelines = super().define_pipelines()
-        return insert_pass(pipelines, DeadBranchPrune, _NoneFieldPruning, "prune None fields")
-
-
 @register_pass(mutates_CFG=False, analysis_only=True)
 class _RefcountCheck(AnalysisPass):
     """Reject a function that allocates or returns arrays without reference counting."""
@@ -142,15 +125,20 @@ class _RefcountCheck(AnalysisPass):
         return False
 
 
-class RefcountCheckedCompiler(NonePruningCompiler):
+class RefcountCheckedCompiler(Compiler):
     """Numba's compiler with pruning of None fields and the reference-count check."""
 
     def define_pipelines(self) -> list[Any]:
-        """Return the pipelines with the reference-count check."""
-        pipelines = super().define_pipelines()
-        return insert_pass(
-            pipelines, NativeLowering, _RefcountCheck, "check that no values are reference-counted"
-        )
+        """Return Numba's pipelines with both passes."""
+        pipelines: list[Any] = super().define_pipelines()
+        for before, new_pass, description in (
+            (DeadBranchPrune, _NoneFieldPruning, "prune None fields"),
+            (NativeLowering, _RefcountCheck, "check that no values are reference-counted"),
+        ):
+            for pipeline in pipelines:
+                position = [known for known, _ in pipeline.passes].index(before)
+                pipeline.passes.insert(position, (new_pass, description))
+        return pipelines
 
 
 # --------------------------------------------------------------------------------------------------

@@ -65,16 +65,6 @@ class Hit(NamedTuple):
     n_evaluations: int
 
 
-class WaveBand(NamedTuple):
-    """Column of `SurfaceRealization.bands`, and whether it is the finest, with all waves."""
-
-    end: int
-    finer_height: float
-    max_slope: float
-    max_curvature: float
-    is_finest: bool
-
-
 class SurfaceProbe(NamedTuple):
     """Surface at a point of a ray, from the bands evaluated so far.
 
@@ -172,17 +162,7 @@ def compute_safe_step(gap, rate, slope, curvature, climb):
 
 
 @inline_only
-def _load_band(surface, number):
-    """Return the `WaveBand` of a number."""
-    bands = surface.bands
-    return WaveBand(
-        int(bands[BAND_END, number]), bands[FINER_HEIGHT, number], bands[MAX_SLOPE, number],
-        bands[MAX_CURVATURE, number], number == 0,
-    )  # fmt: skip
-
-
-@inline_only
-def refine_probe(probe, sums, band, point, d, side, tolerance):
+def refine_probe(probe, sums, bands, number, point, d, side, tolerance):
     """Refine a `SurfaceProbe` with another band.
 
     Parameters
@@ -191,7 +171,10 @@ def refine_probe(probe, sums, band, point, d, side, tolerance):
         Result of the bands before.
     sums : WaveSums
         Sums over the waves that the band adds.
-    band : WaveBand
+    bands : float64 array
+        See `SurfaceRealization`.
+    number : int
+        Of the band: 0 is the finest, with all waves.
     point, d : Vector
         Point of the ray and its direction.
     side : float
@@ -206,19 +189,19 @@ def refine_probe(probe, sums, band, point, d, side, tolerance):
     height = probe.surface.height + sums.height
     slope_x = probe.surface.slope.x - 2.0 * TWO_PI * sums.scaled_slope_x
     slope_y = probe.surface.slope.y - 2.0 * TWO_PI * sums.scaled_slope_y
-    gap = side * (point.z - height) - band.finer_height
+    finer_height = bands[FINER_HEIGHT, number]
+    gap = side * (point.z - height) - finer_height
     rate = side * (d.z - slope_x * d.x - slope_y * d.y)
     hit, sufficient, free_distance = False, False, probe.free_distance
-    if band.is_finest:
+    if number == 0:
         hit = gap <= tolerance and rate < 0.0
         gap = max(gap, tolerance)
     if gap > 0.0 and not hit:
-        free_distance = max(
-            free_distance,
-            compute_safe_step(gap, rate, band.max_slope, band.max_curvature, side * d.z),
-        )
+        slope, curvature = bands[MAX_SLOPE, number], bands[MAX_CURVATURE, number]
+        step = compute_safe_step(gap, rate, slope, curvature, side * d.z)
+        free_distance = max(free_distance, step)
         # If the finer waves have no height, finer bands cannot extend the step but decide hits.
-        sufficient = gap > max(band.finer_height, tolerance)
+        sufficient = gap > max(finer_height, tolerance)
     return SurfaceProbe(
         HeightAndSlope(height, SurfaceSlope(slope_x, slope_y)), free_distance, hit, sufficient
     )
@@ -267,10 +250,10 @@ def find_first_intersection(surface, position, d, side, max_distance=math.inf):
             return make_no_hit(NO_HIT, n_evaluations)
         probe, begin, tolerance = EMPTY_PROBE, 0, compute_height_tolerance(surface, point, s)
         for number in range(surface.n_bands - 1, -1, -1):
-            band = _load_band(surface, number)
-            sums = sum_waves(surface.waves, begin, band.end, point.x, point.y)
-            probe = refine_probe(probe, sums, band, point, d, side, tolerance)
-            begin = band.end
+            end = int(surface.bands[BAND_END, number])
+            sums = sum_waves(surface.waves, begin, end, point.x, point.y)
+            probe = refine_probe(probe, sums, surface.bands, number, point, d, side, tolerance)
+            begin = end
             if probe.sufficient:
                 break
         if probe.hit:

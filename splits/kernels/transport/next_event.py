@@ -46,15 +46,6 @@ from splits.kernels.stokes import (
 # 434).  The n scatterings do not count towards the largest order of scattering.
 
 
-class StokesVector(NamedTuple):
-    """Stokes parameters I, Q, U, V."""
-
-    i: float
-    q: float
-    u: float
-    v: float
-
-
 class LastScattering(NamedTuple):
     """Light after its last scattering.
 
@@ -64,13 +55,13 @@ class LastScattering(NamedTuple):
         Vertical optical depth of the last scattering.
     vertical_sign : float
         1 if the light travels upwards, −1 downwards.
-    stokes_vector : StokesVector
-        Per steradian.
+    stokes_vector : tuple of float
+        I, Q, U and V per steradian.
     """
 
     depth: float
     vertical_sign: float
-    stokes_vector: StokesVector
+    stokes_vector: tuple[float, float, float, float]
 
 
 class DetectorConnection(NamedTuple):
@@ -214,11 +205,11 @@ def complete_connection(state, detectors, phase, peak_order, connection, plane):
 
 @inline_only
 def resolve_stokes_vector(density, stokes, t, plane):
-    """Return the `StokesVector` of light along t (1/sr), Q relative to `plane`."""
+    """Return I, Q, U and V of light along t (1/sr), Q relative to `plane`."""
     if stokes is None:
-        return StokesVector(density, 0.0, 0.0, 0.0)
+        return density, 0.0, 0.0, 0.0
     rotated = rotate_reference_to(stokes, t, plane)
-    return StokesVector(density, density * rotated.q, density * rotated.u, density * stokes.v)
+    return density, density * rotated.q, density * rotated.u, density * stokes.v
 
 
 @inline_only
@@ -431,7 +422,7 @@ def score_ground(state, scene, ray):
     depth = compute_optical_depth(layers, layer, layers.boundaries[layer + 1])
     for k in range(detectors.plane.shape[0]):
         t, plane = load_direction(detectors, layer, k), load_plane(detectors, k)
-        reflected = LastScattering(depth, 1.0, StokesVector(t.z / math.pi, 0.0, 0.0, 0.0))
+        reflected = LastScattering(depth, 1.0, (t.z / math.pi, 0.0, 0.0, 0.0))
         score_light(detectors, layers, layer, k, stokes, weight, reflected)
         order = sample_peak_order(state, detectors)
         if order > 0:

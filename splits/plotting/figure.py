@@ -46,7 +46,6 @@ FUNCTIONS: dict[str, Callable[..., Figure]] = {
 """Functions that draw the kinds of figures; their arguments are `FIGURE_SETTINGS`."""
 POINT_KINDS = ("lobes", "bins", "spread", "surface", "lens")
 """Kinds of figures of one point of a grid; for lobes, one parameter may vary."""
-NO_SETTINGS: Mapping[str, Any] = MappingProxyType({})
 OTHER_SETTINGS = ("kind", "note", "measured")
 
 
@@ -54,7 +53,7 @@ OTHER_SETTINGS = ("kind", "note", "measured")
 @use_style()
 def draw(
     dataset: ResultDataset,
-    section: Mapping[str, Any] = NO_SETTINGS,
+    section: Mapping[str, Any] = MappingProxyType({}),
     measured: pd.DataFrame | None = None,
 ) -> Figure:
     """Draw a dataset according to the figure section of an experiment.

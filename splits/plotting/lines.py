@@ -92,7 +92,9 @@ class PlotLines:
         if self.colour_dim and n_lines // sizes[self.colour_dim] > len(DASHES):
             self.colour_dim = max(sizes, key=lambda d: sizes[d])
         n_dashed = n_lines // sizes.get(self.colour_dim, 1)
-        is_nominal = self._is_nominal(self.colour_dim)
+        is_nominal = self.colour_dim in NOMINAL_PARAMETERS and not np.issubdtype(
+            self._values[self.colour_dim].dtype, np.number
+        )
         # Colours of nominal values repeat, which dashes of other dimensions cannot resolve.
         repeats = is_nominal and n_dashed > 1 and sizes[self.colour_dim] > MAX_COLOUR_ENTRIES
         is_crowded = n_dashed > len(DASHES) or repeats
@@ -128,9 +130,6 @@ class PlotLines:
             text = " · ".join(format_value(value, d) for d, value in labels.items())
             dash = DASHES[dash_index % len(DASHES)]
             self.lines.append(PlotLine(labels, text, self.colours[row], dash, is_default, zorder))
-
-    def _is_nominal(self, dim: str) -> bool:
-        return dim in NOMINAL_PARAMETERS and not np.issubdtype(self._values[dim].dtype, np.number)
 
     def make_title(self) -> str:
         """Return the names of the dimensions."""

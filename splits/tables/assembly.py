@@ -245,12 +245,11 @@ def write_table_blockwise(
             for name in variables:
                 # Without writing its values.
                 variable = skeleton[name]
-                for dim, size in variable.sizes.items():
+                dims = [str(dim) for dim in variable.dims]
+                for dim, size in zip(dims, variable.shape, strict=True):
                     if dim not in file.dimensions:
                         file.createDimension(dim, size)
-                created = file.createVariable(
-                    name, "f4", variable.dims, fill_value=False, contiguous=True
-                )
+                created = file.createVariable(name, "f4", dims, fill_value=False, contiguous=True)
                 created.setncatts(variable.attrs)
                 auxiliary = [str(c) for c in variable.coords if c not in variable.dims]
                 if auxiliary:

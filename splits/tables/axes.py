@@ -212,11 +212,9 @@ DIFFUSE_PREFIX = "diffuse_"
 VIEW_QUANTITIES = ("reflectance_factor", "anisotropy_factor")
 MIXED_QUANTITIES = ("reflectance", *VIEW_QUANTITIES)
 """Quantities of a beam, which isotropic light may be mixed with."""
-DIFFUSE_QUANTITIES = tuple(DIFFUSE_PREFIX + name for name in ("reflectance", *VIEW_QUANTITIES))
+DIFFUSE_QUANTITIES = tuple(DIFFUSE_PREFIX + name for name in MIXED_QUANTITIES)
 """Quantities under isotropic light, in a table whose other quantities are under beams."""
 ALL_QUANTITIES = (*SIDE_QUANTITIES, *VIEW_QUANTITIES, *DIFFUSE_QUANTITIES)
-DIRECTIONAL_QUANTITIES = ("reflectance", *VIEW_QUANTITIES, *DIFFUSE_QUANTITIES)
-"""Quantities of a table with directions."""
 
 
 class ViewGrid(NamedTuple):
@@ -296,9 +294,9 @@ def check_quantities(quantities: Any, views: ViewGrid | None, covariance: bool) 
     ValueError
         For unknown quantities, or directional ones without directions.
     """
-    allowed = SIDE_QUANTITIES if views is None else DIRECTIONAL_QUANTITIES
+    allowed = SIDE_QUANTITIES if views is None else (*MIXED_QUANTITIES, *DIFFUSE_QUANTITIES)
     if quantities is None:
-        quantities = ("reflectance",) if views is None else ("reflectance", *VIEW_QUANTITIES)
+        quantities = ("reflectance",) if views is None else MIXED_QUANTITIES
     is_list = isinstance(quantities, list | tuple) and len(quantities) > 0
     if not is_list or len(set(quantities)) < len(quantities):
         raise invalid("quantities", quantities, f"a list of different {' or '.join(allowed)}")

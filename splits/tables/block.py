@@ -196,8 +196,8 @@ def _compute_directions(
         if name.startswith(DIFFUSE_PREFIX) != is_diffuse:
             continue
         axes = list_view_axes(name)
-        shape = (len(group.path_sharing.media), spectral_request.wavelengths.size)
-        shape += views.shape if axes else ()
+        n_media, n_wavelengths = len(group.path_sharing.media), spectral_request.wavelengths.size
+        shape = (n_media, n_wavelengths, *(views.shape if axes else ()))
         for suffix, array in zip(("", "_stderr"), values[name.removeprefix(prefix)], strict=True):
             by_medium = np.moveaxis(array.reshape(shape), 1, -1)[group.media_indices]
             if axes != VIEW_AXES and axes:

@@ -416,12 +416,11 @@ def differentiate_table(
     for name in names:
         if name not in axes:
             raise unknown_key(f"names.{name}", axes)
-    if len(set(names)) < len(names):
-        raise invalid("names", list(names), "different names")
-    for name in names:
         if dataset[name].size < 2:
             allowed = "an axis of at least two nodes"
             raise invalid(f"derivatives ({name})", dataset[name].size, allowed)
+    if len(set(names)) < len(names):
+        raise invalid("names", list(names), "different names")
     point = interpolation.complete_point(at)
     variables: dict[str, Any] = {}
     for quantity in interpolation.quantities:

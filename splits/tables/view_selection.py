@@ -42,7 +42,6 @@ from splits.tables.table_interpolation import (
 
 N_RINGS, N_RING_DIRECTIONS = 3, 8
 """Numbers of rings of a field of view, and of directions in each."""
-MAX_FIELD_OF_VIEW_DEG = 60.0
 LABELS = {
     "reflectance": "reflectance",
     "reflectance_factor": "reflectance factor",
@@ -66,9 +65,7 @@ ViewAzimuth = Annotated[
 ]
 FieldOfView = Annotated[
     float,
-    Quantity(
-        "full angle of a conical field of view", "degree", low=0.0, high=MAX_FIELD_OF_VIEW_DEG
-    ),
+    Quantity("full angle of a conical field of view", "degree", low=0.0, high=60.0),
 ]
 
 

@@ -309,4 +309,3 @@ def _draw_medium(axes: Axes, table: pd.DataFrame, styles: dict[str, tuple[Colour
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.grid(which="major", alpha=0.3)
-    axes.spines[["top", "right"]].set_visible(False)

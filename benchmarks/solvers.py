@@ -218,7 +218,6 @@ def draw_ways(table: pd.DataFrame) -> Figure:
                 )  # fmt: skip
             axes.set(title=name, xscale="log", yscale="log", xlabel="time on one core (ms)")
             axes.grid(which="major", alpha=0.3)
-            axes.spines[["top", "right"]].set_visible(False)
         panels[0].set_ylabel("largest deviation of the reflectance")
         place_legend_above(figure, panels[0].get_legend_handles_labels()[0], None)
         return annotate_figure(figure, panels, "Open markers: other models of snow.")

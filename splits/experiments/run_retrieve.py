@@ -436,7 +436,7 @@ def make_true_medium(
     """Return a known medium and the incidence angle of its light, within the table."""
     assert section.synthetic is not None
     truth, key = dict(section.synthetic.truth[sample]), f"retrieve_return.synthetic.truth.{sample}"
-    rows = dict(zip(*experiment.make_axes(), strict=True))
+    rows = experiment.make_axes()
     keywords = list(signature(MEDIUM_CLASSES[get_kind(experiment.medium)]).parameters)
     known = (*truth, SCALE)
     check_relations(

@@ -33,7 +33,7 @@ from splits.tables.assembly import (
     compute_table_bytes,
     write_table_blockwise,
 )
-from splits.tables.axes import ViewGrid, check_quantities, drop_view_axes, has_diffuse
+from splits.tables.axes import VIEW_AXES, ViewGrid, check_quantities, has_diffuse
 from splits.tables.block import TableRequest
 from splits.tables.build import (
     BLOCK_PREFIX,
@@ -77,7 +77,7 @@ def prepare_table(
     quantities = check_quantities(instrument.get("quantities"), views, has_covariance)
     with experiment.locate_errors({}):
         plan = TablePlan.from_grid(
-            experiment.make_medium, drop_view_axes(axes), wavelengths, incidence,
+            experiment.make_medium, axes.drop(*VIEW_AXES), wavelengths, incidence,
             has_views=views is not None, with_diffuse=has_diffuse(quantities),
         )  # fmt: skip
     error, rays = instrument.scale_stderr(accuracy.max_stderr), accuracy.max_rays or MAX_RAYS

@@ -228,17 +228,11 @@ def orient_horizontal_normal(d):
 # The plane of incidence is the reference plane of all beams, see `splits.kernels.stokes`.
 
 
-class ReflectionMueller(NamedTuple):
-    """Elements R₊, R₋ and a + ib = r_p r_s* of reflection, see `compute_mueller`."""
+class MuellerElements(NamedTuple):
+    """Elements of reflection or refraction, see `compute_mueller`.
 
-    plus: float
-    minus: float
-    real: float
-    imaginary: float
-
-
-class TransmissionMueller(NamedTuple):
-    """Elements T₊, T₋ and c + id = √(T_s T_p) e^(iδ) of refraction, see `compute_mueller`."""
+    R₊, R₋ and a + ib = r_p r_s*, or T₊, T₋ and c + id = √(T_s T_p) e^(iδ).
+    """
 
     plus: float
     minus: float
@@ -249,8 +243,8 @@ class TransmissionMueller(NamedTuple):
 class InterfaceMueller(NamedTuple):
     """Mueller matrices of an interface, and its unpolarized `FresnelResult`."""
 
-    reflection: ReflectionMueller
-    transmission: TransmissionMueller
+    reflection: MuellerElements
+    transmission: MuellerElements
     fresnel_result: FresnelResult
 
 
@@ -334,8 +328,8 @@ def compute_mueller(m, g, k, cos_i):
     """
     if g == 0.0 and k == 0.0:
         return InterfaceMueller(
-            ReflectionMueller(0.0, 0.0, 0.0, 0.0),
-            TransmissionMueller(1.0, 0.0, 1.0, 0.0),
+            MuellerElements(0.0, 0.0, 0.0, 0.0),
+            MuellerElements(1.0, 0.0, 1.0, 0.0),
             FresnelResult(0.0, 1.0, cos_i),
         )
     sin2 = (1.0 - cos_i) * (1.0 + cos_i)
@@ -345,11 +339,11 @@ def compute_mueller(m, g, k, cos_i):
     if a == 0.0:
         wc = math.sqrt(b2) * cos_i
         per = 1.0 / (sin2 * sin2 + wc * wc)
-        reflection = ReflectionMueller(
+        reflection = MuellerElements(
             1.0, 0.0, (sin2 - wc) * (sin2 + wc) * per, -2.0 * sin2 * wc * per
         )
         return InterfaceMueller(
-            reflection, TransmissionMueller(0.0, 0.0, 0.0, 0.0), FresnelResult(1.0, 0.0, 0.0)
+            reflection, MuellerElements(0.0, 0.0, 0.0, 0.0), FresnelResult(1.0, 0.0, 0.0)
         )
     wc = a * cos_i
     per_s = 1.0 / (cos_i + a)
@@ -363,8 +357,8 @@ def compute_mueller(m, g, k, cos_i):
     t = m * per_p
     ratio = 1.0 / math.sqrt(a * a + sin2)
     return InterfaceMueller(
-        ReflectionMueller(r_plus, r_minus, rs * h, 0.0),
-        TransmissionMueller(0.5 * ts * (1.0 + t * t), -r_minus, ts * t, 0.0),
+        MuellerElements(r_plus, r_minus, rs * h, 0.0),
+        MuellerElements(0.5 * ts * (1.0 + t * t), -r_minus, ts * t, 0.0),
         FresnelResult(r_plus, ratio, a * ratio),
     )
 
@@ -383,7 +377,7 @@ def _compute_absorbing_mueller(m, g, k, cos_i, sin2):
     rs = (real * real + imaginary * imaginary) * per_s * per_s
     r_plus = min(0.5 * rs * (1.0 + (minus * minus + bc * bc) * per_h), 1.0)
     r_minus = -2.0 * rs * sin2 * ac * per_h
-    reflection = ReflectionMueller(
+    reflection = MuellerElements(
         r_plus, r_minus, rs * (minus * plus - bc * bc) * per_h, -2.0 * rs * sin2 * bc * per_h
     )
     t_plus = 1.0 - r_plus
@@ -393,7 +387,7 @@ def _compute_absorbing_mueller(m, g, k, cos_i, sin2):
     ratio = 1.0 / math.sqrt(a * a + sin2)
     return InterfaceMueller(
         reflection,
-        TransmissionMueller(t_plus, -r_minus, scale * x, scale * y),
+        MuellerElements(t_plus, -r_minus, scale * x, scale * y),
         FresnelResult(r_plus, ratio, a * ratio),
     )
 
@@ -435,7 +429,7 @@ def apply_mueller(d, incident, elements):
     ----------
     d : Vector
     incident : IncidentLight
-    elements : ReflectionMueller or TransmissionMueller
+    elements : MuellerElements
     """
     plus, minus, real, imaginary = elements
     _, plane_normal, q, u, v = incident

@@ -26,14 +26,13 @@ from splits.plotting.panels import (
     check_count,
 )
 from splits.plotting.style import (
-    BAND_SIGMA,
     ONE_COLUMN_INCHES,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
-    Colour,
     OffscreenFigure,
     annotate_figure,
     describe_conditions,
+    draw_band,
     make_panel_title,
     use_style,
 )
@@ -147,6 +146,7 @@ _MARKER_STYLE: dict[str, Any] = {
 }
 
 
+@use_style()
 def draw_hemispheres(
     dataset: xr.Dataset,
     quantity: Sequence[str] = ("brdf",),
@@ -180,18 +180,17 @@ def draw_hemispheres(
     check_count("maps", count * len(quantity), MAX_PANELS, select)
     columns = min(MAX_MAP_COLUMNS, count)
     rows = -(-count // columns)
-    with use_style():
-        width = ONE_COLUMN_INCHES if count == 1 else TWO_COLUMNS_INCHES
-        block_height = 2.6 if count == 1 else 0.25 + _MAP_HEIGHT_INCHES * rows
-        figure = OffscreenFigure(width, block_height * len(quantity))
-        grid = figure.add_gridspec(rows * len(quantity), columns)
-        panels = []
-        for number, name in enumerate(quantity):
-            grid_cells = [grid[number * rows + i // columns, i % columns] for i in range(count)]
-            panels += draw_maps(figure, grid_cells, dataset, name, legend)
-        return annotate_figure(
-            figure, panels, describe_conditions(dataset, select, ""), make_maps_note(quantity)
-        )
+    width = ONE_COLUMN_INCHES if count == 1 else TWO_COLUMNS_INCHES
+    block_height = 2.6 if count == 1 else 0.25 + _MAP_HEIGHT_INCHES * rows
+    figure = OffscreenFigure(width, block_height * len(quantity))
+    grid = figure.add_gridspec(rows * len(quantity), columns)
+    panels = []
+    for number, name in enumerate(quantity):
+        grid_cells = [grid[number * rows + i // columns, i % columns] for i in range(count)]
+        panels += draw_maps(figure, grid_cells, dataset, name, legend)
+    return annotate_figure(
+        figure, panels, describe_conditions(dataset, select, ""), make_maps_note(quantity)
+    )
 
 
 def make_maps_note(quantity: Sequence[str]) -> str:
@@ -364,12 +363,7 @@ _SURFACE_STYLE: dict[str, Any] = {
 }  # fmt: skip
 
 
-def _lighten(colour: Colour) -> Colour:
-    """Return a lighter colour, which remains visible when shaded."""
-    red, green, blue = (0.6 * c + 0.4 for c in to_rgb(colour))
-    return red, green, blue
-
-
+@use_style()
 def draw_lobes(dataset: xr.Dataset, select: Mapping[str, float | str] | None = None) -> Figure:
     """Draw the BRDF of every point of a grid as a surface, and its principal plane below.
 
@@ -393,48 +387,47 @@ def draw_lobes(dataset: xr.Dataset, select: Mapping[str, float | str] | None = N
     top = 1.05 * float(dataset.brdf.max()) or 1.0
     columns = min(MAX_LOBE_COLUMNS, len(lines))
     rows = -(-len(lines) // columns)
-    with use_style():
-        figure = OffscreenFigure(
-            ONE_COLUMN_INCHES if columns == 1 else TWO_COLUMNS_INCHES, 0.3 + 2.8 * rows
-        )
-        surfaces, planes = [], []
-        for number, grid_line in enumerate(lines):
-            row, column = divmod(number, columns)
-            position = 2 * row * columns + column + 1
-            axes = figure.add_subplot(2 * rows, columns, position, projection="3d")
-            lobe = select_line(periodic, grid_line.labels)
-            polar = np.radians(lobe.polar_deg.values)[:, np.newaxis]
-            radius = lobe.brdf.transpose("polar_deg", "azimuth_deg").values
-            axes.plot_surface(
-                radius * np.sin(polar) * np.cos(azimuth),
-                radius * np.sin(polar) * np.sin(azimuth),
-                radius * np.cos(polar) * np.ones_like(azimuth),
-                color=_lighten(grid_line.colour), **_SURFACE_STYLE,
-            )  # fmt: skip
-            axes.set(xlim=(-top, top), ylim=(-top, top), zlim=(0.0, top))
-            axes.set_box_aspect((2, 2, 1), zoom=1.5)
-            axes.set_axis_off()
-            axes.view_init(elev=20, azim=-70)
-            line = select_line(plane, grid_line.labels)
-            incidence = np.radians(get_incidence_deg(line))
-            arrow = 1.1 * top * np.array([-np.sin(incidence), 0.0, np.cos(incidence)])
-            axes.plot(*np.stack([arrow, np.zeros(3)], axis=1), color="black", lw=0.7, ls="--")
-            axes.set_title(make_panel_title(grid_line.labels))
-            flat = figure.add_subplot(2 * rows, columns, position + columns, projection="polar")
-            angle = to_plot_angle(line.angle.values)
-            value, error = line.brdf.values, BAND_SIGMA * line.brdf_stderr.values
-            flat.plot(angle, np.maximum(value, 0.0), color=grid_line.colour)
-            low = np.maximum(value - error, 0.0)
-            flat.fill_between(angle, low, value + error, color=grid_line.colour, alpha=0.3, lw=0)
-            flat.plot([-incidence, -incidence], [0.0, top], color="black", lw=0.7, ls="--")
-            format_half_circle(flat, top)
-            surfaces.append(axes)
-            planes.append(flat)
-        figure.suptitle(QUANTITY_LABELS["brdf"] + ", dashed: towards the source")
-        panels = [
-            axes
-            for first in range(0, len(lines), columns)
-            for row in (surfaces, planes)
-            for axes in row[first : first + columns]
-        ]
-        return annotate_figure(figure, panels, describe_conditions(dataset, select))
+    figure = OffscreenFigure(
+        ONE_COLUMN_INCHES if columns == 1 else TWO_COLUMNS_INCHES, 0.3 + 2.8 * rows
+    )
+    surfaces, planes = [], []
+    for number, grid_line in enumerate(lines):
+        row, column = divmod(number, columns)
+        position = 2 * row * columns + column + 1
+        axes = figure.add_subplot(2 * rows, columns, position, projection="3d")
+        lobe = select_line(periodic, grid_line.labels)
+        polar = np.radians(lobe.polar_deg.values)[:, np.newaxis]
+        radius = lobe.brdf.transpose("polar_deg", "azimuth_deg").values
+        axes.plot_surface(
+            radius * np.sin(polar) * np.cos(azimuth),
+            radius * np.sin(polar) * np.sin(azimuth),
+            radius * np.cos(polar) * np.ones_like(azimuth),
+            # Lighter, so that it remains visible when shaded.
+            color=[0.6 * c + 0.4 for c in to_rgb(grid_line.colour)], **_SURFACE_STYLE,
+        )  # fmt: skip
+        axes.set(xlim=(-top, top), ylim=(-top, top), zlim=(0.0, top))
+        axes.set_box_aspect((2, 2, 1), zoom=1.5)
+        axes.set_axis_off()
+        axes.view_init(elev=20, azim=-70)
+        line = select_line(plane, grid_line.labels)
+        incidence = np.radians(get_incidence_deg(line))
+        arrow = 1.1 * top * np.array([-np.sin(incidence), 0.0, np.cos(incidence)])
+        axes.plot(*np.stack([arrow, np.zeros(3)], axis=1), color="black", lw=0.7, ls="--")
+        axes.set_title(make_panel_title(grid_line.labels))
+        flat = figure.add_subplot(2 * rows, columns, position + columns, projection="polar")
+        angle = to_plot_angle(line.angle.values)
+        value, error = line.brdf.values, line.brdf_stderr.values
+        flat.plot(angle, np.maximum(value, 0.0), color=grid_line.colour)
+        draw_band(flat, angle, value, error, 0.0, color=grid_line.colour, alpha=0.3)
+        flat.plot([-incidence, -incidence], [0.0, top], color="black", lw=0.7, ls="--")
+        format_half_circle(flat, top)
+        surfaces.append(axes)
+        planes.append(flat)
+    figure.suptitle(QUANTITY_LABELS["brdf"] + ", dashed: towards the source")
+    panels = [
+        axes
+        for first in range(0, len(lines), columns)
+        for row in (surfaces, planes)
+        for axes in row[first : first + columns]
+    ]
+    return annotate_figure(figure, panels, describe_conditions(dataset, select))

@@ -8,7 +8,6 @@ from types import MappingProxyType
 from typing import Any
 
 import pandas as pd
-import xarray as xr
 from matplotlib.figure import Figure
 
 from splits.core.inputs import ResultDataset
@@ -21,8 +20,7 @@ from splits.plotting.points import draw_points, draw_summary, draw_swatches
 from splits.plotting.principal_plane import draw_bin_sizes, draw_polarization, draw_principal_planes
 from splits.plotting.rough_surface import draw_lens, draw_surface
 from splits.plotting.sand_fit import draw_fits
-from splits.plotting.season import draw_season
-from splits.plotting.spectra import draw_refractive_indices, draw_spectra
+from splits.plotting.spectra import draw_refractive_indices, draw_season, draw_spectra
 from splits.plotting.style import add_notes, use_style
 from splits.plotting.time_of_flight import draw_beam_spread, draw_range_bias, draw_returns
 
@@ -48,14 +46,14 @@ FUNCTIONS: dict[str, Callable[..., Figure]] = {
 """Functions that draw the kinds of figures; their arguments are `FIGURE_SETTINGS`."""
 POINT_KINDS = ("lobes", "bins", "spread", "surface", "lens")
 """Kinds of figures of one point of a grid; for lobes, one parameter may vary."""
-NO_SETTINGS: Mapping[str, Any] = MappingProxyType({})
 OTHER_SETTINGS = ("kind", "note", "measured")
 
 
 @declare_function
+@use_style()
 def draw(
     dataset: ResultDataset,
-    section: Mapping[str, Any] = NO_SETTINGS,
+    section: Mapping[str, Any] = MappingProxyType({}),
     measured: pd.DataFrame | None = None,
 ) -> Figure:
     """Draw a dataset according to the figure section of an experiment.
@@ -80,7 +78,9 @@ def draw(
     for key in section:
         if key not in known:
             raise unknown_key(f"figure.{key}", sorted(known))
-    kind = section.get("kind") or _choose_kind(dataset)
+    kinds = INSTRUMENT_FIGURES.get(str(dataset.attrs.get("instrument")), ("spectra",))
+    default_kind = kinds[0] if kinds[0] != "season" else "spectra"
+    kind = section.get("kind") or ("season" if FLAG_NAME in dataset else default_kind)
     check_choice("figure.kind", kind, FUNCTIONS)
     check_settings(kind, section)
     settings = {key: value for key, value in section.items() if value and key not in OTHER_SETTINGS}
@@ -98,27 +98,15 @@ def draw(
     for name in settings.get("quantity", ()) if "band_albedo" not in names else ():
         check_choice("figure.quantity", name, names)
     if kind in POINT_KINDS:
-        _check_point(kind, dataset, settings.get("select", {}))
+        select = settings.get("select", {})
+        grid = json.loads(dataset.attrs.get("configuration", "{}")).get("grid", {})
+        free = [name for name in grid if name in dataset.dims and name not in select]
+        if len(free) > (kind == "lobes"):
+            allowed = f"with a value of {', '.join(free)} for a figure of kind {kind}"
+            hint = "it shows one point of the grid; the dataset holds all"
+            raise invalid("figure.select", dict(select), allowed, hint)
     if measured is not None:
         settings["measured"] = measured
     figure = FUNCTIONS[kind](dataset, **settings)
-    with use_style():
-        add_notes(figure, section.get("note") or "")
+    add_notes(figure, section.get("note") or "")
     return figure
-
-
-def _choose_kind(dataset: xr.Dataset) -> str:
-    """Return the kind of figure for the result of an instrument, by default spectra."""
-    kinds = INSTRUMENT_FIGURES.get(str(dataset.attrs.get("instrument")), ("spectra",))
-    is_season = FLAG_NAME in dataset
-    return "season" if is_season else kinds[0] if kinds[0] != "season" else "spectra"
-
-
-def _check_point(kind: str, dataset: xr.Dataset, select: Mapping[str, Any]) -> None:
-    """Reject the points of a grid for a figure that shows a single one."""
-    grid = json.loads(dataset.attrs.get("configuration", "{}")).get("grid", {})
-    free = [name for name in grid if name in dataset.dims and name not in select]
-    if len(free) > (kind == "lobes"):
-        allowed = f"with a value of {', '.join(free)} for a figure of kind {kind}"
-        hint = "it shows one point of the grid; the dataset holds all"
-        raise invalid("figure.select", dict(select), allowed, hint)

@@ -1,4 +1,4 @@
-"""Lines of figures: colours, dashes, legends, and ticks at nodes of tables with kinks."""
+"""Lines of figures: colours, dashes, legends, ticks at nodes of tables with kinks, and shifts."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import itertools
 import math
 import re
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from textwrap import fill
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -19,15 +20,21 @@ from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 
 from splits.materials import TabulatedIndex, list_datasets, make_refractive_index
-from splits.plotting.panels import DEFAULT_LABEL, MAX_LINES, check_count
+from splits.plotting.panels import DEFAULT_LABEL, MAX_LINES, MAX_PANELS, check_count
 from splits.plotting.style import (
+    BAND_SIGMA,
     NOMINAL_PARAMETERS,
     TWO_COLUMNS_INCHES,
     Colour,
     Dash,
+    annotate_figure,
+    draw_curve,
     format_parameter,
     format_value,
+    make_subplots,
     pick_colours,
+    start_at_zero,
+    use_style,
 )
 
 DASHES: tuple[Dash, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (8, 3)))
@@ -85,7 +92,9 @@ class PlotLines:
         if self.colour_dim and n_lines // sizes[self.colour_dim] > len(DASHES):
             self.colour_dim = max(sizes, key=lambda d: sizes[d])
         n_dashed = n_lines // sizes.get(self.colour_dim, 1)
-        is_nominal = self._is_nominal(self.colour_dim)
+        is_nominal = self.colour_dim in NOMINAL_PARAMETERS and not np.issubdtype(
+            self._values[self.colour_dim].dtype, np.number
+        )
         # Colours of nominal values repeat, which dashes of other dimensions cannot resolve.
         repeats = is_nominal and n_dashed > 1 and sizes[self.colour_dim] > MAX_COLOUR_ENTRIES
         is_crowded = n_dashed > len(DASHES) or repeats
@@ -96,7 +105,11 @@ class PlotLines:
             d for d in dims if d != self.colour_dim and sizes[d] > 1 and not is_crowded
         ]
         values = self._values.get(self.colour_dim, np.zeros(n_lines if is_crowded else 1))
-        self.colours = _assign_colours(values, self.colour_dim if is_nominal else None)
+        coloured = [v for v in values if str(v) != DEFAULT_LABEL]
+        colours = iter(pick_colours(len(coloured), self.colour_dim if is_nominal else None))
+        self.colours: list[Colour] = [
+            "black" if str(v) == DEFAULT_LABEL else next(colours) for v in values
+        ]
         self.has_colour_bar = len(values) > MAX_COLOUR_ENTRIES and not is_nominal and not is_crowded
         dash_points = list(np.ndindex(*(sizes[d] for d in self.dash_dims)))
         self.lines: list[PlotLine] = []
@@ -117,9 +130,6 @@ class PlotLines:
             text = " · ".join(format_value(value, d) for d, value in labels.items())
             dash = DASHES[dash_index % len(DASHES)]
             self.lines.append(PlotLine(labels, text, self.colours[row], dash, is_default, zorder))
-
-    def _is_nominal(self, dim: str) -> bool:
-        return dim in NOMINAL_PARAMETERS and not np.issubdtype(self._values[dim].dtype, np.number)
 
     def make_title(self) -> str:
         """Return the names of the dimensions."""
@@ -211,13 +221,6 @@ class PlotLines:
         colour_bar.ax.minorticks_off()
 
 
-def _assign_colours(values: np.ndarray, parameter: str | None) -> list[Colour]:
-    """Return a colour per value, black for the default."""
-    coloured = [v for v in values if str(v) != DEFAULT_LABEL]
-    colours = iter(pick_colours(len(coloured), parameter))
-    return ["black" if str(v) == DEFAULT_LABEL else next(colours) for v in values]
-
-
 def _make_heading(text: str) -> Line2D:
     return Line2D([], [], ls="none", label=text)
 
@@ -228,11 +231,24 @@ def is_covering_line(legend: Legend, axes: Axes) -> bool:
     assert figure is not None
     figure.draw_without_rendering()  # type: ignore[union-attr]
     box = legend.get_window_extent()
-    for line in axes.lines:
-        path = line.get_transform().transform_path(line.get_path())
-        if path.intersects_bbox(box, filled=False):
-            return True
-    return False
+    paths = (line.get_transform().transform_path(line.get_path()) for line in axes.lines)
+    return any(path.intersects_bbox(box, filled=False) for path in paths)
+
+
+def _place_legend(
+    figure: Figure, handles: Sequence[Artist], title: str | None,
+    loc: Literal["outside upper center", "outside right upper"], columns: int, max_width: float,
+) -> float:  # fmt: skip
+    """Place a legend in as many columns as a width (pixels) allows; return its height (inches)."""
+    for n_columns in range(columns, 0, -1):
+        legend = figure.legend(
+            handles=list(handles), title=title, frameon=False, loc=loc, ncols=n_columns
+        )
+        box = legend.get_window_extent()
+        if n_columns == 1 or box.width < max_width:
+            break
+        legend.remove()
+    return float(box.height / figure.dpi)
 
 
 def place_legend_above(figure: Figure, handles: Sequence[Artist], title: str | None) -> None:
@@ -245,18 +261,11 @@ def place_legend_above(figure: Figure, handles: Sequence[Artist], title: str | N
     handles : sequence of artists
     title : str or None
     """
-    if not handles:
-        return
-    for columns in range(len(handles), 0, -1):
-        legend = figure.legend(
-            handles=list(handles), title=title, frameon=False, loc="outside upper center",
-            ncols=columns,
-        )  # fmt: skip
-        box = legend.get_window_extent()
-        if columns == 1 or box.width < figure.bbox.width:
-            break
-        legend.remove()
-    figure.set_figheight(figure.get_figheight() + box.height / figure.dpi)
+    if handles:
+        height = _place_legend(
+            figure, handles, title, "outside upper center", len(handles), figure.bbox.width
+        )
+        figure.set_figheight(figure.get_figheight() + height)
 
 
 def place_legend_beside(figure: Figure, handles: Sequence[Artist], title: str | None) -> None:
@@ -270,19 +279,13 @@ def place_legend_beside(figure: Figure, handles: Sequence[Artist], title: str | 
     title : str or None
     """
     figure.set_figwidth(TWO_COLUMNS_INCHES)
-    if not handles:
-        return
-    rows = max(1, int(figure.get_figheight() / _LEGEND_ENTRY_INCHES) - 2)
-    for columns in range(-(-len(handles) // rows), 0, -1):
-        legend = figure.legend(
-            handles=list(handles), title=title, frameon=False, loc="outside right upper",
-            ncols=columns,
+    if handles:
+        rows = max(1, int(figure.get_figheight() / _LEGEND_ENTRY_INCHES) - 2)
+        height = _place_legend(
+            figure, handles, title, "outside right upper", -(-len(handles) // rows),
+            _MAX_LEGEND_FRACTION * figure.bbox.width,
         )  # fmt: skip
-        box = legend.get_window_extent()
-        if columns == 1 or box.width < _MAX_LEGEND_FRACTION * figure.bbox.width:
-            break
-        legend.remove()
-    figure.set_figheight(max(figure.get_figheight(), box.height / figure.dpi + 0.1))
+        figure.set_figheight(max(figure.get_figheight(), height + 0.1))
 
 
 COARSE_STEP_RATIO = 2.0
@@ -321,9 +324,12 @@ def find_coarse_nodes(dataset: xr.Dataset) -> dict[str, np.ndarray]:
     nodes: dict[str, tuple[float, np.ndarray]] = {}
     for key, name in dataset.attrs.items():
         match = _INDEX_ATTRIBUTE.fullmatch(str(key))
-        if match is None or not _is_in_use(dataset, match["medium"], match["material"]):
+        if match is None:
             continue
-        table = _find_table(match["material"], str(name))
+        medium, material = match.groups()
+        needed = (f"{medium}_{one}" for one in _FRACTION_PARAMETERS.get(material, ()))
+        is_in_use = all(float(dataset.attrs.get(one, 1.0)) > 0.0 for one in needed)
+        table = _find_table(material, str(name)) if is_in_use else None
         if table is None:
             continue
         rows = table.wavelength_nm
@@ -332,24 +338,14 @@ def find_coarse_nodes(dataset: xr.Dataset) -> dict[str, np.ndarray]:
         is_at_gap = np.concatenate([[False], is_wide]) | np.concatenate([is_wide, [False]])
         rows = rows[is_at_gap & (rows >= x[0]) & (rows <= x[-1])]
         if rows.size:
-            label = f"{match['material']} ({_format_table_name(str(name))})"
+            # The printed name of a table, such as Hale & Querry 1973.
+            table_name = re.sub(
+                r"^([a-z]+)_([a-z]+)_(\d{4})", r"\1 & \2 \3", str(name).partition(",")[0]
+            )
+            label = f"{material} ({table_name.replace('_', ' ').title()})"
             nodes[label] = (float(largest_gap), rows)
     order = sorted(nodes, key=lambda label: -nodes[label][0])
     return {label: nodes[label][1] for label in order}
-
-
-def _format_table_name(name: str) -> str:
-    """Return the printed name of a table, such as Hale & Querry 1973."""
-    authors = re.sub(r"^([a-z]+)_([a-z]+)_(\d{4})", r"\1 & \2 \3", name.partition(",")[0])
-    return authors.replace("_", " ").title()
-
-
-def _is_in_use(dataset: xr.Dataset, medium: str, material: str) -> bool:
-    """Return whether a medium contains a material according to its attributes."""
-    fractions = [
-        dataset.attrs.get(f"{medium}_{key}") for key in _FRACTION_PARAMETERS.get(material, ())
-    ]
-    return all(fraction is None or float(fraction) > 0.0 for fraction in fractions)
 
 
 def _find_table(material: str, name: str) -> TabulatedIndex | None:
@@ -386,3 +382,128 @@ def make_nodes_note(nodes: dict[str, np.ndarray]) -> str:
 def _get_tick_colour(name: str) -> tuple[str, str]:
     """Return the colour of a material's ticks, and the name of the colour."""
     return _TICK_COLOURS.get(name.partition(" ")[0], ("#666666", "grey"))
+
+
+# --------------------------------------------------------------------------------------------------
+# Panels of the shifts of curves from the one labelled ``default``.
+
+MAX_SHIFT_COLUMNS = 4
+SHIFT_COLOUR = "#1f6fb4"
+INDEPENDENCE_NOTE = (
+    "errors of shifts assume independent runs, though they share some random numbers"
+)
+"""Note on errors of shifts: points of a grid have the same seed, but not the same rays."""
+_PANEL_HEIGHT_INCHES = 1.2
+_MAX_TITLE_CHARS = 22
+"""Number of characters that fit above a panel."""
+
+
+def find_default_dim(dataset: xr.Dataset, dims: Sequence[str]) -> str | None:
+    """Return the only varying dimension if it has a value labelled ``default``, else None."""
+    varying = [d for d in dims if dataset.sizes[d] > 1]
+    if len(varying) != 1 or dataset.sizes[varying[0]] > MAX_PANELS:
+        return None
+    return varying[0] if DEFAULT_LABEL in map(str, dataset[varying[0]].values) else None
+
+
+def compute_shift(dataset: xr.Dataset, name: str, dim: str) -> tuple[xr.DataArray, xr.DataArray]:
+    """Return the shift of a quantity from its default along a dimension, and its standard error.
+
+    The runs are assumed independent, see `INDEPENDENCE_NOTE`.
+    """
+    default = dataset.sel({dim: DEFAULT_LABEL})
+    error = f"{name}_stderr"
+    variance = dataset[error] ** 2 + default[error] ** 2
+    return dataset[name] - default[name], variance**0.5
+
+
+@use_style()
+def draw_shifts(
+    dataset: xr.Dataset,
+    quantity: Sequence[str],
+    dim: str,
+    axis_dim: str,
+    labels: tuple[str, Sequence[str]],
+    note: str = "",
+    ylim: tuple[float, float] | None = None,
+) -> Figure:
+    """Draw the curve of the default, and the shift of every other one from it, a panel each.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Over `dim` and `axis_dim`; other dimensions have one value.
+    quantity : sequence of str
+        Quantities, each with a block of panels.
+    dim : str
+        See `find_default_dim`.
+    axis_dim : str
+        Dimension of the horizontal axis.
+    labels : (str, sequence of str)
+        Labels of the horizontal axis and of the quantities.
+    note : str
+        Note for the foot of the figure.
+    ylim : (low, high), optional
+        Limits of the panels of defaults; from 0 by default.
+    """
+    dataset = dataset.squeeze([d for d, n in dataset.sizes.items() if n == 1 and d in
+                               dataset[quantity[0]].dims and d not in (dim, axis_dim)])  # fmt: skip
+    others = [str(v) for v in dataset[dim].values if str(v) != DEFAULT_LABEL]
+    columns = min(MAX_SHIFT_COLUMNS, 1 + len(others))
+    rows_per_quantity = -(-(1 + len(others)) // columns)
+    nodes = find_coarse_nodes(dataset) if axis_dim == "wavelength" else {}
+    figure, panels = make_subplots(
+        rows_per_quantity * len(quantity),
+        columns,
+        width=TWO_COLUMNS_INCHES,
+        sharex=True,
+        squeeze=False,
+        height=0.4 + _PANEL_HEIGHT_INCHES * rows_per_quantity * len(quantity),
+    )
+    for number, (name, label) in enumerate(zip(quantity, labels[1], strict=True)):
+        part = panels[number * rows_per_quantity : (number + 1) * rows_per_quantity].ravel()
+        _draw_block(part, dataset, name, dim, axis_dim)
+        part[0].set_ylabel(label)
+        start_at_zero(part[0], name, ylim)
+        for axes in part:
+            draw_node_ticks(axes, nodes)
+        for row in (
+            part.reshape(rows_per_quantity, columns)[:, 0] if rows_per_quantity > 1 else part[1:2]
+        ):
+            if row is not part[0]:
+                row.set_ylabel("shift")
+    for column in panels.T:
+        shown = [axes for axes in column if axes.get_visible()]
+        shown[-1].tick_params(labelbottom=True)
+        shown[-1].set_xlabel(labels[0])
+    shift_note = f"Shifts: value minus that of the default in panel (a); {INDEPENDENCE_NOTE}."
+    return annotate_figure(figure, panels.flat, note, shift_note, make_nodes_note(nodes))
+
+
+def _draw_block(
+    panels: np.ndarray, dataset: xr.Dataset, name: str, dim: str, axis_dim: str
+) -> None:
+    """Draw the default in the first panel, and the shifts of the others in the following ones."""
+    x = dataset[axis_dim].values
+    default = dataset.sel({dim: DEFAULT_LABEL})
+    errors = default[f"{name}_stderr"].values
+    draw_curve(panels[0], x, default[name].values, errors, color="black")
+    panels[0].set_title("default")
+    shift, error = compute_shift(dataset, name, dim)
+    others = [v for v in dataset[dim].values if str(v) != DEFAULT_LABEL]
+    limit = 1.05 * float((np.abs(shift) + BAND_SIGMA * error).max()) or 1.0
+    for axes, other in zip(panels[1:], others, strict=False):
+        selection = {dim: other}
+        values, errors = shift.sel(selection).values, error.sel(selection).values
+        draw_curve(axes, x, values, errors, color=SHIFT_COLOUR)
+        axes.axhline(0.0, color="black", lw=0.6, zorder=1.5)
+        axes.set_ylim(-limit, limit)
+        # A line break may separate a dollar sign from its escape.
+        value = format_value(other, dim)
+        text = value if dim in NOMINAL_PARAMETERS else f"{format_parameter(dim)}: {value}"
+        title = fill(text, _MAX_TITLE_CHARS).replace("\\\n$", "\n\\$")
+        axes.set_title(title)
+    for axes in panels[: 1 + len(others)]:
+        axes.margins(x=0.01)
+    for axes in panels[1 + len(others) :]:
+        axes.set_visible(False)

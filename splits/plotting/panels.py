@@ -46,7 +46,6 @@ MAX_COLUMNS = 16
 """Largest number of columns of colour patches."""
 MIN_AZIMUTHS, MIN_POLAR_ANGLES, MAX_AZIMUTH_GAP_DEG = 8, 3, 60.0
 """Smallest numbers of directions of a hemisphere map, and the largest gap in azimuth."""
-REDUCTION_HINT = "the dataset holds all; or use figure: none"
 
 
 def check_settings(kind: str, section: Mapping[str, object]) -> None:
@@ -56,17 +55,6 @@ def check_settings(kind: str, section: Mapping[str, object]) -> None:
             owners = [one for one, settings in FIGURE_SETTINGS.items() if key in settings]
             allowed, hint = f"left out for kind {kind}", f"it belongs to {', '.join(owners)}"
             raise invalid(f"figure.{key}", value, allowed, hint)
-
-
-def make_limit_error(items: str, count: int, limit: int, selection: object) -> ValueError:
-    """Return the error for a figure that exceeds a limit, with the remedy."""
-    allowed = f"with values of enough parameters to leave at most {limit} {items} of {count}"
-    return invalid(
-        "figure.select",
-        dict(selection) if isinstance(selection, Mapping) else selection,
-        allowed,
-        REDUCTION_HINT,
-    )
 
 
 def check_count(
@@ -80,7 +68,9 @@ def check_count(
         The message names the remedy.
     """
     if count > limit:
-        raise make_limit_error(items, count, limit, selection or {})
+        allowed = f"with values of enough parameters to leave at most {limit} {items} of {count}"
+        hint = "the dataset holds all; or use figure: none"
+        raise invalid("figure.select", dict(selection or {}), allowed, hint)
 
 
 def choose_panel_parameters(
@@ -117,7 +107,7 @@ def choose_panel_parameters(
             f"lines, or {MAX_PANELS} panels of two more parameters with at most {MAX_LINES} "
             "lines of the first,"
         )
-        raise make_limit_error(items, count, MAX_LINES, selection or {})
+        check_count(items, count, MAX_LINES, selection)
     return others
 
 

@@ -16,8 +16,13 @@ from splits.analysis.colour import make_colour_table
 from splits.core.escaping import escape_mathtext
 from splits.core.validation import invalid
 from splits.io.netcdf import select_points
-from splits.plotting.interpretation_shifts import INDEPENDENCE_NOTE, compute_shift, find_default_dim
-from splits.plotting.lines import PlotLines, place_legend_beside
+from splits.plotting.lines import (
+    INDEPENDENCE_NOTE,
+    PlotLines,
+    compute_shift,
+    find_default_dim,
+    place_legend_beside,
+)
 from splits.plotting.panels import DEFAULT_LABEL, MAX_COLUMNS, MAX_ROWS, check_count
 from splits.plotting.principal_plane import draw_principal_planes
 from splits.plotting.spectra import draw_small_multiples, draw_spectra
@@ -43,6 +48,7 @@ _MAX_STATED_VALUES = 4
 """Largest number of series for which all values of the default are stated."""
 
 
+@use_style()
 def draw_points(
     dataset: xr.Dataset,
     quantity: Sequence[str] = ("reflectance",),
@@ -74,38 +80,44 @@ def draw_points(
     check_count("points", len(names), MAX_ROWS, select)
     dim = find_default_dim(dataset, dims)
     series = PlotLines(dataset, ["wavelength"])
-    with use_style():
-        figure, panels = make_subplots(
-            1, len(quantity), width=ONE_COLUMN_INCHES if len(quantity) == 1 else TWO_COLUMNS_INCHES,
-            height=0.7 + 0.17 * max(len(names), 4), sharey=True, squeeze=False,
-        )  # fmt: skip
-        for axes, name in zip(panels[0], quantity, strict=True):
-            long_name = escape_mathtext(str(dataset[name].attrs.get("long_name", name)))
-            if "wavelength" in dataset[name].dims:
-                _draw_series(axes, dataset, name, series, dim)
-                axes.set_xlabel(_make_axis_label(dataset, name, long_name, dim))
-            else:
-                _draw_lengths(axes, 1e3 * dataset[name].values.ravel())
-                axes.set_xlabel(f"{long_name} (mm)")
-            axes.grid(axis="x", alpha=0.3)
-            axes.set_ylim(len(names) - 0.4, -0.6)
-            axes.spines[["top", "right"]].set_visible(False)
-        first = panels[0, 0]
-        first.set_yticks(range(len(names)), names)
-        first.set_ylabel(legend or "\n".join(map(format_parameter, dims)))
-        handles: list[Artist] = []
-        for axes in panels[0]:
-            handles = handles or axes.get_legend_handles_labels()[0]
-        if series.has_colour_bar and handles:
-            series.add_legend(figure, list(panels[0]))
-        elif len(handles) > 1:
-            place_legend_beside(figure, handles, series.make_title())
-        has_spectra = any("wavelength" in dataset[name].dims for name in quantity)
-        shift_note = f"Shifts: {INDEPENDENCE_NOTE}." if dim and has_spectra else ""
-        band = "bars" if has_spectra else ""
-        return annotate_figure(
-            figure, panels[0], describe_conditions(dataset, select, band), shift_note
-        )
+    figure, panels = make_subplots(
+        1, len(quantity), width=ONE_COLUMN_INCHES if len(quantity) == 1 else TWO_COLUMNS_INCHES,
+        height=0.7 + 0.17 * max(len(names), 4), sharey=True, squeeze=False,
+    )  # fmt: skip
+    for axes, name in zip(panels[0], quantity, strict=True):
+        long_name = escape_mathtext(str(dataset[name].attrs.get("long_name", name)))
+        if "wavelength" in dataset[name].dims:
+            _draw_series(axes, dataset, name, series, dim)
+            axes.set_xlabel(_make_axis_label(dataset, name, long_name, dim))
+        else:
+            # Lengths have no errors.
+            values = 1e3 * dataset[name].values.ravel()
+            axes.plot(values, range(values.size), "o", color=pick_colours(1)[0])
+            for y, x in enumerate(values):
+                axes.annotate(
+                    f"{x:.3f}", (x, y), xytext=(5, 0), textcoords="offset points", va="center",
+                    fontsize=SMALL_FONT_PT,
+                )  # fmt: skip
+            axes.set_xlim(0, 1.2 * values.max())
+            axes.set_xlabel(f"{long_name} (mm)")
+        axes.grid(axis="x", alpha=0.3)
+        axes.set_ylim(len(names) - 0.4, -0.6)
+    first = panels[0, 0]
+    first.set_yticks(range(len(names)), names)
+    first.set_ylabel(legend or "\n".join(map(format_parameter, dims)))
+    handles: list[Artist] = []
+    for axes in panels[0]:
+        handles = handles or axes.get_legend_handles_labels()[0]
+    if series.has_colour_bar and handles:
+        series.add_legend(figure, list(panels[0]))
+    elif len(handles) > 1:
+        place_legend_beside(figure, handles, series.make_title())
+    has_spectra = any("wavelength" in dataset[name].dims for name in quantity)
+    shift_note = f"Shifts: {INDEPENDENCE_NOTE}." if dim and has_spectra else ""
+    band = "bars" if has_spectra else ""
+    return annotate_figure(
+        figure, panels[0], describe_conditions(dataset, select, band), shift_note
+    )
 
 
 def _make_axis_label(dataset: xr.Dataset, name: str, long_name: str, dim: str | None) -> str:
@@ -141,18 +153,6 @@ def _draw_series(
             x, y, xerr=BAND_SIGMA * error.sel(line.labels).values.ravel(),
             fmt="o", ms=2.5, color=line.colour, elinewidth=0.8, label=line.label,
         )  # fmt: skip
-
-
-def _draw_lengths(axes: Axes, value: np.ndarray) -> None:
-    """Draw lengths, which have no errors, with their values."""
-    rows = range(value.size)
-    axes.plot(value, rows, "o", color=pick_colours(1)[0])
-    for x, y in zip(value, rows, strict=True):
-        axes.annotate(
-            f"{x:.3f}", (x, y), xytext=(5, 0), textcoords="offset points", va="center",
-            fontsize=SMALL_FONT_PT,
-        )  # fmt: skip
-    axes.set_xlim(0, 1.2 * value.max())
 
 
 MAX_SUMMARY_LINES = 6
@@ -192,7 +192,10 @@ def draw_summary(
     free = sorted((n for n in axes if n not in select), key=lambda n: -dataset.sizes[n])
     views = [name for name in free if name in VIEW_AXES and dataset.sizes[name] > 1]
     is_directional = all(name in VIEW_QUANTITIES for name in quantity)
-    if is_directional and len(views) == len(VIEW_AXES) and _has_principal_planes(dataset):
+    # Under beams, and with both sides of the principal plane.
+    is_beam = INCIDENCE not in dataset.dims or dataset[INCIDENCE].dtype.kind in "fi"
+    is_directional = is_directional and is_beam and len(views) == len(VIEW_AXES)
+    if is_directional and np.isin([0.0, 180.0], dataset[AZIMUTH]).all():
         return _draw_views(dataset.sel(dict(select)), quantity, legend)
     free = [name for name in free if name not in VIEW_AXES and dataset.sizes[name] > 1]
     lines, panel_dims, rest = free[:1], free[1:3], free[3:] + views
@@ -227,13 +230,7 @@ BRIGHTNESS_LEVELS = (0.9, 0.5, 0.1)
 """Mean reflectances of the wavelengths that are shown, relative to the largest."""
 
 
-def _has_principal_planes(dataset: xr.Dataset) -> bool:
-    """Return whether a table is under beams and has both sides of the principal plane."""
-    azimuth = dataset[AZIMUTH].values
-    is_beam = INCIDENCE not in dataset.dims or dataset[INCIDENCE].dtype.kind in "fi"
-    return is_beam and bool(np.isin([0.0, 180.0], azimuth).all())
-
-
+@use_style()
 def _draw_views(dataset: xr.Dataset, quantity: Sequence[str], legend: str | None) -> Figure:
     """Draw the principal plane of a table over directions, by angle of incidence."""
     axes = dataset[quantity[0]].dims
@@ -253,8 +250,7 @@ def _draw_views(dataset: xr.Dataset, quantity: Sequence[str], legend: str | None
         f"{format_parameter(str(n))} {format_value(part[n].item(), str(n))}" for n in fixed
     )
     figure = draw_principal_planes(part.drop_vars(fixed), quantity, legend=legend)
-    with use_style():
-        add_notes(figure, f"at {note}" if note else "")
+    add_notes(figure, f"at {note}" if note else "")
     return figure
 
 
@@ -269,6 +265,7 @@ _MAX_LABELLED_COLUMNS = 9
 """Largest number of columns of patches with numbers."""
 
 
+@use_style()
 def draw_swatches(dataset: xr.Dataset, select: Mapping[str, float | str] | None = None) -> Figure:
     """Draw a patch of colour for every point of a grid of one or two parameters.
 
@@ -296,36 +293,31 @@ def draw_swatches(dataset: xr.Dataset, select: Mapping[str, float | str] | None 
     # The grid's first parameter varies slowest in the table.
     patches = table[["red", "green", "blue"]].to_numpy().reshape(columns, rows, 3)
     light = table["L"].to_numpy().reshape(columns, rows)
-    with use_style():
-        figure, axes = make_subplots(
-            width=ONE_COLUMN_INCHES if columns <= _MAX_NARROW_COLUMNS else TWO_COLUMNS_INCHES,
-            height=0.5 + 0.4 * rows,
-        )
-        axes.imshow(np.swapaxes(patches, 0, 1), aspect="auto", interpolation="nearest")
-        for i in range(columns):
-            for j in range(rows if columns <= _MAX_LABELLED_COLUMNS else 0):
-                code = table["srgb"].iloc[i * rows + j]
-                text_colour = "black" if light[i, j] > 50.0 else "white"
-                axes.text(
-                    i,
-                    j,
-                    f"{code}\nL* {light[i, j]:.1f}",
-                    color=text_colour,
-                    fontsize=SMALL_FONT_PT,
-                    ha="center",
-                    va="center",
-                )
-        names = [format_value(v, dims[0]) for v in dataset[dims[0]].values]
-        axes.set_xticks(
-            range(columns), names, rotation=90 if columns > _MAX_LABELLED_COLUMNS else 0
-        )
-        if len(dims) == 2:
-            axes.set_yticks(
-                range(rows), [format_value(v, dims[1]) for v in dataset[dims[1]].values]
+    figure, axes = make_subplots(
+        width=ONE_COLUMN_INCHES if columns <= _MAX_NARROW_COLUMNS else TWO_COLUMNS_INCHES,
+        height=0.5 + 0.4 * rows,
+    )
+    axes.imshow(np.swapaxes(patches, 0, 1), aspect="auto", interpolation="nearest")
+    for i in range(columns):
+        for j in range(rows if columns <= _MAX_LABELLED_COLUMNS else 0):
+            code = table["srgb"].iloc[i * rows + j]
+            text_colour = "black" if light[i, j] > 50.0 else "white"
+            axes.text(
+                i,
+                j,
+                f"{code}\nL* {light[i, j]:.1f}",
+                color=text_colour,
+                fontsize=SMALL_FONT_PT,
+                ha="center",
+                va="center",
             )
-            axes.set_ylabel(format_parameter(dims[1]))
-        else:
-            axes.set_yticks([])
-        axes.tick_params(length=0)
-        axes.spines[:].set_visible(False)
-        return annotate_figure(figure, [axes], describe_conditions(dataset, select, ""))
+    names = [format_value(v, dims[0]) for v in dataset[dims[0]].values]
+    axes.set_xticks(range(columns), names, rotation=90 if columns > _MAX_LABELLED_COLUMNS else 0)
+    if len(dims) == 2:
+        axes.set_yticks(range(rows), [format_value(v, dims[1]) for v in dataset[dims[1]].values])
+        axes.set_ylabel(format_parameter(dims[1]))
+    else:
+        axes.set_yticks([])
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)
+    return annotate_figure(figure, [axes], describe_conditions(dataset, select, ""))

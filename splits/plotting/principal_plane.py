@@ -34,8 +34,7 @@ from splits.plotting.directions import (
     select_point,
     to_plot_angle,
 )
-from splits.plotting.interpretation_shifts import draw_shifts, find_default_dim
-from splits.plotting.lines import MAX_INSET_ENTRIES, PlotLines
+from splits.plotting.lines import MAX_INSET_ENTRIES, PlotLines, draw_shifts, find_default_dim
 from splits.plotting.panels import can_map_hemisphere
 from splits.plotting.style import (
     BAND_SIGMA,
@@ -45,6 +44,8 @@ from splits.plotting.style import (
     OffscreenFigure,
     annotate_figure,
     describe_conditions,
+    draw_band,
+    draw_curve,
     format_value,
     make_panel_title,
     make_subplots,
@@ -59,6 +60,7 @@ MAX_PLANE_ROWS = 4
 """Largest number of rows of panels for the values of a parameter."""
 
 
+@use_style()
 def draw_principal_planes(
     dataset: xr.Dataset,
     quantity: Sequence[str] = ("brdf",),
@@ -96,7 +98,11 @@ def draw_principal_planes(
         labels = [QUANTITY_LABELS[name] for name in quantity]
         note += "; viewing angles are positive forward"
         return draw_shifts(plane, quantity, dim, "angle", (SHORT_ANGLE_LABEL, labels), note, ylim)
-    panel_dim = _choose_panel_dim(plane, lines)
+    # The parameter with a row of panels for every value, "" if one row shows all lines.
+    varying, panel_dim = [one for one in lines.dims if plane.sizes[one] > 1], ""
+    if len(varying) >= 2 and len(lines.lines) > MAX_INSET_ENTRIES:
+        few = (one for one in reversed(varying) if plane.sizes[one] <= MAX_PLANE_ROWS)
+        panel_dim = next(few, "")
     if panel_dim:
         panel_values = plane[panel_dim].values
         lines = make_lines(plane.isel({panel_dim: 0}, drop=True), quantity[0])
@@ -110,40 +116,29 @@ def draw_principal_planes(
     blocks = [
         (name, part, title) for name in quantity for part, title in zip(parts, titles, strict=True)
     ]
-    with use_style():
-        figure = OffscreenFigure(
-            TWO_COLUMNS_INCHES, (2.2 + (1.8 if n_maps > 1 else 0.0)) * len(blocks)
-        )
-        rows_per_quantity = 2 if n_maps > 1 else 1
-        grid = figure.add_gridspec(len(blocks) * rows_per_quantity, 1)
-        planes = []
-        for row, (name, part, title) in enumerate(blocks):
-            plane_cells = grid[rows_per_quantity * row].subgridspec(1, 3 if n_maps == 1 else 2)
-            polar = figure.add_subplot(plane_cells[0], projection="polar")
-            flat = figure.add_subplot(plane_cells[1])
-            _draw_plane(part, name, polar, flat, lines, ylim)
-            flat.set_title(title)
-            planes.append((name, polar, flat, plane_cells))
-        axes_list = []
-        for row, (name, polar, flat, plane_cells) in enumerate(planes):
-            axes_list += [polar, flat]
-            if n_maps == 1:
-                axes_list += draw_maps(figure, [plane_cells[2]], dataset, name, legend)
-            elif n_maps:
-                map_row = grid[rows_per_quantity * row + 1].subgridspec(1, n_maps)
-                map_cells = [map_row[i] for i in range(n_maps)]
-                axes_list += draw_maps(figure, map_cells, dataset, name, legend)
-        lines.add_legend(figure, [flat for _, _, flat, _ in planes], legend, MAX_INSET_LINES)
-        maps_note = make_maps_note(quantity) if n_maps else ""
-        return annotate_figure(figure, axes_list, note, describe_bins(dataset), maps_note)
-
-
-def _choose_panel_dim(plane: xr.Dataset, lines: PlotLines) -> str:
-    """Return the parameter with a row of panels for every value, "" if one row shows all lines."""
-    varying = [dim for dim in lines.dims if plane.sizes[dim] > 1]
-    if len(varying) < 2 or len(lines.lines) <= MAX_INSET_ENTRIES:
-        return ""
-    return next((dim for dim in reversed(varying) if plane.sizes[dim] <= MAX_PLANE_ROWS), "")
+    figure = OffscreenFigure(TWO_COLUMNS_INCHES, (2.2 + (1.8 if n_maps > 1 else 0.0)) * len(blocks))
+    rows_per_quantity = 2 if n_maps > 1 else 1
+    grid = figure.add_gridspec(len(blocks) * rows_per_quantity, 1)
+    planes = []
+    for row, (name, part, title) in enumerate(blocks):
+        plane_cells = grid[rows_per_quantity * row].subgridspec(1, 3 if n_maps == 1 else 2)
+        polar = figure.add_subplot(plane_cells[0], projection="polar")
+        flat = figure.add_subplot(plane_cells[1])
+        _draw_plane(part, name, polar, flat, lines, ylim)
+        flat.set_title(title)
+        planes.append((name, polar, flat, plane_cells))
+    axes_list = []
+    for row, (name, polar, flat, plane_cells) in enumerate(planes):
+        axes_list += [polar, flat]
+        if n_maps == 1:
+            axes_list += draw_maps(figure, [plane_cells[2]], dataset, name, legend)
+        elif n_maps:
+            map_row = grid[rows_per_quantity * row + 1].subgridspec(1, n_maps)
+            map_cells = [map_row[i] for i in range(n_maps)]
+            axes_list += draw_maps(figure, map_cells, dataset, name, legend)
+    lines.add_legend(figure, [flat for _, _, flat, _ in planes], legend, MAX_INSET_LINES)
+    maps_note = make_maps_note(quantity) if n_maps else ""
+    return annotate_figure(figure, axes_list, note, describe_bins(dataset), maps_note)
 
 
 def _draw_plane(
@@ -160,15 +155,12 @@ def _draw_plane(
     for grid_line in () if has_no_light else lines.lines:
         line = select_line(plane, grid_line.labels)
         angle = line.angle.values
-        value, error = line[name].values, BAND_SIGMA * line[f"{name}_stderr"].values
-        low = np.maximum(value - error, 0.0)
+        value, error = line[name].values, line[f"{name}_stderr"].values
         plot_angle = to_plot_angle(angle, is_downward)
-        polar.plot(
-            plot_angle, np.maximum(value, 0.0), label=grid_line.label, **grid_line.to_plot_style()
-        )
-        polar.fill_between(plot_angle, low, value + error, color=grid_line.colour, alpha=0.3, lw=0)
-        flat.plot(angle, value, label=grid_line.label, **grid_line.to_plot_style())
-        flat.fill_between(angle, low, value + error, color=grid_line.colour, alpha=0.3, lw=0)
+        style = grid_line.to_plot_style() | {"label": grid_line.label}
+        polar.plot(plot_angle, np.maximum(value, 0.0), **style)
+        draw_band(polar, plot_angle, value, error, 0.0, color=grid_line.colour, alpha=0.3)
+        draw_curve(flat, angle, value, error, 0.0, **style)
     start_at_zero(flat, name, ylim)
     format_half_circle(polar, flat.get_ylim()[1], is_downward)
     if has_no_light:
@@ -186,7 +178,6 @@ def _draw_plane(
     )
     flat.set(xlabel=VIEWING_ANGLE_LABEL, ylabel=QUANTITY_LABELS[name])
     flat.set_xticks(np.arange(-90, 91, 30))
-    flat.spines[["top", "right"]].set_visible(False)
 
 
 def _annotate_no_light(plane: xr.Dataset, name: str, *panels: Axes) -> None:
@@ -201,6 +192,7 @@ def _annotate_no_light(plane: xr.Dataset, name: str, *panels: Axes) -> None:
         axes.set_yticks([])
 
 
+@use_style()
 def draw_bin_sizes(dataset: xr.Dataset, select: Mapping[str, float | str] | None = None) -> Figure:
     """Draw the principal plane for angular bins of several sizes.
 
@@ -224,41 +216,41 @@ def draw_bin_sizes(dataset: xr.Dataset, select: Mapping[str, float | str] | None
     ]
     merged = [merge_angular_bins(dataset, factor).assign_attrs(dataset.attrs) for factor in factors]
     labels = [f"{n_bins[0] // factor} × {n_bins[1] // factor}" for factor in factors]
-    with use_style():
-        figure = OffscreenFigure(TWO_COLUMNS_INCHES, 4.2)
-        grid = figure.add_gridspec(2, len(factors), height_ratios=(1.2, 1.0))
-        axes = figure.add_subplot(grid[0, :])
-        colours = pick_colours(len(factors))
-        for factor, part, label, colour in zip(factors, merged, labels, colours, strict=True):
-            plane = insert_zenith_gap(select_principal_plane(part))
-            angle, value = plane.angle.values, plane.brdf.values
-            error = BAND_SIGMA * plane.brdf_stderr.values
-            # Larger bins have less noise and are drawn on top.
-            zorder = 2.0 + 0.1 * factor
-            axes.fill_between(
-                angle, np.maximum(value - error, 0.0), value + error, color=colour, alpha=0.25,
-                lw=0, zorder=zorder - 0.05,
-            )  # fmt: skip
-            axes.plot(
-                angle, value, "o-", color=colour, ms=1.2 + 0.25 * factor, lw=0.4 + 0.12 * factor,
-                label=label, zorder=zorder,
-            )  # fmt: skip
-        axes.set(xlabel=VIEWING_ANGLE_LABEL, ylabel=QUANTITY_LABELS["brdf"])
-        start_at_zero(axes, "brdf")
-        axes.set_xticks(np.arange(-90, 91, 30))
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.legend(title="bins, polar × azimuth", frameon=False)
-        grid_cells = [grid[1, i] for i in range(len(factors))]
-        titles = [f"bins: {label}" for label in labels]
-        maps = draw_dataset_maps(figure, grid_cells, merged, titles, "brdf")
-        return annotate_figure(
-            figure, [axes, *maps], note, describe_bins(dataset), make_maps_note(("brdf",))
-        )
+    figure = OffscreenFigure(TWO_COLUMNS_INCHES, 4.2)
+    grid = figure.add_gridspec(2, len(factors), height_ratios=(1.2, 1.0))
+    axes = figure.add_subplot(grid[0, :])
+    colours = pick_colours(len(factors))
+    for factor, part, label, colour in zip(factors, merged, labels, colours, strict=True):
+        plane = insert_zenith_gap(select_principal_plane(part))
+        angle, value = plane.angle.values, plane.brdf.values
+        # Larger bins have less noise and are drawn on top.
+        zorder = 2.0 + 0.1 * factor
+        draw_band(
+            axes, angle, value, plane.brdf_stderr.values, 0.0, color=colour, alpha=0.25,
+            zorder=zorder - 0.05,
+        )  # fmt: skip
+        axes.plot(
+            angle, value, "o-", color=colour, ms=1.2 + 0.25 * factor, lw=0.4 + 0.12 * factor,
+            label=label, zorder=zorder,
+        )  # fmt: skip
+    axes.set(xlabel=VIEWING_ANGLE_LABEL, ylabel=QUANTITY_LABELS["brdf"])
+    start_at_zero(axes, "brdf")
+    axes.set_xticks(np.arange(-90, 91, 30))
+    axes.legend(title="bins, polar × azimuth", frameon=False)
+    grid_cells = [grid[1, i] for i in range(len(factors))]
+    titles = [f"bins: {label}" for label in labels]
+    maps = draw_dataset_maps(figure, grid_cells, merged, titles, "brdf")
+    return annotate_figure(
+        figure, [axes, *maps], note, describe_bins(dataset), make_maps_note(("brdf",))
+    )
 
 
 def _draw_beams(axes: Axes, plane: xr.Dataset, lines: PlotLines, downward: bool) -> None:
     """Draw the direction of the source, or that of direct transmission."""
     top = axes.get_ylim()[1]
+    style: dict[str, Any] = {"lw": 0.7, "ls": "-"}
+    if not downward:
+        style |= {"marker": "o", "ms": 3.5, "markevery": [-1], "clip_on": False}
     colours_by_incidence: dict[float, list[Colour]] = {}
     for grid_line in lines.lines:
         colours_by_incidence.setdefault(
@@ -272,14 +264,14 @@ def _draw_beams(axes: Axes, plane: xr.Dataset, lines: PlotLines, downward: bool)
             plot_angle,
             [0.0, top],
             color=used[0] if use_own_colour else "black",
-            **_get_beam_style(downward),
+            **style,
         )
     axes.set_ylim(0.0, top)
     legend_line = Line2D(
         [],
         [],
         color="black" if len(colours_by_incidence) == 1 else "0.5",
-        **_get_beam_style(downward),
+        **style,
     )
     legend_line.set_label("straight on" if downward else "towards the source")
     axes.legend(
@@ -289,13 +281,7 @@ def _draw_beams(axes: Axes, plane: xr.Dataset, lines: PlotLines, downward: bool)
     )  # fmt: skip
 
 
-def _get_beam_style(downward: bool) -> dict[str, Any]:
-    mark: dict[str, Any] = (
-        {} if downward else {"marker": "o", "ms": 3.5, "markevery": [-1], "clip_on": False}
-    )
-    return {"lw": 0.7, "ls": "-", **mark}
-
-
+@use_style()
 def draw_polarization(
     dataset: xr.Dataset,
     select: Mapping[str, float | str] | None = None,
@@ -321,42 +307,26 @@ def draw_polarization(
     plane = extract_plane(dataset)
     lines = make_lines(plane, "brdf")
     is_symmetric = not any(get_incident_stokes(dataset.attrs)[2:])
-    with use_style():
-        figure, (left, right) = make_subplots(1, 2, width=TWO_COLUMNS_INCHES, height=2.6)
-        for grid_line in lines.lines:
-            line = select_line(plane, grid_line.labels)
-            angle = line.angle.values
-            value, error = line.brdf.values, line.brdf_stderr.values
-            degree, degree_error = _extract_degree(line, is_symmetric)
-            for axes, y, stderr in ((left, value, error), (right, degree, degree_error)):
-                axes.plot(angle, y, label=grid_line.label, **grid_line.to_plot_style())
-                axes.fill_between(
-                    angle,
-                    y - BAND_SIGMA * stderr,
-                    y + BAND_SIGMA * stderr,
-                    color=grid_line.colour,
-                    alpha=0.3,
-                    lw=0,
-                )
-        left.set_ylabel(QUANTITY_LABELS["brdf"])
-        start_at_zero(left, "brdf")
-        right.set_ylabel("degree of polarization" + (", −Q/I" if is_symmetric else ""))
-        right.axhline(0.0, color="0.6", lw=0.6)
-        for axes in (left, right):
-            axes.set(xlabel=VIEWING_ANGLE_LABEL)
-            axes.set_xlim(-MAX_POLAR_DEG - 5.0, MAX_POLAR_DEG + 5.0)
-            axes.set_xticks(np.arange(-90, 91, 30))
-            axes.spines[["top", "right"]].set_visible(False)
-        lines.add_legend(figure, [left], legend, MAX_INSET_LINES)
-        return annotate_figure(
-            figure, [left, right], describe_conditions(dataset, select), describe_bins(dataset)
-        )
-
-
-def _extract_degree(line: xr.Dataset, is_symmetric: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return the degree of polarization and its error, not a number without light."""
-    degree = line.brdf_dolp
-    if is_symmetric:
-        # This has no bias.
-        degree = -line.brdf_q / line.brdf.where(line.brdf > 0.0)
-    return degree.where(line.brdf > 0.0).values, line.brdf_dolp_stderr.values
+    figure, (left, right) = make_subplots(1, 2, width=TWO_COLUMNS_INCHES, height=2.6)
+    for grid_line in lines.lines:
+        line = select_line(plane, grid_line.labels)
+        angle = line.angle.values
+        value, error = line.brdf.values, line.brdf_stderr.values
+        # −Q/I has no bias; without light, neither is a number.
+        light = line.brdf.where(line.brdf > 0.0)
+        degree = -line.brdf_q / light if is_symmetric else line.brdf_dolp.where(light > 0.0)
+        style = grid_line.to_plot_style() | {"label": grid_line.label}
+        draw_curve(left, angle, value, error, **style)
+        draw_curve(right, angle, degree.values, line.brdf_dolp_stderr.values, **style)
+    left.set_ylabel(QUANTITY_LABELS["brdf"])
+    start_at_zero(left, "brdf")
+    right.set_ylabel("degree of polarization" + (", −Q/I" if is_symmetric else ""))
+    right.axhline(0.0, color="0.6", lw=0.6)
+    for axes in (left, right):
+        axes.set(xlabel=VIEWING_ANGLE_LABEL)
+        axes.set_xlim(-MAX_POLAR_DEG - 5.0, MAX_POLAR_DEG + 5.0)
+        axes.set_xticks(np.arange(-90, 91, 30))
+    lines.add_legend(figure, [left], legend, MAX_INSET_LINES)
+    return annotate_figure(
+        figure, [left, right], describe_conditions(dataset, select), describe_bins(dataset)
+    )

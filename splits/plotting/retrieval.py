@@ -20,6 +20,8 @@ from splits.plotting.style import (
     TWO_COLUMNS_INCHES,
     OffscreenFigure,
     annotate_figure,
+    draw_band,
+    draw_curve,
     format_parameter,
     format_value,
     pick_colours,
@@ -57,6 +59,7 @@ _SAMPLE_HEIGHT_INCHES, _REFERENCE_HEIGHT_INCHES = 3.3, 2.4
 """Heights of the rows of samples and of reference values."""
 
 
+@use_style()
 def draw_retrievals(
     dataset: xr.Dataset,
     reference: Mapping[str, Mapping[str, float]] | None = None,
@@ -86,42 +89,36 @@ def draw_retrievals(
     indices = np.unique(np.linspace(0, len(all_samples) - 1, max_samples).round().astype(int))
     samples = all_samples[indices]
     rows = len(samples) + bool(reference)
-    with use_style():
-        heights = [_SAMPLE_HEIGHT_INCHES] * len(samples) + [_REFERENCE_HEIGHT_INCHES] * bool(
-            reference
+    heights = [_SAMPLE_HEIGHT_INCHES] * len(samples) + [_REFERENCE_HEIGHT_INCHES] * bool(reference)
+    figure = OffscreenFigure(TWO_COLUMNS_INCHES, sum(heights))
+    grid = figure.add_gridspec(
+        rows, 3, width_ratios=[1.3, 1.6, 0.6], height_ratios=heights
+    )  # fmt: skip
+    title_axes = []
+    for row, sample in enumerate(samples):
+        part = dataset.sel(sample=sample)
+        draw_fit = draw_return_fit if is_return else _draw_spectrum
+        title = format_value(sample, "sample")
+        title_axes.append(draw_fit(figure, grid[row, 0], part, title))
+        marks = {name: values.get(sample) for name, values in known.items()}
+        _draw_corner(figure, grid[row, 1], part, marks if is_return else {})
+        _draw_averaging_kernel(figure.add_subplot(grid[row, 2]), part)
+    has_slopes = False
+    if reference:
+        panels = [
+            (name, group) for name, values in reference.items() for group in prefixes
+            if select_referenced_samples(dataset, values, group)
+        ]  # fmt: skip
+        reference_cells = grid[rows - 1, :].subgridspec(1, max(2, len(panels)))
+        has_slopes = any(
+            len(select_referenced_samples(dataset, reference[name], prefix)) >= MIN_SLOPE_SAMPLES
+            for name, prefix in panels
         )
-        figure = OffscreenFigure(TWO_COLUMNS_INCHES, sum(heights))
-        grid = figure.add_gridspec(
-            rows, 3, width_ratios=[1.3, 1.6, 0.6], height_ratios=heights
-        )  # fmt: skip
-        title_axes = []
-        for row, sample in enumerate(samples):
-            part = dataset.sel(sample=sample)
-            draw_fit = draw_return_fit if is_return else _draw_spectrum
-            title = format_value(sample, "sample")
-            title_axes.append(draw_fit(figure, grid[row, 0], part, title))
-            marks = {name: values.get(sample) for name, values in known.items()}
-            _draw_corner(figure, grid[row, 1], part, marks if is_return else {})
-            _draw_averaging_kernel(figure.add_subplot(grid[row, 2]), part)
-        has_slopes = False
-        if reference:
-            panels = [
-                (name, group) for name, values in reference.items() for group in prefixes
-                if select_referenced_samples(dataset, values, group)
-            ]  # fmt: skip
-            reference_cells = grid[rows - 1, :].subgridspec(1, max(2, len(panels)))
-            has_slopes = any(
-                len(select_referenced_samples(dataset, reference[name], prefix))
-                >= MIN_SLOPE_SAMPLES
-                for name, prefix in panels
-            )
-            for column, (name, group) in enumerate(panels):
-                axes = figure.add_subplot(reference_cells[column])
-                title_axes.append(
-                    draw_against_reference(axes, dataset, name, reference[name], group)
-                )
-        note = _make_note(dataset, len(samples), has_slopes)
-        return annotate_figure(figure, title_axes, note)
+        for column, (name, group) in enumerate(panels):
+            axes = figure.add_subplot(reference_cells[column])
+            title_axes.append(draw_against_reference(axes, dataset, name, reference[name], group))
+    note = _make_note(dataset, len(samples), has_slopes)
+    return annotate_figure(figure, title_axes, note)
 
 
 def _make_note(dataset: xr.Dataset, rows: int, several: bool) -> str:
@@ -162,24 +159,14 @@ def _draw_spectrum(figure: Figure, cell: SubplotSpec, part: xr.Dataset, title: s
         )
         if number == 0:
             top.plot(x, measured, color="black", lw=1.0, label="measured")
-            for axes, middle in ((top, measured), (bottom, np.zeros_like(measured))):
-                low, high = middle - BAND_SIGMA * noise, middle + BAND_SIGMA * noise
-                axes.fill_between(x, low, high, color="0.8", lw=0)
+            draw_band(top, x, measured, noise, color="0.8")
+            draw_band(bottom, x, np.zeros_like(measured), noise, color="0.8")
         chi2 = float(part_of_model.chi2)
         label = f"{format_value(model, 'model') if model else 'table'}, χ² {chi2:.0f}"
         if part.sizes["model"] == 1:
             label += f" of {float(part_of_model.chi2_expected):.0f}"
         top.plot(x, fitted, color=colour, lw=1.0, ls="--", label=label)
-        difference = fitted - measured
-        bottom.plot(x, difference, color=colour, lw=0.8)
-        bottom.fill_between(
-            x,
-            difference - BAND_SIGMA * error,
-            difference + BAND_SIGMA * error,
-            color=colour,
-            alpha=0.25,
-            lw=0,
-        )
+        draw_curve(bottom, x, fitted - measured, error, alpha=0.25, color=colour, lw=0.8)
         highest = max(highest, float(np.nanmax([measured, fitted])))
     bottom.axhline(0.0, color="black", lw=0.6)
     expected = float(part.chi2_expected.isel(model=0))
@@ -189,12 +176,9 @@ def _draw_spectrum(figure: Figure, cell: SubplotSpec, part: xr.Dataset, title: s
     several = part.sizes["model"] > 1
     top.set_ylim(0.0, (1.35 + 0.13 * part.sizes["model"] if several else 1.1) * highest)
     top.tick_params(labelbottom=False)
-    bottom.set_ylabel("difference")
-    bottom.set_xlabel("wavelength (nm)")
+    bottom.set(xlabel="wavelength (nm)", ylabel="difference")
     top.legend(frameon=False, fontsize=SMALL_FONT_PT, loc="upper right" if several else "best",
                handlelength=1.2, borderaxespad=0.0)  # fmt: skip
-    for axes in (top, bottom):
-        axes.spines[["top", "right"]].set_visible(False)
     return top
 
 
@@ -236,9 +220,16 @@ def _draw_corner(
                     )
             if i == j:
                 axes.set_yticks([])
-                axes.spines[["top", "right", "left"]].set_visible(False)
+                axes.spines["left"].set_visible(False)
+            else:
+                axes.spines[:].set_visible(True)
             axes.set_xlim(low[j], high[j])
-            mark_known_values(axes, known.get(names[j]), known.get(names[i]) if i != j else None)
+            # Known values, if they are inside the panel.
+            x, y = known.get(names[j]), known.get(names[i]) if i != j else None
+            if x is not None and y is not None:
+                axes.plot([x], [y], "x", color=KNOWN_COLOUR, ms=5, mew=1.2)
+            elif x is not None and axes.get_xlim()[0] <= x <= axes.get_xlim()[1]:
+                axes.axvline(x, color=KNOWN_COLOUR, lw=1.2, ls=":")
             _label_corner_axes(axes, names, (i, j))
 
 
@@ -330,18 +321,16 @@ def draw_against_reference(
     top = 1.08 * highest
     axes.plot([0.0, top], [0.0, top], color="black", lw=0.6)
     axes.set_title(escape_mathtext(prefix.strip()) or "against reference values")
-    axes.set_xlabel(f"{format_parameter(name)}, reference")
-    axes.set_ylabel(f"{format_parameter(name)}, retrieved")
-    axes.set_xlim(0.0, top)
-    axes.set_ylim(0.0, top)
+    label = format_parameter(name)
+    axes.set(xlabel=f"{label}, reference", ylabel=f"{label}, retrieved")
+    axes.set(xlim=(0.0, top), ylim=(0.0, top))
     axes.set_aspect("equal", anchor="W")
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(MaxNLocator(5))
+    axes.xaxis.set_major_locator(MaxNLocator(5))
+    axes.yaxis.set_major_locator(MaxNLocator(5))
     if any(not str(handle.get_label()).startswith("_") for handle in axes.get_lines()):
         axes.legend(
             frameon=False, fontsize=SMALL_FONT_PT, loc="upper left", bbox_to_anchor=(1.0, 1.0)
         )
-    axes.spines[["top", "right"]].set_visible(False)
     return axes
 
 
@@ -399,9 +388,7 @@ def draw_return_fit(figure: Figure, cell: SubplotSpec, part: xr.Dataset, title: 
         top.errorbar(
             delay, measured, BAND_SIGMA * noise, fmt="o", ms=2.0, lw=0.7, color=marks, label=label
         )
-        top.plot(delay, fitted, color=colour, lw=1.0, ls="--")
-        low, high = fitted - BAND_SIGMA * error, fitted + BAND_SIGMA * error
-        top.fill_between(delay, low, high, color=colour, alpha=0.25, lw=0)
+        draw_curve(top, delay, fitted, error, alpha=0.25, color=colour, lw=1.0, ls="--")
         bottom.step(delay, (measured - fitted) / noise, where="mid", color=colour, lw=0.8)
         shown = np.concatenate([measured, fitted])
         lowest = min(lowest, shown[shown > 0.0].min(initial=np.inf))
@@ -418,14 +405,4 @@ def draw_return_fit(figure: Figure, cell: SubplotSpec, part: xr.Dataset, title: 
     bottom.set(xlabel="delay (ns)", ylabel="difference / error")
     top.tick_params(labelbottom=False)
     top.legend(frameon=False, fontsize=SMALL_FONT_PT, handlelength=1.2, borderaxespad=0.0)
-    for axes in (top, bottom):
-        axes.spines[["top", "right"]].set_visible(False)
     return top
-
-
-def mark_known_values(axes: Axes, x: float | None, y: float | None) -> None:
-    """Mark known values of one or two parameters in a panel of draws, if they are inside it."""
-    if x is not None and y is not None:
-        axes.plot([x], [y], "x", color=KNOWN_COLOUR, ms=5, mew=1.2)
-    elif x is not None and axes.get_xlim()[0] <= x <= axes.get_xlim()[1]:
-        axes.axvline(x, color=KNOWN_COLOUR, lw=1.2, ls=":")

@@ -1,26 +1,31 @@
-"""Figures of spectra: lines, small multiples, refractive indices, measured albedo."""
+"""Figures of spectra: lines, small multiples, refractive indices, measured albedo, seasons."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import xarray as xr
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from splits.analysis.measured import WAVELENGTH_COLUMN
 from splits.core.escaping import escape_mathtext
 from splits.core.validation import invalid
 from splits.io.netcdf import select_points
-from splits.plotting.interpretation_shifts import draw_shifts, find_default_dim
+from splits.media.snow_packs import count_missing_results
 from splits.plotting.lines import (
     PlotLines,
     draw_node_ticks,
+    draw_shifts,
     find_coarse_nodes,
+    find_default_dim,
+    is_covering_line,
     make_nodes_note,
     place_legend_above,
 )
@@ -32,8 +37,13 @@ from splits.plotting.style import (
     annotate_figure,
     compute_axis_top,
     describe_conditions,
+    draw_band,
+    draw_curve,
+    format_parameter,
+    format_value,
     make_panel_title,
     make_subplots,
+    pick_colours,
     start_at_zero,
     use_style,
 )
@@ -53,6 +63,7 @@ _MAX_LABEL_CHARS = 30
 """Number of characters that fit along an axis."""
 
 
+@use_style()
 def draw_spectra(
     dataset: xr.Dataset,
     quantity: Sequence[str] = ("reflectance",),
@@ -121,23 +132,33 @@ def draw_spectra(
         return draw_shifts(dataset, quantity, dim, "wavelength", labels, note, ylim)
     lines = PlotLines(dataset, dims)
     nodes = find_coarse_nodes(dataset)
-    with use_style():
-        figure, panels = make_subplots(
-            len(quantity), 1, height=2.2 * len(quantity), squeeze=False, sharex=True
-        )
-        measured_handles = []
-        for axes, name in zip(panels[:, 0], quantity, strict=True):
-            _draw_lines(axes, dataset, name, lines)
-            if measured is not None and name in measured:
-                measured_handles = [_draw_measured(axes, measured, name)]
-            axes.set_ylabel(make_axis_label(dataset[name]))
-            start_at_zero(axes, name, ylim)
-            axes.margins(x=0.01)
-            draw_node_ticks(axes, nodes)
-            axes.spines[["top", "right"]].set_visible(False)
-        panels[-1, 0].set_xlabel("wavelength (nm)")
-        lines.add_legend(figure, list(panels[:, 0]), legend, extra_handles=measured_handles)
-        return annotate_figure(figure, panels.flat, note, make_nodes_note(nodes))
+    figure, panels = make_subplots(
+        len(quantity), 1, height=2.2 * len(quantity), squeeze=False, sharex=True
+    )
+    measured_handles: list[Any] = []
+    for axes, name in zip(panels[:, 0], quantity, strict=True):
+        for line in lines.lines:
+            part = dataset.sel(line.labels)
+            x, y, error = (part[one].values for one in ("wavelength", name, f"{name}_stderr"))
+            style = line.to_plot_style() | {"label": line.label or "model"}
+            draw_curve(axes, x, y, error, 0.0, alpha=0.25, **style)
+        if measured is not None and name in measured:
+            y, limits = measured[name], None
+            if f"{name}_min" in measured:
+                limits = np.stack([y - measured[f"{name}_min"], measured[f"{name}_max"] - y])
+            measured_handles = [
+                axes.errorbar(
+                    measured["wavelength_nm"], y, limits, fmt="s", color="black", ms=2.5,
+                    label="measured",
+                )
+            ]  # fmt: skip
+        axes.set_ylabel(make_axis_label(dataset[name]))
+        start_at_zero(axes, name, ylim)
+        axes.margins(x=0.01)
+        draw_node_ticks(axes, nodes)
+    panels[-1, 0].set_xlabel("wavelength (nm)")
+    lines.add_legend(figure, list(panels[:, 0]), legend, extra_handles=measured_handles)
+    return annotate_figure(figure, panels.flat, note, make_nodes_note(nodes))
 
 
 def check_measured(measured: pd.DataFrame, quantity: Sequence[str]) -> None:
@@ -160,27 +181,6 @@ def check_measured(measured: pd.DataFrame, quantity: Sequence[str]) -> None:
             raise invalid(key, name, f"with {low} <= {name} <= {high}")
 
 
-def _draw_lines(axes: Axes, dataset: xr.Dataset, name: str, lines: PlotLines) -> None:
-    for line in lines.lines:
-        part = dataset.sel(line.labels)
-        x, y = part.wavelength.values, part[name].values
-        error = BAND_SIGMA * part[f"{name}_stderr"].values
-        axes.plot(x, y, label=line.label or "model", **line.to_plot_style())
-        axes.fill_between(
-            x, np.maximum(y - error, 0.0), y + error, color=line.colour, alpha=0.25, lw=0
-        )
-
-
-def _draw_measured(axes: Axes, table: pd.DataFrame, name: str) -> Artist:
-    y = table[name]
-    error_range = None
-    if f"{name}_min" in table:
-        error_range = np.stack([y - table[f"{name}_min"], table[f"{name}_max"] - y])
-    return axes.errorbar(  # type: ignore[return-value]
-        table["wavelength_nm"], y, error_range, fmt="s", color="black", ms=2.5, label="measured"
-    )
-
-
 def make_axis_label(variable: xr.DataArray) -> str:
     """Return the label of an axis, on two lines if it is long."""
     label = escape_mathtext(str(variable.attrs.get("long_name", variable.name)))
@@ -188,6 +188,7 @@ def make_axis_label(variable: xr.DataArray) -> str:
     return f"{first}\n{last}" if first and len(label) > _MAX_LABEL_CHARS else label
 
 
+@use_style()
 def draw_refractive_indices(dataset: xr.Dataset) -> Figure:
     """Draw n (left axis) and k (right axis, logarithmic) of the materials of `MATERIAL_COLOURS`.
 
@@ -198,25 +199,27 @@ def draw_refractive_indices(dataset: xr.Dataset) -> Figure:
     dataset : xarray.Dataset
         Variables ``n`` and ``k`` over wavelength and material.
     """
-    with use_style():
-        figure, left = make_subplots(height=2.6)
-        right = left.twinx()
-        nodes = find_coarse_nodes(dataset)
-        for material, label, colour in _list_materials(dataset):
-            part = dataset.sel(material=material)
-            left.plot(part.wavelength, part.n, color=colour, label=label)
-            if float(part.k.max()) > 0.0:
-                right.plot(part.wavelength, part.k, color=colour, ls="--")
-                _draw_table_rows(right, part, nodes, colour)
-        right.set_yscale("log")
-        left.set_xlabel("wavelength (nm)")
-        left.set_ylabel("refractive index n (solid)")
-        right.set_ylabel("extinction coefficient k (dashed)")
-        left.margins(x=0.01)
-        place_legend_above(figure, left.get_lines(), None)
-        names = ", ".join(nodes)
-        note = f"Dots: rows of coarse tables, between which k is interpolated: {names}."
-        return annotate_figure(figure, [left], note if nodes else "")
+    figure, left = make_subplots(height=2.6)
+    right = left.twinx()
+    for axes in (left, right):
+        axes.spines[:].set_visible(True)
+    nodes = find_coarse_nodes(dataset)
+    for material, label, colour in _list_materials(dataset):
+        part = dataset.sel(material=material)
+        left.plot(part.wavelength, part.n, color=colour, label=label)
+        if float(part.k.max()) > 0.0:
+            right.plot(part.wavelength, part.k, color=colour, ls="--")
+            for rows in [rows for name, rows in nodes.items() if name.startswith(str(material))]:
+                k = np.exp(np.interp(rows, part.wavelength, np.log(part.k)))
+                right.plot(rows, k, ".", color=colour, ms=4)
+    right.set_yscale("log")
+    left.set(xlabel="wavelength (nm)", ylabel="refractive index n (solid)")
+    right.set_ylabel("extinction coefficient k (dashed)")
+    left.margins(x=0.01)
+    place_legend_above(figure, left.get_lines(), None)
+    names = ", ".join(nodes)
+    note = f"Dots: rows of coarse tables, between which k is interpolated: {names}."
+    return annotate_figure(figure, [left], note if nodes else "")
 
 
 def _list_materials(dataset: xr.Dataset) -> list[tuple[str, str, str]]:
@@ -235,16 +238,6 @@ def _list_materials(dataset: xr.Dataset) -> list[tuple[str, str, str]]:
     return materials
 
 
-def _draw_table_rows(
-    axes: Axes, part: xr.Dataset, nodes: dict[str, np.ndarray], colour: str
-) -> None:
-    """Draw a dot at every row of a coarse table."""
-    for name, rows in nodes.items():
-        if name.startswith(str(part.material.values)):
-            k = np.exp(np.interp(rows, part.wavelength, np.log(part.k)))
-            axes.plot(rows, k, ".", color=colour, ms=4)
-
-
 DEFAULT_COLUMNS = 4
 """Default number of columns; a parameter of up to `MAX_ROW_VALUES` values fills a row."""
 MAX_ROW_VALUES = 6
@@ -253,6 +246,7 @@ _RASTERIZED_ZORDER = -10.0
 """Drawing order of lines and bands, which SVG files contain as one image per panel."""
 
 
+@use_style()
 def draw_small_multiples(
     dataset: xr.Dataset,
     quantity: Sequence[str],
@@ -288,59 +282,146 @@ def draw_small_multiples(
     n_title_lines = max(title.count("\n") for title in titles) + 1
     rows = -(-len(panel_points) // columns) * len(quantity)
     nodes = find_coarse_nodes(dataset)
-    with use_style():
-        figure, panels = make_subplots(
-            rows,
-            columns,
-            width=TWO_COLUMNS_INCHES,
-            height=0.5 + (_PANEL_HEIGHT_INCHES + _TITLE_LINE_INCHES * n_title_lines) * rows,
-            sharex=True,
-            squeeze=False,
-        )
-        blocks = np.split(panels, len(quantity))
-        for panels_of_quantity, name in zip(blocks, quantity, strict=True):
-            top = ylim or (0.0, _compute_axis_top(dataset, name))
-            for axes, panel_point, title in zip(
-                panels_of_quantity.flat, panel_points, titles, strict=False
-            ):
-                labels = dict(zip(panel_dims, panel_point, strict=True))
-                _draw_panel(axes, dataset.sel(labels), name, lines)
-                draw_node_ticks(axes, nodes)
-                axes.set_title(title)
-                axes.set_ylim(top)
-                axes.label_outer()
-            for axes in panels_of_quantity.flat[len(panel_points) :]:
-                axes.set_visible(False)
-            for axes in panels_of_quantity[:, 0]:
-                axes.set_ylabel(name)
-        # The lowest panel of a column may be hidden.
-        for column in panels.T:
-            shown = [axes for axes in column if axes.get_visible()]
-            shown[-1].tick_params(labelbottom=True)
-            shown[-1].set_xlabel("wavelength (nm)")
-        lines.add_legend(figure, list(panels.flat), legend, max_inset_entries=0)
-        return annotate_figure(figure, panels.flat, note, make_nodes_note(nodes))
-
-
-def _compute_axis_top(dataset: xr.Dataset, name: str) -> float:
-    """Return the upper limit of the axis of all panels."""
-    highest = float((dataset[name] + BAND_SIGMA * dataset[f"{name}_stderr"]).max())
-    return compute_axis_top(highest, name)
+    figure, panels = make_subplots(
+        rows,
+        columns,
+        width=TWO_COLUMNS_INCHES,
+        height=0.5 + (_PANEL_HEIGHT_INCHES + _TITLE_LINE_INCHES * n_title_lines) * rows,
+        sharex=True,
+        squeeze=False,
+    )
+    blocks = np.split(panels, len(quantity))
+    for panels_of_quantity, name in zip(blocks, quantity, strict=True):
+        highest = float((dataset[name] + BAND_SIGMA * dataset[f"{name}_stderr"]).max())
+        top = ylim or (0.0, compute_axis_top(highest, name))
+        for axes, panel_point, title in zip(
+            panels_of_quantity.flat, panel_points, titles, strict=False
+        ):
+            part = dataset.sel(dict(zip(panel_dims, panel_point, strict=True)))
+            _draw_panel(axes, part, name, lines)
+            draw_node_ticks(axes, nodes)
+            axes.set(title=title, ylim=top)
+            axes.label_outer()
+        for axes in panels_of_quantity.flat[len(panel_points) :]:
+            axes.set_visible(False)
+        for axes in panels_of_quantity[:, 0]:
+            axes.set_ylabel(name)
+    # The lowest panel of a column may be hidden.
+    for column in panels.T:
+        shown = [axes for axes in column if axes.get_visible()]
+        shown[-1].tick_params(labelbottom=True)
+        shown[-1].set_xlabel("wavelength (nm)")
+    lines.add_legend(figure, list(panels.flat), legend, max_inset_entries=0)
+    return annotate_figure(figure, panels.flat, note, make_nodes_note(nodes))
 
 
 def _draw_panel(axes: Axes, part: xr.Dataset, name: str, lines: PlotLines) -> None:
     axes.set_rasterization_zorder(0.0)
     x = part.wavelength.values
     rows = part.transpose(*lines.dims, "wavelength")
-    values = rows[name].values.reshape(-1, x.size)
-    errors = BAND_SIGMA * rows[f"{name}_stderr"].values.reshape(-1, x.size)
+    values, errors = (rows[one].values.reshape(-1, x.size) for one in (name, f"{name}_stderr"))
     for line, y, error in zip(lines.lines, values, errors, strict=True):
         style = line.to_plot_style() | {"lw": 0.7, "zorder": _RASTERIZED_ZORDER + line.zorder}
         axes.plot(x, y, **style)
-        axes.fill_between(
-            x, np.maximum(y - error, 0.0), y + error, color=line.colour, alpha=0.25, lw=0,
-            zorder=_RASTERIZED_ZORDER,
-        )  # fmt: skip
+        draw_band(axes, x, y, error, 0.0, color=line.colour, alpha=0.25, zorder=_RASTERIZED_ZORDER)
     axes.margins(x=0.01)
     axes.tick_params(labelsize=SMALL_FONT_PT)
-    axes.spines[["top", "right"]].set_visible(False)
+
+
+# --------------------------------------------------------------------------------------------------
+# Spectra and albedos of snowpacks over time.
+
+MAX_WAVELENGTHS = 4
+"""Largest number of wavelengths, of which the first and the last are shown."""
+MAX_TEXT_TICKS = 24
+"""Largest number of labels along the axis; of more, evenly spaced ones are shown."""
+_DAYS = "days since 1970-01-01"
+
+
+@use_style()
+def draw_season(dataset: xr.Dataset, quantity: Sequence[str] = ("reflectance",)) -> Figure:
+    """Draw band albedos, or spectra at some wavelengths, over time or another label of snowpacks.
+
+    Lines join snowpacks that have an order: times, in any calendar, and numbers.  Snowpacks with
+    other labels are points.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Of `splits.albedo` or `splits.spectrophotometer` for `splits.SnowPacks`.
+    quantity : sequence of str
+        Quantities of spectra, a panel each.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    names = ["band_albedo"] if "band_albedo" in dataset else list(quantity)
+    (label,) = dataset.quality_flag.dims
+    figure, panels = make_subplots(
+        len(names), 1, width=TWO_COLUMNS_INCHES, height=2.4 * len(names), squeeze=False,
+        sharex=True,
+    )  # fmt: skip
+    x, has_order = _set_label_axis(panels[-1, 0], dataset.get_index(label))
+    for axes, name in zip(panels[:, 0], names, strict=True):
+        line_dim = str(dataset[name].dims[-1])
+        n_lines = dataset.sizes[line_dim]
+        rows = np.linspace(0, n_lines - 1, min(n_lines, MAX_WAVELENGTHS)).round().astype(int)
+        rows = np.arange(n_lines) if line_dim == "band" else np.unique(rows)
+        for row, colour in zip(rows, pick_colours(len(rows), line_dim), strict=True):
+            part = dataset.isel({line_dim: row})
+            y, error = part[name].values, part[f"{name}_stderr"].values
+            text = format_value(part[line_dim].values.item(), line_dim)
+            if has_order:
+                draw_curve(axes, x, y, error, alpha=0.25, color=colour, label=text)
+            else:
+                axes.errorbar(x, y, BAND_SIGMA * error, fmt="o", ms=2.5, color=colour, label=text)
+        axes.set_ylabel("albedo" if name == "band_albedo" else make_axis_label(dataset[name]))
+        # Snowpacks without a result are on the axis, too.
+        axes.update_datalim([(one, 0.0) for one in np.atleast_1d(axes.convert_xunits(x))])
+        axes.autoscale_view()
+        start_at_zero(axes, name)
+        axes.margins(x=0.01)
+        title = "wavelength (nm)" if line_dim == "wavelength" else None
+    panels[-1, 0].set_xlabel(format_parameter(str(label)))
+    legend = panels[0, 0].legend(title=title, frameon=False)
+    if is_covering_line(legend, panels[0, 0]):
+        legend.remove()
+        place_legend_above(figure, panels[0, 0].get_legend_handles_labels()[0], title)
+    band = "bands" if has_order else "bars"
+    counts = count_missing_results(dataset)
+    gaps = f"Gaps: snowpacks without a result ({counts})." if counts else ""
+    return annotate_figure(figure, panels.flat, describe_conditions(dataset, band=band), gaps)
+
+
+def _set_label_axis(axes: Axes, index: pd.Index) -> tuple[np.ndarray, bool]:
+    """Set the ticks of the labels of snowpacks; return positions, and whether they have an order.
+
+    Dates of calendars that NumPy lacks, such as those without leap days, are at their days.
+    """
+    is_simple = not isinstance(index, pd.MultiIndex)
+    if is_simple and index.dtype.kind in "fiu":
+        return index.to_numpy(), True
+    if is_simple and index.dtype.kind == "M":
+        locator = AutoDateLocator()
+        axes.xaxis.set_major_locator(locator)
+        axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))
+        return index.to_numpy(), True
+    if isinstance(index, xr.CFTimeIndex):
+        import cftime  # xarray has this index only where cftime is installed
+
+        calendar = index.calendar
+        axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
+        axes.xaxis.set_major_formatter(
+            lambda day, _: cftime.num2date(day, _DAYS, calendar).strftime("%Y-%m-%d")
+        )
+        return np.asarray(cftime.date2num(index.to_numpy(), _DAYS, calendar), dtype=float), True
+    shown = np.unique(
+        np.linspace(0, index.size - 1, min(index.size, MAX_TEXT_TICKS)).round().astype(int)
+    )
+    texts = [
+        " · ".join(map(format_value, item if isinstance(item, tuple) else (item,)))
+        for item in index[shown]
+    ]
+    axes.set_xticks(shown, texts, rotation=90, fontsize=SMALL_FONT_PT)
+    return np.arange(index.size), False

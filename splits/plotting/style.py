@@ -251,6 +251,35 @@ def start_at_zero(axes: Axes, quantity: str = "", ylim: tuple[float, float] | No
     axes.set_ylim(ylim or (0.0, compute_axis_top(highest, quantity)))
 
 
+def draw_band(
+    axes: Axes, x: np.ndarray, y: np.ndarray, stderr: np.ndarray, floor: Any = -np.inf, **style: Any
+) -> None:
+    """Draw a band of `BAND_SIGMA` standard errors around values, cut off at a lower limit."""
+    error = BAND_SIGMA * stderr
+    axes.fill_between(x, np.maximum(y - error, floor), y + error, lw=0, **style)
+
+
+def draw_curve(
+    axes: Axes, x: np.ndarray, y: np.ndarray, stderr: np.ndarray, floor: Any = -np.inf, *,
+    alpha: float = 0.3, **style: Any,
+) -> None:  # fmt: skip
+    """Draw a line, and its band of errors in the same colour, see `draw_band`.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    x, y, stderr : float, shape (points,)
+    floor : float
+        Lower limit of the band.
+    alpha : float
+        Opacity of the band.
+    **style
+        Keywords of `matplotlib.axes.Axes.plot`, among them the colour.
+    """
+    axes.plot(x, y, **style)
+    draw_band(axes, x, y, stderr, floor, color=style["color"], alpha=alpha)
+
+
 def pick_colours(count: int, parameter: str | None = None) -> list[Colour]:
     """Return distinct colours: a scale for ordered values, a palette for nominal ones."""
     if parameter not in NOMINAL_PARAMETERS:
@@ -497,9 +526,9 @@ def format_panel_letter(number: int) -> str:
 
 def add_notes(figure: Figure, *notes: str) -> None:
     """Write notes below the panels and earlier notes; the figure height increases accordingly."""
-    inches, dpi = figure.get_figwidth(), figure.dpi
     if not any(notes):
         return
+    inches, dpi = figure.get_figwidth(), figure.dpi
     text = next((item for item in figure.texts if item.get_gid() == NOTES_GID), None)
     height, previous = figure.get_figheight(), ""
     if text is None:

@@ -21,6 +21,7 @@ from splits.plotting.style import (
     annotate_figure,
     compute_axis_top,
     describe_conditions,
+    draw_curve,
     format_parameter,
     make_subplots,
     pick_colours,
@@ -36,6 +37,7 @@ MAX_RELATIVE_ERROR = 0.25
 """Relative error above which a value is not drawn."""
 
 
+@use_style()
 def draw_returns(
     dataset: xr.Dataset,
     select: Mapping[str, float | str] | None = None,
@@ -56,39 +58,36 @@ def draw_returns(
     dims = [str(d) for d in dataset.return_rate.dims if d != "delay_s"]
     lines = PlotLines(dataset, [d for d in dims if d != "wavelength" or dataset.sizes[d] > 1])
     begin, end = (dataset.delay_bounds.values[:, column] for column in (0, 1))
-    with use_style():
-        figure, (left, right) = make_subplots(1, 2, width=TWO_COLUMNS_INCHES, height=2.8)
-        for grid_line in lines.lines:
-            line = dataset.sel(grid_line.labels)
-            line = line.isel(wavelength=0) if "wavelength" in line.dims else line
-            rate, error = line.return_rate.values, BAND_SIGMA * line.return_rate_stderr.values
-            is_drawn = (begin > 0.0) & (rate > 0.0)
-            is_drawn &= error < BAND_SIGMA * MAX_RELATIVE_ERROR * rate
-            delay = 1e9 * np.sqrt(np.maximum(begin, 0.0) * end)[is_drawn]
-            rate, error = 1e-9 * rate[is_drawn], 1e-9 * error[is_drawn]
-            style = grid_line.to_plot_style()
-            left.plot(delay, rate, **style)
-            low = np.maximum(rate - error, 0.1 * rate)
-            left.fill_between(delay, low, rate + error, color=grid_line.colour, alpha=0.3, lw=0)
-            returned = np.cumsum(line.return_rate.values * (end - begin))
-            right.plot(1e9 * end, returned, **style)
-        left.set(yscale="log", ylabel="returned light per time (ns⁻¹)")
-        right.set(ylabel="light returned since the first delay", ylim=(0.0, compute_axis_top(1.0)))
-        for axes in (left, right):
-            axes.set(xscale="log", xlabel="delay (ns)")
-            axes.spines["right"].set_visible(False)
-            depth = axes.secondary_xaxis(
-                "top",
-                functions=(
-                    lambda x: HALF_SPEED_MM_PER_NS * x,
-                    lambda x: x / HALF_SPEED_MM_PER_NS,
-                ),
-            )
-            depth.set_xlabel("apparent depth (mm)")
-        lines.add_legend(figure, [left, right], legend)
-        return annotate_figure(figure, [left, right], describe_conditions(dataset, select))
+    figure, (left, right) = make_subplots(1, 2, width=TWO_COLUMNS_INCHES, height=2.8)
+    for grid_line in lines.lines:
+        line = dataset.sel(grid_line.labels)
+        line = line.isel(wavelength=0) if "wavelength" in line.dims else line
+        rate, error = line.return_rate.values, line.return_rate_stderr.values
+        is_drawn = (begin > 0.0) & (rate > 0.0) & (error < MAX_RELATIVE_ERROR * rate)
+        delay = 1e9 * np.sqrt(np.maximum(begin, 0.0) * end)[is_drawn]
+        returned = np.cumsum(rate * (end - begin))
+        rate, error = 1e-9 * rate[is_drawn], 1e-9 * error[is_drawn]
+        style = grid_line.to_plot_style()
+        draw_curve(left, delay, rate, error, 0.1 * rate, **style)
+        right.plot(1e9 * end, returned, **style)
+    left.set(yscale="log", ylabel="returned light per time (ns⁻¹)")
+    right.set(ylabel="light returned since the first delay", ylim=(0.0, compute_axis_top(1.0)))
+    for axes in (left, right):
+        axes.set(xscale="log", xlabel="delay (ns)")
+        axes.spines["top"].set_visible(True)
+        depth = axes.secondary_xaxis(
+            "top",
+            functions=(
+                lambda x: HALF_SPEED_MM_PER_NS * x,
+                lambda x: x / HALF_SPEED_MM_PER_NS,
+            ),
+        )
+        depth.set_xlabel("apparent depth (mm)")
+    lines.add_legend(figure, [left, right], legend)
+    return annotate_figure(figure, [left, right], describe_conditions(dataset, select))
 
 
+@use_style()
 def draw_range_bias(
     dataset: xr.Dataset,
     select: Mapping[str, float | str] | None = None,
@@ -117,24 +116,22 @@ def draw_range_bias(
     check_count("points", dataset.sizes[axis], MAX_ROWS, select)
     lines = PlotLines(dataset, [*(d for d in dims if d != axis), "wavelength"])
     x = dataset[axis].values.astype(float)
-    with use_style():
-        figure, axes = make_subplots(width=ONE_COLUMN_INCHES, height=2.9)
-        for grid_line in lines.lines:
-            line = dataset.sel(grid_line.labels)
-            bias = 1e9 * HALF_SPEED_MM_PER_NS * line.mean_delay.values
-            error = 1e9 * HALF_SPEED_MM_PER_NS * BAND_SIGMA * line.mean_delay_stderr.values
-            axes.errorbar(x, bias, error, **grid_line.to_plot_style(), marker="o", ms=2.5)
-        axes.set(
-            yscale="log", xlabel=format_parameter(axis), ylabel="range bias (mm)",
-            xscale="log" if x.min() > 0.0 else "linear",
-        )  # fmt: skip
-        axes.yaxis.set_major_formatter("{x:g}")
-        if x.size <= MAX_TICKS:
-            axes.set_xticks(x, [f"{value:g}" for value in x])
-            axes.tick_params(axis="x", which="minor", bottom=False, labelbottom=False)
-        axes.spines[["top", "right"]].set_visible(False)
-        lines.add_legend(figure, [axes], legend)
-        return annotate_figure(figure, [axes], describe_conditions(dataset, select, "bars"))
+    figure, axes = make_subplots(width=ONE_COLUMN_INCHES, height=2.9)
+    for grid_line in lines.lines:
+        line = dataset.sel(grid_line.labels)
+        bias = 1e9 * HALF_SPEED_MM_PER_NS * line.mean_delay.values
+        error = 1e9 * HALF_SPEED_MM_PER_NS * BAND_SIGMA * line.mean_delay_stderr.values
+        axes.errorbar(x, bias, error, **grid_line.to_plot_style(), marker="o", ms=2.5)
+    axes.set(
+        yscale="log", xlabel=format_parameter(axis), ylabel="range bias (mm)",
+        xscale="log" if x.min() > 0.0 else "linear",
+    )  # fmt: skip
+    axes.yaxis.set_major_formatter("{x:g}")
+    if x.size <= MAX_TICKS:
+        axes.set_xticks(x, [f"{value:g}" for value in x])
+        axes.tick_params(axis="x", which="minor", bottom=False, labelbottom=False)
+    lines.add_legend(figure, [axes], legend)
+    return annotate_figure(figure, [axes], describe_conditions(dataset, select, "bars"))
 
 
 def _select_reflected(dataset: xr.Dataset, select: Mapping[str, float | str] | None) -> xr.Dataset:
@@ -143,6 +140,7 @@ def _select_reflected(dataset: xr.Dataset, select: Mapping[str, float | str] | N
     return dataset.sel(side="reflected") if "side" in dataset.dims else dataset
 
 
+@use_style()
 def draw_beam_spread(
     dataset: xr.Dataset, select: Mapping[str, float | str] | None = None
 ) -> Figure:
@@ -157,43 +155,38 @@ def draw_beam_spread(
     """
     dataset = select_points(dataset, select or {})
     check_count("maps", dataset.sizes["wavelength"], MAX_LINES // 2, select)
-    with use_style():
-        figure, (left, right) = make_subplots(
-            1, 2, width=TWO_COLUMNS_INCHES, height=2.8, width_ratios=(1.15, 1.0)
-        )
-        colours = pick_colours(dataset.sizes["wavelength"])
-        for colour, wavelength in zip(colours, dataset.wavelength.values, strict=True):
-            for side, dash in (("reflected", "-"), ("transmitted", "--")):
-                part = dataset.sel(wavelength=wavelength, side=side)
-                value, error = part.profile.values, part.profile_stderr.values
-                is_significant = (value > 0.0) & (error < MAX_RELATIVE_ERROR * value)
-                if is_significant.sum() < 2:
-                    continue
-                x = 1e3 * part.radius.values[is_significant]
-                value, error = value[is_significant], BAND_SIGMA * error[is_significant]
-                label = f"{wavelength:g} nm, {side}"
-                left.plot(x, value, color=colour, ls=dash, label=label)
-                left.fill_between(
-                    x, np.maximum(value - error, 0.1 * value), value + error,
-                    color=colour, alpha=0.3, lw=0,
-                )  # fmt: skip
-        left.set(xscale="log", yscale="log", xlabel="distance from the entry (mm)")
-        left.set_ylabel("light leaving per area (m⁻²)")
-        left.spines[["top", "right"]].set_visible(False)
-        handles, _ = left.get_legend_handles_labels()
-        if len(handles) > MAX_INSET_ENTRIES:
-            place_legend_beside(figure, handles, None)
-        elif handles:
-            left.legend(frameon=False)
-        first = dataset.isel(wavelength=0).sel(side="reflected")
-        values = first.profile_map.transpose("y", "x").values
-        positive = values[values > 0.0]
-        norm = LogNorm(np.quantile(positive, 0.02), positive.max()) if positive.size else None
-        image = right.pcolormesh(
-            1e3 * first.x, 1e3 * first.y, np.where(values > 0.0, values, np.nan), norm=norm,
-            cmap="viridis", rasterized=True,
-        )  # fmt: skip
-        right.set(xlabel="along the beam's travel (mm)", ylabel="across (mm)", aspect="equal")
-        right.set_title(f"{float(first.wavelength):g} nm, reflected")
-        figure.colorbar(image, ax=right, label="light leaving per area (m⁻²)", shrink=0.85)
-        return annotate_figure(figure, [left, right], describe_conditions(dataset, select))
+    figure, (left, right) = make_subplots(
+        1, 2, width=TWO_COLUMNS_INCHES, height=2.8, width_ratios=(1.15, 1.0)
+    )
+    colours = pick_colours(dataset.sizes["wavelength"])
+    for colour, wavelength in zip(colours, dataset.wavelength.values, strict=True):
+        for side, dash in (("reflected", "-"), ("transmitted", "--")):
+            part = dataset.sel(wavelength=wavelength, side=side)
+            value, error = part.profile.values, part.profile_stderr.values
+            is_significant = (value > 0.0) & (error < MAX_RELATIVE_ERROR * value)
+            if is_significant.sum() < 2:
+                continue
+            x = 1e3 * part.radius.values[is_significant]
+            value, error = value[is_significant], error[is_significant]
+            label = f"{wavelength:g} nm, {side}"
+            draw_curve(left, x, value, error, 0.1 * value, color=colour, ls=dash, label=label)
+    left.set(xscale="log", yscale="log", xlabel="distance from the entry (mm)")
+    left.set_ylabel("light leaving per area (m⁻²)")
+    handles, _ = left.get_legend_handles_labels()
+    if len(handles) > MAX_INSET_ENTRIES:
+        place_legend_beside(figure, handles, None)
+    elif handles:
+        left.legend(frameon=False)
+    first = dataset.isel(wavelength=0).sel(side="reflected")
+    values = first.profile_map.transpose("y", "x").values
+    positive = values[values > 0.0]
+    norm = LogNorm(np.quantile(positive, 0.02), positive.max()) if positive.size else None
+    image = right.pcolormesh(
+        1e3 * first.x, 1e3 * first.y, np.where(values > 0.0, values, np.nan), norm=norm,
+        cmap="viridis", rasterized=True,
+    )  # fmt: skip
+    right.set(xlabel="along the beam's travel (mm)", ylabel="across (mm)", aspect="equal")
+    right.spines[:].set_visible(True)
+    right.set_title(f"{float(first.wavelength):g} nm, reflected")
+    figure.colorbar(image, ax=right, label="light leaving per area (m⁻²)", shrink=0.85)
+    return annotate_figure(figure, [left, right], describe_conditions(dataset, select))

@@ -28,7 +28,7 @@ from splits.tables.interpolation import (
     transform_axis,
 )
 from splits.tables.table import Table
-from splits.tables.table_interpolation import scale_axis_errors
+from splits.tables.table_interpolation import LocatedQuantity, scale_axis_errors
 
 FIXED_ATTRIBUTES = (INCIDENCE, *VIEW_AXES, "field_of_view_deg", "diffuse_fraction")
 """Attributes of a table that are conditions of a measurement."""
@@ -275,9 +275,8 @@ def choose_quantity(table: Table, quantity: str | None) -> str:
 
 def get_table_ranges(table: Table) -> dict[str, ParameterRange]:
     """Return the ranges of all axes of a table that may be free, and of the scale."""
-    names = table.axes[:-1]
-    rows = tuple(tuple(table.dataset[name].values.tolist()) for name in names)
-    return get_grid_ranges(ParameterGrid(tuple(names), rows), has_direction=table.has_direction)
+    grid = {name: tuple(table.dataset[name].values.tolist()) for name in table.axes[:-1]}
+    return get_grid_ranges(ParameterGrid(grid), has_direction=table.has_direction)
 
 
 def get_grid_ranges(
@@ -285,7 +284,7 @@ def get_grid_ranges(
 ) -> dict[str, ParameterRange]:
     """Return the ranges of `get_table_ranges` for the axes of a table."""
     ranges = {}
-    for name, row in zip(*grid, strict=True):
+    for name, row in grid.items():
         if len(row) > 1 and not isinstance(row[0], str) and name not in VIEW_AXES:
             transform, _ = transform_axis(
                 name, np.array(row, dtype=float), has_direction=has_direction
@@ -323,7 +322,7 @@ def _resample_table(
     with key_prefix("fixed"):
         complete = table.interpolation.complete_point({**free, **fixed})
     point = {name: value for name, value in complete.items() if name not in free}
-    located = table.interpolation.locate(quantity, point)
+    located = LocatedQuantity(table.interpolation, quantity, point)
     values = located.combine(located.read(quantity))
     prepared = table.interpolation.prepare(quantity)
     coordinates = {

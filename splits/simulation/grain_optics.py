@@ -233,7 +233,6 @@ class ScatteringMatrixTally(Tally):
 
 INTERPOLATION_TOLERANCE = 0.0005
 """Interpolation error allowed, as for a reflectance (see `splits.simulation.spectral_nodes`)."""
-WET_PORE_MODELS = ("saturation", "equilibrium")
 
 
 class GrainOpticsRequest(NamedTuple):

@@ -13,6 +13,7 @@ from splits.core.declarations import Quantity
 from splits.core.inputs import INCIDENT_STOKES, Numbers, describe_numbers
 from splits.core.validation import as_scalar, invalid
 from splits.kernels.arithmetic import Vector
+from splits.kernels.phase_function import PhaseFunction
 from splits.kernels.rough_surface.realization import HeightFields
 from splits.kernels.scene import (
     NO_GROUND,
@@ -315,14 +316,14 @@ def make_particle_table(layers: Sequence[ParticleMedium]) -> ParticleScattering:
     phase_functions = [layer.kernel_phase_function for layer in layers]
     n_columns = max(len(phase.cosines) for phase in phase_functions)
 
-    def collect(name: str) -> np.ndarray:
-        return np.array([getattr(phase, name) for phase in phase_functions])
-
-    def pad_columns(name: str) -> np.ndarray:
-        rows = [getattr(phase, name) for phase in phase_functions]
-        return np.array([
-            np.pad(row, [(0, n_columns - len(row)), *[(0, 0)] * (row.ndim - 1)]) for row in rows
-        ])  # fmt: skip
+    tables = {
+        name: [getattr(one, name) for one in phase_functions] for name in PhaseFunction._fields
+    }
+    for name in ("cosines", "density", "cdf", "elements"):
+        tables[name] = [
+            np.pad(row, [(0, n_columns - len(row)), *[(0, 0)] * (row.ndim - 1)])
+            for row in tables[name]
+        ]
 
     albedo = np.array(
         [0.0 if layer.opaque else float(layer.single_scattering_albedo) for layer in layers]
@@ -332,15 +333,8 @@ def make_particle_table(layers: Sequence[ParticleMedium]) -> ParticleScattering:
     return ParticleScattering(
         albedo=albedo,
         absorption_depth=absorption_depth,
-        kind=collect("kind"),
-        g=collect("g"),
-        dipole_fraction=collect("dipole_fraction"),
-        circular_ratio=collect("circular_ratio"),
         table_size=np.array([len(phase.cosines) for phase in phase_functions]),
-        cosines=pad_columns("cosines"),
-        density=pad_columns("density"),
-        cdf=pad_columns("cdf"),
-        elements=pad_columns("elements"),
+        **{name: np.array(rows) for name, rows in tables.items()},
     )
 
 

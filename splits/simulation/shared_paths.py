@@ -299,16 +299,10 @@ def _encode(value: Any) -> Iterator[bytes]:
         return
     table = np.asarray(value)
     yield repr(table.shape).encode()
-    is_numeric = table.dtype.kind in "biuf"
-    yield _round_significands(table).tobytes() if is_numeric else repr(table.tolist()).encode()
-
-
-def _round_significands(values: np.ndarray) -> np.ndarray:
-    """Return numbers with their last digits rounded.
-
-    A small offset is added, because scaled lengths are often whole numbers, where rounding is
-    discontinuous.
-    """
-    mantissa, exponent = np.frexp(values * (1.0 + 1e-6 * 2.0 ** (-_COMPARED_BITS / 2)))
-    whole = np.where(np.isfinite(values), np.round(mantissa * 2.0**_COMPARED_BITS), values)
-    return np.stack([whole, exponent.astype(float)])
+    if table.dtype.kind not in "biuf":
+        yield repr(table.tolist()).encode()
+        return
+    # Scaled lengths are often whole numbers, where rounding is discontinuous: with a small offset.
+    mantissa, exponent = np.frexp(table * (1.0 + 1e-6 * 2.0 ** (-_COMPARED_BITS / 2)))
+    whole = np.where(np.isfinite(table), np.round(mantissa * 2.0**_COMPARED_BITS), table)
+    yield np.stack([whole, exponent.astype(float)]).tobytes()

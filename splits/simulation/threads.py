@@ -19,6 +19,8 @@ from threadpoolctl import ThreadpoolController
 from splits.core.process import make_lock
 
 _thread_local, _blas_lock = threading.local(), make_lock()
+# Inspecting the loaded libraries takes milliseconds.
+_get_threadpool_controller = cache(ThreadpoolController)
 
 
 @contextmanager
@@ -31,12 +33,6 @@ def limit_blas_threads() -> Iterator[None]:
     """
     with _blas_lock, _get_threadpool_controller().limit(limits=1, user_api="blas"):
         yield
-
-
-@cache
-def _get_threadpool_controller() -> ThreadpoolController:
-    # Inspecting the loaded libraries takes milliseconds.
-    return ThreadpoolController()
 
 
 class DaemonThreadPool(Executor):

@@ -59,7 +59,7 @@ class TableVariable(NamedTuple):
     @property
     def dims(self) -> tuple[str, ...]:
         """Dimensions."""
-        return (*self.leading, *self.grid.names, *self.trailing)
+        return (*self.leading, *self.grid, *self.trailing)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -122,24 +122,31 @@ def _make_dataset(
 ) -> xr.Dataset:
     """Return a table as a dataset from its arrays and the attributes of its blocks."""
     variables = {}
+    is_diffuse = plan.path_groups[0].incidence == DIFFUSE
     for name, variable in list_variables(plan, request).items():
         quantity = variable.quantity
         label = LABELS[quantity]
-        if quantity == "reflectance_factor" and plan.path_groups[0].incidence == DIFFUSE:
+        if quantity == "reflectance_factor" and is_diffuse:
             label = LABELS[DIFFUSE_PREFIX + quantity]
-        attrs = {"long_name": label, "units": "1"}
-        if name == quantity:
-            attrs["ancillary_variables"] = f"{quantity}_stderr"
-        else:
+        attrs = {"long_name": label, "units": "1", "ancillary_variables": f"{quantity}_stderr"}
+        if name != quantity:
             kind = "standard error" if name.endswith("_stderr") else "deviation by batch of rays"
-            attrs["long_name"] = f"{kind} of {attrs['long_name']}"
+            attrs = {"long_name": f"{kind} of {label}", "units": "1"}
         variables[name] = (variable.dims, arrays[name].reshape(variable.shape), attrs)
     coordinates = {
         **plan.grid.to_coordinates(),
         **({} if request.views is None else request.views.to_coordinates()),
         "wavelength": make_wavelength_coordinate(plan.wavelengths),
     }
-    spectral_request = request.spectral_request
+    media, spectral_request = plan.list_media(), request.spectral_request
+    described = [{f"{m.kind}_{key}": v for key, v in m.describe().items()} for m in media]
+    common = {
+        key: value
+        for key, value in described[0].items()
+        if all(key in one and np.array_equal(one[key], value) for one in described)
+    }
+    if INCIDENCE not in plan.grid:
+        common[INCIDENCE] = plan.path_groups[0].incidence
     dataset_attrs: dict[str, Any] = {
         "title": f"Table of {plan.grid.size} spectra",
         "path_sharing_axes": ", ".join(plan.path_sharing_axes) or "none",
@@ -157,7 +164,8 @@ def _make_dataset(
         "ensembles": len(plan.path_groups),
         "wall_time_s": round(wall_time_s, 3),
         "physics_sources_sha256": hash_physics_sources(),
-        **_find_common_attributes(plan),
+        "medium": media[0].kind,
+        **common,
         **make_provenance("table"),
     }
     return xr.Dataset(variables, coordinates, to_netcdf_attributes(dataset_attrs))
@@ -182,20 +190,6 @@ def average_nodes(
         variables |= make_variable(f"band_{quantity}", dims, values, stderr, label)
     digests = {f"band_{name}_sha256": one.sha256 for name, one in bands.items() if one.sha256}
     return table.assign(variables).assign_coords(band=list(bands)).assign_attrs(digests)
-
-
-def _find_common_attributes(plan: TablePlan) -> dict[str, Any]:
-    """Return the attributes common to all media of a table."""
-    media = plan.list_media()
-    described = [{f"{m.kind}_{key}": v for key, v in m.describe().items()} for m in media]
-    attrs = {
-        key: value
-        for key, value in described[0].items()
-        if all(key in one and np.array_equal(one[key], value) for one in described)
-    }
-    if INCIDENCE not in plan.grid.names:
-        attrs["incidence_deg"] = plan.path_groups[0].incidence
-    return {"medium": media[0].kind, **attrs}
 
 
 MAX_BYTES_IN_MEMORY = 2**28
@@ -249,7 +243,17 @@ def write_table_blockwise(
         skeleton.drop_vars(list(variables)).to_netcdf(temporary, engine="netcdf4")
         with netCDF4.Dataset(temporary, "a") as file:
             for name in variables:
-                _create_variable(file, name, skeleton)
+                # Without writing its values.
+                variable = skeleton[name]
+                dims = [str(dim) for dim in variable.dims]
+                for dim, size in zip(dims, variable.shape, strict=True):
+                    if dim not in file.dimensions:
+                        file.createDimension(dim, size)
+                created = file.createVariable(name, "f4", dims, fill_value=False, contiguous=True)
+                created.setncatts(variable.attrs)
+                auxiliary = [str(c) for c in variable.coords if c not in variable.dims]
+                if auxiliary:
+                    created.coordinates = " ".join(auxiliary)
             for name, index, values in _iterate_points(read_blocks(), variables):
                 file.variables[name][index] = values
         with netCDF4.Dataset(temporary) as file:
@@ -261,20 +265,6 @@ def write_table_blockwise(
         if not complete:
             raise OSError(f"{path}: the file written does not hold the table")
         append_checksum(temporary)
-
-
-def _create_variable(file: netCDF4.Dataset, name: str, skeleton: xr.Dataset) -> None:
-    """Create a variable in a file without writing its values."""
-    variable = skeleton[name]
-    dims = [str(dim) for dim in variable.dims]
-    for dim, size in zip(dims, variable.shape, strict=True):
-        if dim not in file.dimensions:
-            file.createDimension(dim, size)
-    created = file.createVariable(name, "f4", dims, fill_value=False, contiguous=True)
-    created.setncatts(variable.attrs)
-    auxiliary = [str(c) for c in variable.coords if c not in variable.dims]
-    if auxiliary:
-        created.coordinates = " ".join(auxiliary)
 
 
 def _iterate_points(

@@ -38,64 +38,54 @@ AXIS_ALIASES = {"sza": INCIDENCE}
 MAX_SPECTRA = 100_000_000
 
 
-class ParameterGrid(NamedTuple):
-    """Grid of parameters, each with increasing numbers or text values.
-
-    Attributes
-    ----------
-    names : tuple of str
-    values : tuple of tuple
-    """
-
-    names: tuple[str, ...]
-    values: tuple[tuple[Any, ...], ...]
+class ParameterGrid(dict[str, tuple[Any, ...]]):
+    """Grid of parameters: increasing numbers, or texts, by the name of each axis."""
 
     @classmethod
     def from_mapping(cls, grid: Any) -> ParameterGrid:
         """Return the grid of a user's mapping, see `check_grid`."""
-        return cls.from_checked(check_grid("grid", grid))
-
-    @classmethod
-    def from_checked(cls, grid: Mapping[str, tuple[Any, ...]]) -> ParameterGrid:
-        """Return the grid of values by parameter."""
-        return cls(tuple(grid), tuple(grid.values()))
+        return cls(check_grid("grid", grid))
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Number of values of each axis."""
-        return tuple(len(row) for row in self.values)
+        return tuple(map(len, self.values()))
 
     @property
     def size(self) -> int:
         """Number of points of the grid."""
         return math.prod(self.shape)
 
-    def drop(self, name: str) -> ParameterGrid:
-        """Return the grid without an axis, which need not exist."""
-        kept = [(n, row) for n, row in zip(*self, strict=True) if n != name]
-        return ParameterGrid(tuple(n for n, _ in kept), tuple(row for _, row in kept))
-
-    def get_values(self, name: str, default: Any) -> tuple[Any, ...]:
-        """Return the values of an axis, or the default if there is no such axis."""
-        return self.values[self.names.index(name)] if name in self.names else (default,)
+    def drop(self, *names: str) -> ParameterGrid:
+        """Return the grid without some axes, which need not exist."""
+        return ParameterGrid({name: row for name, row in self.items() if name not in names})
 
     def get_incidences(self, incidence_deg: float | str) -> list[float | str]:
         """Return the angles of the axis of incidence, or that of all points without this axis."""
-        if INCIDENCE not in self.names:
+        if INCIDENCE not in self:
             return [incidence_deg]
         if incidence_deg != 0.0:
             allowed = f"left out, because grid.{INCIDENCE} sets it"
             raise invalid(INCIDENCE, incidence_deg, allowed)
-        return [check_incidence(INCIDENCE, angle) for angle in self.get_values(INCIDENCE, 0.0)]
+        return [check_incidence(INCIDENCE, angle) for angle in self[INCIDENCE]]
 
     def iterate_points(self) -> Iterator[dict[str, Any]]:
         """Yield the parameters of every point; the last axis varies fastest."""
-        for values in itertools.product(*self.values):
-            yield dict(zip(self.names, values, strict=True))
+        for values in itertools.product(*self.values()):
+            yield dict(zip(self, values, strict=True))
 
     def to_coordinates(self) -> dict[str, Any]:
         """Return the axes as dataset coordinates with long names and units."""
-        return {name: (name, *_make_coordinate(name, row)) for name, row in zip(*self, strict=True)}
+        coordinates = {}
+        for name, row in self.items():
+            values, (long_name, units) = np.array(row), describe_parameter(name)
+            attributes = {"long_name": long_name, "units": units}
+            if values.dtype.kind != "f":
+                # Texts have no units, but may stand for values of a parameter that has.
+                unit = f" ({units})" if units != "1" else ""
+                attributes = {"long_name": long_name + unit}
+            coordinates[name] = (name, values, attributes)
+        return coordinates
 
 
 def check_grid(key: str, grid: Any) -> dict[str, tuple[Any, ...]]:
@@ -180,23 +170,14 @@ def check_axis_values(
     """
     if not isinstance(at, Mapping | None):
         raise invalid(prefix.rstrip("."), at, "a mapping from axes to values")
-    axis_names, values = list(axes), {}
+    axis_names, values, reasons = list(axes), {}, dict.fromkeys(free_axes, "as it is free")
     for name, value in (at or {}).items():
         axis = name if name in axis_names else AXIS_ALIASES.get(name, name)
         if axis not in axis_names:
             raise unknown_key(f"{prefix}{name}", axis_names)
-        if axis in values:
-            other_name = (
-                axis
-                if name != axis
-                else next(alias for alias in AXIS_ALIASES if AXIS_ALIASES[alias] == axis)
-            )
-            raise invalid(
-                f"{prefix}{name}", value, f"left out, because {prefix}{other_name} sets it"
-            )
-        if axis in free_axes:
-            raise invalid(f"{prefix}{name}", value, "left out, as it is free")
-        values[axis] = value
+        if axis in reasons:
+            raise invalid(f"{prefix}{name}", value, f"left out, {reasons[axis]}")
+        values[axis], reasons[axis] = value, f"because {prefix}{name} sets it"
     return values
 
 
@@ -224,15 +205,6 @@ def _check_grid_axis(name: str, values_given: Any) -> tuple[Any, ...]:
     return tuple(numbers.tolist())
 
 
-def _make_coordinate(name: str, axis_values: tuple[Any, ...]) -> tuple[np.ndarray, dict[str, str]]:
-    """Return the values of an axis with its long name and units."""
-    long_name, units = describe_parameter(name)
-    values = np.array(axis_values)
-    if values.dtype.kind != "f":
-        return values, {"long_name": long_name + (f" ({units})" if units != "1" else "")}
-    return values, {"long_name": long_name, "units": units}
-
-
 POLAR, AZIMUTH = "polar_deg", "azimuth_deg"
 VIEW_AXES = (POLAR, AZIMUTH)
 ANGLES = (INCIDENCE, *VIEW_AXES)
@@ -240,11 +212,9 @@ DIFFUSE_PREFIX = "diffuse_"
 VIEW_QUANTITIES = ("reflectance_factor", "anisotropy_factor")
 MIXED_QUANTITIES = ("reflectance", *VIEW_QUANTITIES)
 """Quantities of a beam, which isotropic light may be mixed with."""
-DIFFUSE_QUANTITIES = tuple(DIFFUSE_PREFIX + name for name in ("reflectance", *VIEW_QUANTITIES))
+DIFFUSE_QUANTITIES = tuple(DIFFUSE_PREFIX + name for name in MIXED_QUANTITIES)
 """Quantities under isotropic light, in a table whose other quantities are under beams."""
 ALL_QUANTITIES = (*SIDE_QUANTITIES, *VIEW_QUANTITIES, *DIFFUSE_QUANTITIES)
-DIRECTIONAL_QUANTITIES = ("reflectance", *VIEW_QUANTITIES, *DIFFUSE_QUANTITIES)
-"""Quantities of a table with directions."""
 
 
 class ViewGrid(NamedTuple):
@@ -272,15 +242,15 @@ class ViewGrid(NamedTuple):
         ValueError
             For one axis without the other, or angles outside their range.
         """
-        given = [name for name in VIEW_AXES if name in grid.names]
+        given = [name for name in VIEW_AXES if name in grid]
         if not given:
             return None
         for name in VIEW_AXES:
             if name not in given:
                 raise invalid(f"{prefix}{name}", None, "given", f"{given[0]} needs it")
-        polar = check_polar_angles(f"{prefix}{POLAR}", grid.get_values(POLAR, 0.0))
+        polar = check_polar_angles(f"{prefix}{POLAR}", grid[POLAR])
         key, hint = f"{prefix}{AZIMUTH}", "both sides of the plane of incidence are the same"
-        azimuth = as_1d_array(key, grid.get_values(AZIMUTH, 0.0), "numbers")
+        azimuth = as_1d_array(key, grid[AZIMUTH], "numbers")
         return cls(polar, check_axis(key, azimuth, 0.0, 180.0, "degrees", hint=hint))
 
     def to_coordinates(self) -> dict[str, Any]:
@@ -301,11 +271,6 @@ def fold_azimuths(azimuth_deg: Any) -> Any:
     """Return azimuths from 0 to 180 degrees on the same cones around the beam."""
     turned = np.mod(azimuth_deg, 360.0)
     return np.minimum(turned, 360.0 - turned)
-
-
-def drop_view_axes(grid: ParameterGrid) -> ParameterGrid:
-    """Return the grid of the media and beams."""
-    return grid.drop(POLAR).drop(AZIMUTH)
 
 
 def list_view_axes(quantity: str) -> tuple[str, ...]:
@@ -329,18 +294,16 @@ def check_quantities(quantities: Any, views: ViewGrid | None, covariance: bool) 
     ValueError
         For unknown quantities, or directional ones without directions.
     """
-    allowed = SIDE_QUANTITIES if views is None else DIRECTIONAL_QUANTITIES
+    allowed = SIDE_QUANTITIES if views is None else (*MIXED_QUANTITIES, *DIFFUSE_QUANTITIES)
     if quantities is None:
-        quantities = ("reflectance",) if views is None else ("reflectance", *VIEW_QUANTITIES)
+        quantities = ("reflectance",) if views is None else MIXED_QUANTITIES
     is_list = isinstance(quantities, list | tuple) and len(quantities) > 0
     if not is_list or len(set(quantities)) < len(quantities):
         raise invalid("quantities", quantities, f"a list of different {' or '.join(allowed)}")
     for name in quantities:
         if name not in allowed:
-            hint = "it needs polar_deg and azimuth_deg"
-            if views is not None:
-                hint = "leave out polar_deg and azimuth_deg"
-            hint = hint if name in ALL_QUANTITIES else ""
+            hint = "it needs" if views is None else "leave out"
+            hint = f"{hint} polar_deg and azimuth_deg" if name in ALL_QUANTITIES else ""
             raise invalid("quantities", name, " or ".join(allowed), hint)
     if covariance and views is not None:
         raise invalid("covariance", covariance, "False for a table with directions")
@@ -373,8 +336,7 @@ def sort_axes(dataset: Any) -> xr.Dataset:
     # Means over bands follow from the spectra, also between the nodes.
     means = [name for name in dataset.data_vars if str(name).startswith("band_")]
     dataset = dataset.drop_vars([*means, "band"] if means else [])
-    if not list_quantities(dataset):
-        raise invalid("table", list(map(str, dataset.data_vars)), "with a quantity and its error")
+    find_variables(dataset, list_quantities(dataset), "with a quantity and its error")
     axes = list_axes(dataset)
     if "wavelength" not in axes:
         hint = "select a list: sel(wavelength=[500]), which keeps the axis"
@@ -382,6 +344,16 @@ def sort_axes(dataset: Any) -> xr.Dataset:
     for name in axes:
         dataset = _sort_axis(dataset, name)
     return dataset.transpose(..., *(name for name in axes if name != "wavelength"), "wavelength")
+
+
+def find_variables(
+    dataset: xr.Dataset, names: Iterable[str], allowed: str, hint: str = ""
+) -> list[str]:
+    """Return the names of the variables that a table has; reject one that has none of them."""
+    found = [name for name in names if name in dataset]
+    if not found:
+        raise invalid("table", list(map(str, dataset.data_vars)), allowed, hint)
+    return found
 
 
 def list_quantities(dataset: xr.Dataset) -> list[str]:

@@ -23,6 +23,7 @@ from splits.tables.interpolation import (
     compute_stencil,
     estimate_error_weights,
     list_coordinates,
+    make_stencil_matrix,
     transform_axis,
 )
 
@@ -111,30 +112,32 @@ class AxisInterpolation:
     ) -> None:
         self.name, self.nodes, self.has_direction = name, nodes, has_direction
         self.default = transform_axis(name, nodes, has_direction=has_direction)[0]
-        candidates = [COORDINATES[self.default]]
-        if comparison is not None:
-            candidates = list_coordinates(name, nodes, has_direction=has_direction)
-        choice = np.zeros(n_wavelengths, dtype=int)
         self.comparison, self.other_transforms = comparison, other_transforms or {}
-        if comparison is not None:
-            positions = comparison[name].values
-            is_node = np.isin(positions, nodes)
-            self.between = positions[~is_node]
-            self.n_compared = len(self.between) // (len(nodes) - 1)
-            values = comparison.values.astype(float)
-            choice, differences = _choose_coordinates(
-                candidates, nodes, values[is_node], self.between, values[~is_node]
-            )
+        if comparison is None:
+            self._set_coordinates([COORDINATES[self.default]], np.zeros(n_wavelengths, dtype=int))
+            return
+        positions = comparison[name].values
+        is_node = np.isin(positions, nodes)
+        self.between = positions[~is_node]
+        self.n_compared = len(self.between) // (len(nodes) - 1)
+        values = comparison.values.astype(float)
+        candidates = list_coordinates(name, nodes, has_direction=has_direction)
+        choice, differences = _choose_coordinates(
+            candidates, nodes, values[is_node], self.between, values[~is_node]
+        )
+        self._set_coordinates(candidates, choice)
+        products = np.array([self.compute_weights(x).product for x in self.between])
+        self._differences = np.abs(differences)
+        shape = (len(self.between), *[1] * (differences.ndim - 2), -1)
+        factor = differences / products.reshape(shape)
+        self.other_axes = {str(n): comparison[n].values for n in comparison.dims[1:-1]}
+        self.factors = np.stack([factor, self._estimate_remainder(factor)])
+
+    def _set_coordinates(self, candidates: list[Coordinate], choice: np.ndarray) -> None:
+        """Set the coordinates that some wavelength uses, from the choice of each wavelength."""
         used, self.choice = np.unique(choice, return_inverse=True)
         self.coordinates = [candidates[i] for i in used]
-        self._coordinate_nodes = [one.apply(nodes) for one in self.coordinates]
-        if comparison is not None:
-            products = np.array([self.compute_weights(x).product for x in self.between])
-            self._differences = np.abs(differences)
-            shape = (len(self.between), *[1] * (differences.ndim - 2), -1)
-            factor = differences / products.reshape(shape)
-            self.other_axes = {str(n): comparison[n].values for n in comparison.dims[1:-1]}
-            self.factors = np.stack([factor, self._estimate_remainder(factor)])
+        self._coordinate_nodes = [one.apply(self.nodes) for one in self.coordinates]
 
     @property
     def is_measured(self) -> bool:
@@ -227,10 +230,7 @@ class AxisInterpolation:
         while True:
             t = coordinate.apply(refined)
             middle = coordinate.invert(0.5 * (t[:-1] + t[1:]))
-            matrix = np.zeros((len(middle), len(t)))
-            for row, x in zip(matrix, coordinate.apply(middle), strict=True):
-                stencil = compute_stencil(t, float(x))
-                row[stencil.nodes] = stencil.weights
+            matrix = make_stencil_matrix(t, coordinate.apply(middle))
             by_cubics = np.einsum("pn,...nw->...pw", matrix, self.interpolate(rows, refined))
             deviation = np.abs(by_cubics - self.interpolate(rows, middle))
             largest = deviation.max(axis=tuple(range(rows.ndim - 1)))
@@ -321,14 +321,12 @@ class AxisInterpolation:
         kept = 0
         for name, nodes in self.other_axes.items():
             kind = self.other_transforms.get(name, "identity")
-            target = at[name]
             # Axes with several targets stay in their order.
-            if np.ndim(target) == 0:
-                weights = _interpolate_linearly(kind, nodes, target)
-            else:
-                weights = np.array([_interpolate_linearly(kind, nodes, one) for one in target])
-            rows = self._average(name, weights, rows, 1 + kept)
-            kept += np.ndim(target)
+            several = np.ndim(at[name])
+            targets = at[name] if several else [at[name]]
+            weights = np.array([_interpolate_linearly(kind, nodes, one) for one in targets])
+            rows = self._average(name, weights if several else weights[0], rows, 1 + kept)
+            kept += several
         signed, remainder, slope = rows
         return signed, signed**2 + remainder, slope
 
@@ -365,11 +363,7 @@ def _choose_coordinates(
     best = np.empty_like(between_values)
     axes = tuple(range(between_values.ndim - 1))
     for i, coordinate in enumerate(candidates):
-        node_coordinates = coordinate.apply(nodes)
-        matrix = np.zeros((len(between), len(nodes)))
-        for row, x in zip(matrix, coordinate.apply(between), strict=True):
-            stencil = compute_stencil(node_coordinates, float(x))
-            row[stencil.nodes] = stencil.weights
+        matrix = make_stencil_matrix(coordinate.apply(nodes), coordinate.apply(between))
         differences = np.tensordot(matrix, node_values, 1) - between_values
         mean_square = np.maximum((differences**2).mean(axis=axes), ROUNDING**2)
         better = mean_square < smallest

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,14 +16,13 @@ from splits.discrete_ordinates.granular_stack import (
     SpectrumSolution,
     solve_with_exponent_error,
 )
-from splits.instruments.angular_estimate import AngularEstimate, join_wavelengths
+from splits.instruments.angular_estimate import join_wavelengths
 from splits.instruments.goniophotometer import make_direction_mask, simulate_directions
 from splits.instruments.solver import (
     DISCRETE_ORDINATES,
     MONTE_CARLO,
     PHASE_FUNCTION_FACTOR,
     AngularRequest,
-    AngularResult,
     make_estimate,
     solve_angular_results,
 )
@@ -68,9 +66,25 @@ def prepare_media(group: PathGroup, request: TableRequest) -> Any:
     """
     if request.solver == MONTE_CARLO:
         return request.spectral_request.truncate(group.path_sharing)
-    if request.views is None:
-        return _solve_spectra(group, request.spectral_request)
-    return _solve_directions(group, request.spectral_request, request.views)
+    spectral_request, media = request.spectral_request, group.path_sharing.media
+    wavelengths, max_stderr = spectral_request.wavelengths, spectral_request.max_stderr
+    threads = spectral_request.run.threads
+    # Paths through grains use all threads themselves.
+    error = max_stderr * (1.0 if request.views is None else PHASE_FUNCTION_FACTOR)
+    stacks = [make_granular_stack(medium, wavelengths, error, threads) for medium in media]
+    if request.views is not None:
+        target = _make_target(request.views)
+        angular_request = AngularRequest(wavelengths, *request.views, max_stderr, target)
+        return [solve_angular_results(one, angular_request, group.incidences) for one in stacks]
+    angles = [float(incidence) for incidence in group.incidences if incidence != DIFFUSE]
+    cosines = np.cos(np.radians(angles))
+
+    def solve(stack: GranularStack) -> SpectrumSolution:
+        return solve_with_exponent_error(stack, cosines, max_stderr)
+
+    # The error determines the number of streams.
+    with limit_blas_threads(), DaemonThreadPool(threads) as pool:
+        return list(pool.map(solve, stacks))
 
 
 def compute_block(
@@ -101,24 +115,6 @@ def compute_block(
     return xr.Dataset(
         variables, {"point": point_coordinate, "wavelength": spectral_request.wavelengths}, attrs
     )
-
-
-def _solve_spectra(group: PathGroup, request: SpectralRequest) -> list[SpectrumSolution]:
-    """Return the solution of each medium; the error determines the number of streams."""
-    angles = [float(incidence) for incidence in group.incidences if incidence != DIFFUSE]
-    cosines, max_stderr = np.cos(np.radians(angles)), request.max_stderr
-    threads = request.run.threads
-    # Paths through grains use all threads themselves.
-    stacks = [
-        make_granular_stack(medium, request.wavelengths, max_stderr, threads)
-        for medium in group.path_sharing.media
-    ]
-
-    def solve(stack: GranularStack) -> SpectrumSolution:
-        return solve_with_exponent_error(stack, cosines, max_stderr)
-
-    with limit_blas_threads(), DaemonThreadPool(threads) as pool:
-        return list(pool.map(solve, stacks))
 
 
 def _compute_spectra(
@@ -156,28 +152,6 @@ def _compute_spectra(
     }
 
 
-def _solve_directions(
-    group: PathGroup, request: SpectralRequest, views: ViewGrid
-) -> list[list[AngularResult]]:
-    """Return the results of each medium of a group for all incidences."""
-    angular_request = AngularRequest(
-        request.wavelengths, *views, request.max_stderr, _make_target(views)
-    )
-    return [
-        solve_angular_results(
-            make_granular_stack(
-                medium,
-                request.wavelengths,
-                PHASE_FUNCTION_FACTOR * request.max_stderr,
-                request.run.threads,
-            ),
-            angular_request,
-            group.incidences,
-        )
-        for medium in group.path_sharing.media
-    ]
-
-
 def _compute_directions(
     group: PathGroup, request: TableRequest, prepared: Any
 ) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -209,42 +183,30 @@ def _compute_directions(
         "stop_reason": "converged" if reached <= spectral_request.max_stderr else otherwise,
         "interpolation_error_bound": 0.0,
     }
-    n_wavelengths = spectral_request.wavelengths.size
-    variables = _make_view_variables(estimate, group, views, n_wavelengths, request.quantities)
-    return variables, attributes
-
-
-def _make_target(views: ViewGrid) -> ErrorTarget:
-    """Return the target of absolute errors of reflectance factors."""
-    return ErrorTarget(0, make_direction_mask(*views), absolute=True)
-
-
-def _make_view_variables(
-    estimate: AngularEstimate,
-    group: PathGroup,
-    views: ViewGrid,
-    n_wavelengths: int,
-    quantities: Sequence[str],
-) -> dict[str, Any]:
-    """Return the variables of a block with their errors, over ``point``, views and wavelength."""
     values = {
         "reflectance": (estimate.hemispherical[0], estimate.hemispherical_stderr[0]),
         "reflectance_factor": (np.pi * estimate.mean[0], np.pi * estimate.stderr[0]),
         "anisotropy_factor": (estimate.anisotropy, estimate.anisotropy_stderr),
     }
-    is_diffuse = group.incidence == DIFFUSE and has_diffuse(quantities)
+    is_diffuse = group.incidence == DIFFUSE and has_diffuse(request.quantities)
     prefix = DIFFUSE_PREFIX if is_diffuse else ""
     variables: dict[str, Any] = {}
-    for name in quantities:
+    for name in request.quantities:
         if name.startswith(DIFFUSE_PREFIX) != is_diffuse:
             continue
         axes = list_view_axes(name)
+        n_media, n_wavelengths = len(group.path_sharing.media), spectral_request.wavelengths.size
+        shape = (n_media, n_wavelengths, *(views.shape if axes else ()))
         for suffix, array in zip(("", "_stderr"), values[name.removeprefix(prefix)], strict=True):
-            shape = (len(group.path_sharing.media), n_wavelengths, *(views.shape if axes else ()))
             by_medium = np.moveaxis(array.reshape(shape), 1, -1)[group.media_indices]
             if axes != VIEW_AXES and axes:
                 # Under isotropic light, all azimuths are equal.
                 by_medium = by_medium[:, :, 0]
             dims = ("point", *axes, "wavelength")
             variables[name + suffix] = (dims, by_medium.astype(np.float32))
-    return variables
+    return variables, attributes
+
+
+def _make_target(views: ViewGrid) -> ErrorTarget:
+    """Return the target of absolute errors of reflectance factors."""
+    return ErrorTarget(0, make_direction_mask(*views), absolute=True)

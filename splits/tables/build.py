@@ -48,13 +48,13 @@ from splits.tables.assembly import (
     average_nodes,
 )
 from splits.tables.axes import (
+    VIEW_AXES,
     Grid,
     GridIncidence,
     MakeMedium,
     ParameterGrid,
     ViewGrid,
     check_quantities,
-    drop_view_axes,
     has_diffuse,
 )
 from splits.tables.block import TableRequest, compute_block, prepare_media
@@ -168,11 +168,11 @@ def build_table(
     wavelengths = choose_band_wavelengths(named) if wavelength_nm is None else wavelength_nm
     spectral_request = SpectralRequest(np.asarray(wavelengths), 0.0, max_stderr, max_rays, run)
     matrix = SpectralOperator.from_bands(named, spectral_request.wavelengths) if named else None
-    axes = ParameterGrid.from_checked(grid)
+    axes = ParameterGrid(grid)
     views = ViewGrid.from_grid(axes)
     selected = check_quantities(quantities, views, covariance)
     plan = TablePlan.from_grid(
-        make, drop_view_axes(axes), spectral_request.wavelengths, incidence_deg,
+        make, axes.drop(*VIEW_AXES), spectral_request.wavelengths, incidence_deg,
         has_views=views is not None, with_diffuse=has_diffuse(selected),
     )  # fmt: skip
     chosen = choose_table_solver(

@@ -24,9 +24,9 @@ from splits.tables.axes import (
     ANGLES,
     INCIDENCE,
     POLAR,
+    VIEW_AXES,
     ParameterGrid,
     ViewGrid,
-    drop_view_axes,
     has_diffuse,
     list_axes,
     list_quantities,
@@ -55,14 +55,6 @@ PATH_ERROR_RATIO = 2.0
 ComputeTable = Callable[[TablePlan, TableRequest], xr.Dataset]
 
 
-def find_positions_between(name: str, nodes: np.ndarray, *, has_direction: bool) -> np.ndarray:
-    """Return the compared positions of an axis, as many between all neighbouring nodes."""
-    kind, t = transform_axis(name, nodes, has_direction=has_direction)
-    fractions = POSITIONS["few nodes" if nodes.size <= MAX_FEW_NODES else "more nodes"]
-    rows = [t[:-1] + fraction * np.diff(t) for fraction in fractions]
-    return COORDINATES[kind].invert(np.stack(rows, axis=1).ravel())
-
-
 def list_comparison_grids(
     grid: ParameterGrid, axes: Sequence[str], *, by_ordinates: bool = True
 ) -> dict[str, ParameterGrid]:
@@ -77,22 +69,20 @@ def list_comparison_grids(
     by_ordinates : bool
         Whether discrete ordinates solve the table.
     """
-    has_direction = POLAR in grid.names
+    has_direction = POLAR in grid
     grids = {}
     for name in axes:
-        values = grid.get_values(name, None)
-        if len(values) < 2 or isinstance(values[0], str):
+        if len(grid[name]) < 2 or isinstance(grid[name][0], str):
             continue
-        nodes = np.array(values, dtype=float)
-        between = find_positions_between(name, nodes, has_direction=has_direction)
+        nodes = np.array(grid[name], dtype=float)
+        # As many positions between all neighbouring nodes.
+        kind, t = transform_axis(name, nodes, has_direction=has_direction)
+        fractions = POSITIONS["few nodes" if nodes.size <= MAX_FEW_NODES else "more nodes"]
+        rows = [t[:-1] + fraction * np.diff(t) for fraction in fractions]
+        between = COORDINATES[kind].invert(np.stack(rows, axis=1).ravel())
         positions = np.sort(np.concatenate([nodes, between]))
-        kept = _thin_axes(grid.drop(name), has_direction, by_ordinates)
-        names = grid.names
-        rows = [
-            tuple(positions.tolist()) if other == name else kept.get_values(other, None)
-            for other in names
-        ]
-        grids[name] = ParameterGrid(names, tuple(rows))
+        thinned = _thin_axes(grid.drop(name), has_direction, by_ordinates)
+        grids[name] = ParameterGrid(grid | thinned | {name: tuple(positions.tolist())})
     return grids
 
 
@@ -100,13 +90,13 @@ def _thin_axes(grid: ParameterGrid, has_direction: bool, by_ordinates: bool) -> 
     """Return a grid of a few nodes of every axis, with both ends where possible; texts are kept."""
     counts, kind = {}, "by ordinates" if by_ordinates else "by paths"
     fewest, most = N_OTHER_NODES[kind]
-    for name, values in zip(*grid, strict=True):
+    for name, values in grid.items():
         is_direction = has_direction and name in ANGLES
         limit = N_OTHER_ANGLES if is_direction else min(max(fewest, len(values) // 2 + 1), most)
         is_text = isinstance(values[0], str)
         counts[name] = len(values) if is_text else min(len(values), limit)
     media = [
-        name for name, values in zip(*grid, strict=True)
+        name for name, values in grid.items()
         if name not in ANGLES and not isinstance(values[0], str)
     ]  # fmt: skip
     max_media = MAX_OTHER_MEDIA[kind]
@@ -116,12 +106,12 @@ def _thin_axes(grid: ParameterGrid, has_direction: bool, by_ordinates: bool) -> 
         if counts[largest] == 1 or (by_ordinates and counts[largest] == 2):
             break
         counts[largest] -= 1
-    rows = []
-    for name, values in zip(*grid, strict=True):
+    thinned = ParameterGrid()
+    for name, values in grid.items():
         count, last = counts[name], len(values) - 1
         chosen = [last // 2] if count == 1 else np.linspace(0, last, count).round().astype(int)
-        rows.append(tuple(values[i] for i in chosen))
-    return ParameterGrid(grid.names, tuple(rows))
+        thinned[name] = tuple(values[i] for i in chosen)
+    return thinned
 
 
 def add_comparisons(
@@ -145,18 +135,18 @@ def add_comparisons(
         Function of a plan and a request that returns a table.
     """
     by_ordinates = request.solver == DISCRETE_ORDINATES
-    axes = grid.names if by_ordinates else plan.path_sharing_axes
+    axes = tuple(grid) if by_ordinates else plan.path_sharing_axes
     spectral = request.spectral_request
     if not by_ordinates:
         spectral = spectral._replace(max_stderr=PATH_ERROR_RATIO * spectral.max_stderr)
-    incidence = 0.0 if INCIDENCE in grid.names else plan.path_groups[0].incidence
+    incidence = 0.0 if INCIDENCE in grid else plan.path_groups[0].incidence
     for name, one in list_comparison_grids(grid, axes, by_ordinates=by_ordinates).items():
         views = ViewGrid.from_grid(one)
         kept = [q for q in request.quantities if name in table[q].dims]
         if not kept:
             continue
         part_plan = TablePlan.from_grid(
-            make_medium, drop_view_axes(one), plan.wavelengths, incidence,
+            make_medium, one.drop(*VIEW_AXES), plan.wavelengths, incidence,
             has_views=views is not None, with_diffuse=has_diffuse(kept),
         )  # fmt: skip
         part_request = request._replace(

@@ -22,7 +22,15 @@ from splits.core.validation import (
     invalid,
     snap_to_limits,
 )
-from splits.tables.axes import ANGLES, AZIMUTH, INCIDENCE, POLAR, check_axis_values, fold_azimuths
+from splits.tables.axes import (
+    ANGLES,
+    AZIMUTH,
+    INCIDENCE,
+    POLAR,
+    check_axis_values,
+    find_variables,
+    fold_azimuths,
+)
 from splits.tables.interpolation import make_weight_matrix
 
 RADIUS, SURFACE_AREA = "optical_radius_um", "specific_surface_area_m2_kg"
@@ -42,14 +50,12 @@ def select_at_fixed_axes(
         check_choice("axis", name, axes)
     at = check_axis_values(at, axes, free_axes=free_axes)
     subset = dataset[list(quantities)]
-    for name in axes:
+    for name in [axis for axis in axes if axis not in free_axes]:
         values = dataset[name].values
-        if name in free_axes:
-            continue
-        if name not in at and values.size > 1:
-            raise invalid(name, None, "given", "one of " + ", ".join(map(str, values)))
-        coordinate = as_scalar(at.get(name, values[0]))
         allowed = "one of " + ", ".join(map(str, values))
+        if name not in at and values.size > 1:
+            raise invalid(name, None, "given", allowed)
+        coordinate = as_scalar(at.get(name, values[0]))
         subset = subset.isel({name: _find_node(name, values, coordinate, allowed)})
     check_no_gaps("table", subset)
     return subset
@@ -95,38 +101,25 @@ def select_reflectance_factor(
         range, azimuths that do not extend from 0° to 180°, a missing axis, or gaps.
     """
     allowed = f"with {REFLECTANCE_FACTOR} over {', '.join(ANGLES)}"
-    if REFLECTANCE_FACTOR not in dataset:
-        raise invalid("table", list(map(str, dataset.data_vars)), allowed)
+    find_variables(dataset, [REFLECTANCE_FACTOR], allowed)
     dims = list(map(str, dataset[REFLECTANCE_FACTOR].dims))
     missing = [name for name in ANGLES if name not in dims]
     if missing:
         hint = f"give {', '.join(missing)} in the grid of splits.build_table"
         raise invalid("table", f"{REFLECTANCE_FACTOR} over {', '.join(dims)}", allowed, hint)
     for name in ANGLES:
-        check_angle_nodes(name, dataset[name].values)
-    names = [REFLECTANCE_FACTOR]
-    if f"{REFLECTANCE_FACTOR}_stderr" in dataset:
-        names.append(f"{REFLECTANCE_FACTOR}_stderr")
-    subset = select_at_fixed_axes(dataset, tuple(names), [*ANGLES, *free_axes], at)
+        nodes = dataset[name].values
+        if nodes.dtype.kind not in "iuf" or nodes.size < 2:
+            raise invalid(name, nodes.tolist(), "at least two angles")
+        first, last = snap_to_limits(np.sort(nodes.astype(float)), 0.0, 180.0)[[0, -1]].tolist()
+        is_azimuth = name == AZIMUTH
+        if not ((first, last) == (0.0, 180.0) if is_azimuth else 0.0 <= first <= last < 90.0):
+            allowed = "from 0 to 180" if is_azimuth else "at least 0, and less than 90"
+            raise invalid(name, nodes.tolist(), allowed)
+    both = REFLECTANCE_FACTOR, f"{REFLECTANCE_FACTOR}_stderr"
+    names = tuple(name for name in both if name in dataset)
+    subset = select_at_fixed_axes(dataset, names, [*ANGLES, *free_axes], at)
     return subset.sortby([*ANGLES]).transpose(*ANGLES, *free_axes, "wavelength")
-
-
-def check_angle_nodes(name: str, nodes: np.ndarray) -> None:
-    """Check that the nodes of an angle suffice for a conversion.
-
-    Raises
-    ------
-    ValueError
-        For text, too few nodes, nodes outside the range of the angle, or azimuths that do
-        not extend from 0° to 180°.
-    """
-    if nodes.dtype.kind not in "iuf" or nodes.size < 2:
-        raise invalid(name, nodes.tolist(), "at least two angles")
-    first, last = snap_to_limits(np.sort(nodes.astype(float)), 0.0, 180.0)[[0, -1]].tolist()
-    if name == AZIMUTH and (first, last) != (0.0, 180.0):
-        raise invalid(name, nodes.tolist(), "from 0 to 180")
-    if name != AZIMUTH and not 0.0 <= first <= last < 90.0:
-        raise invalid(name, nodes.tolist(), "at least 0, and less than 90")
 
 
 MIN_LAST_ZENITH_DEG = 60.0
@@ -327,18 +320,13 @@ def _select_diffuse_factor(
     dataset: xr.Dataset, at: Mapping[str, Any], polar_deg: np.ndarray
 ) -> np.ndarray:
     """Return the reflectance of diffuse light over polar angle, size and wavelength."""
-    if DIFFUSE_REFLECTANCE_FACTOR in dataset:
-        name, angle = DIFFUSE_REFLECTANCE_FACTOR, POLAR
-    elif "reflectance" in dataset:
-        name, angle = "reflectance", INCIDENCE
-    else:
-        allowed = f"with {DIFFUSE_REFLECTANCE_FACTOR}, or with reflectance"
-        raise invalid("table", list(map(str, dataset.data_vars)), allowed)
+    names = DIFFUSE_REFLECTANCE_FACTOR, "reflectance"
+    name, *_ = find_variables(dataset, names, f"with {names[0]}, or with {names[1]}")
+    angle = POLAR if name == DIFFUSE_REFLECTANCE_FACTOR else INCIDENCE
     subset = select_at_fixed_axes(dataset, (name,), [angle, RADIUS], at)[name]
     subset = subset.sortby([angle, RADIUS]).transpose(angle, RADIUS, "wavelength")
     if angle == POLAR:
-        values: np.ndarray = subset.values
-        return values
+        return np.asarray(subset.values)
     limits = subset[INCIDENCE].values[[0, -1]]
     if polar_deg[0] < limits[0] or polar_deg[-1] > limits[1]:
         allowed = f"from {limits[0]:g} to {limits[1]:g}, as far as {INCIDENCE} goes"

@@ -188,6 +188,15 @@ def compute_stencil(coordinates: np.ndarray, x: float) -> InterpolationWeights:
     return InterpolationWeights(stencil, *compute_lagrange_weights(coordinates[stencil], x))
 
 
+def make_stencil_matrix(coordinates: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Return the weights of all nodes at positions, shape (positions, nodes)."""
+    matrix = np.zeros((len(positions), len(coordinates)))
+    for row, x in zip(matrix, positions.tolist(), strict=True):
+        stencil = compute_stencil(coordinates, x)
+        row[stencil.nodes] = stencil.weights
+    return matrix
+
+
 def compute_lagrange_weights(
     nodes: np.ndarray, x: float
 ) -> tuple[np.ndarray, np.ndarray, float, float]:
@@ -232,12 +241,12 @@ def compute_interpolation_weights(
 def make_weight_matrix(
     name: str, nodes: np.ndarray, values: np.ndarray, *, has_direction: bool = False
 ) -> np.ndarray:
-    """Return the weights of all nodes at several values, shape (values, nodes)."""
-    matrix = np.zeros((len(values), len(nodes)))
-    for row, value in zip(matrix, values.tolist(), strict=True):
-        stencil = compute_interpolation_weights(name, nodes, value, has_direction=has_direction)
-        row[stencil.nodes] = stencil.weights
-    return matrix
+    """Return the weights of all nodes at several values in the default coordinate of an axis."""
+    kind, coordinates = transform_axis(name, nodes, has_direction=has_direction)
+    inside = (check_within_axis(name, nodes, value) for value in values.tolist())
+    # One by one, as single values are transformed: powers of arrays are rounded differently.
+    positions = np.array([apply_axis_transform(kind, np.array(x)) for x in inside])
+    return make_stencil_matrix(coordinates, positions)
 
 
 def estimate_error_weights(

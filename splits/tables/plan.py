@@ -107,8 +107,8 @@ class TablePlan(NamedTuple):
         media_groups = group_by_shared_paths(media, wavelengths, max_rows)
         incidences = (*beams, *([DIFFUSE] if with_diffuse else []))
         positions = np.arange(grid.size).reshape(grid.shape)
-        if INCIDENCE in grid.names:
-            positions = np.moveaxis(positions, grid.names.index(INCIDENCE), -1)
+        if INCIDENCE in grid:
+            positions = np.moveaxis(positions, list(grid).index(INCIDENCE), -1)
         positions = positions.reshape(len(media), len(beams))
         path_groups = tuple(
             PathGroup(beam, incidences, group.path_sharing, rows, group.media_indices)
@@ -139,14 +139,12 @@ class TablePlan(NamedTuple):
 
     def __str__(self) -> str:
         """Return a one-line summary of the plan."""
-        names, n_spectra = self.grid.names, self.grid.size
-        ensembles = (
-            "1 ensemble" if len(self.path_groups) == 1 else f"{len(self.path_groups)} ensembles"
-        )
-        axes = f" ({', '.join(self.path_sharing_axes)})" if self.path_sharing_axes else ""
+        n_groups, shared = len(self.path_groups), self.path_sharing_axes
+        axes = f" ({', '.join(shared)})" if shared else ""
         return (
-            f"{len(self.path_sharing_axes)} of {len(names)} axes share paths{axes}: {ensembles} "
-            f"for {n_spectra} spectra of {self.wavelengths.size} wavelengths"
+            f"{len(shared)} of {len(self.grid)} axes share paths{axes}: "
+            f"{n_groups} ensemble{'s' if n_groups > 1 else ''} "
+            f"for {self.grid.size} spectra of {self.wavelengths.size} wavelengths"
         )
 
 
@@ -189,9 +187,8 @@ def _find_path_sharing_axes(grid: ParameterGrid, media_groups: list[MediaGroup])
     for number, group in enumerate(media_groups):
         group_number[group.positions] = number
     group_number = group_number.reshape(grid.shape)
-    axes = [(number, name) for number, name in enumerate(grid.names) if grid.shape[number] > 1]
     return tuple(
         name
-        for number, name in axes
-        if (group_number == np.take(group_number, [0], axis=number)).all()
+        for number, (name, row) in enumerate(grid.items())
+        if len(row) > 1 and (group_number == np.take(group_number, [0], axis=number)).all()
     )

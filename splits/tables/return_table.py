@@ -23,7 +23,6 @@ from splits.instruments.delay_record import (
 )
 from splits.instruments.time_of_flight import FLAG_NAME, DelayRequest, simulate_delays
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
-from splits.media.medium import Medium
 from splits.simulation.run_options import RunOptions
 from splits.tables.axes import INCIDENCE, Grid, GridIncidence, MakeMedium, ParameterGrid
 from splits.tables.plan import make_point_medium
@@ -104,30 +103,40 @@ def build_return_table(
     {'specific_surface_area_m2_kg': 3, 'density_kg_m3': 2, 'wavelength': 1, 'delay_s': 5}
     """
     start_time = time.perf_counter()
-    axes = ParameterGrid.from_checked(grid)
+    axes = ParameterGrid(grid)
     wavelengths = np.asarray(wavelength_nm)
     run = RunOptions.start(seed, threads, kernel)
     pulse = Pulse.from_argument(None)
     edges, end = check_record(np.asarray(delay_s), None, pulse)
-    angles = axes.get_values(INCIDENCE, incidence_deg)
+    angles = axes.get(INCIDENCE, (incidence_deg,))
     beams = dict(zip(angles, axes.get_incidences(incidence_deg), strict=True))
     points = []
     for parameters in axes.iterate_points():
-        incidence = beams[parameters.get(INCIDENCE, incidence_deg)]
+        incidence = beams[parameters.pop(INCIDENCE, incidence_deg)]
         receiver = make_receiver(incidence, acceptance_deg, footprint_radius_m)
         request = DelayRequest(incidence, rays, receiver, edges, end, pulse)
-        keywords = {name: value for name, value in parameters.items() if name != INCIDENCE}
-        points.append((make_point_medium(make, keywords, check_granular_layers), request))
+        points.append((make_point_medium(make, parameters, check_granular_layers), request))
+    names = [f"{name}{suffix}" for name in RETURN_QUANTITIES for suffix in ("", "_stderr")]
     spectra = []
     for number, (medium, request) in enumerate(points):
         show = report_whole_table(progress, start_time, number, len(points) - number - 1)
-        one_run = run._replace(progress=show)
-        spectra.append(_simulate_point(medium, wavelengths, request, one_run))
-    table = _stack_points(spectra, axes)
+        parts = []
+        for step, wavelength in enumerate(wavelengths):
+            own_run = run._replace(progress=show, seed=(run.seed + step * SEED_STEP) % 2**63)
+            part = simulate_delays(medium, np.array([wavelength]), request, own_run)
+            parts.append(part[[*names, FLAG_NAME]].sel(side="reflected", drop=True))
+        joined = xr.concat(parts, "wavelength", data_vars="minimal").drop_attrs(deep=False)
+        spectra.append(joined.assign_coords(delay_bounds=part.delay_bounds))
+    variables = {}
+    for name, variable in spectra[0].data_vars.items():
+        values = np.stack([one[name].values for one in spectra])
+        values = values.reshape(*axes.shape, *variable.shape)
+        variables[name] = ((*axes, *variable.dims), values, variable.attrs)
+    table = xr.Dataset(variables, {**axes.to_coordinates(), **spectra[0].coords})
     attributes = {
         "title": TITLE,
         "medium": points[0][0].kind,
-        **({} if INCIDENCE in axes.names else {INCIDENCE: incidence_deg}),
+        **({} if INCIDENCE in axes else {INCIDENCE: incidence_deg}),
         **describe_record(None, acceptance_deg, footprint_radius_m),
         "rays": rays,
         "seed": run.seed,
@@ -136,28 +145,3 @@ def build_return_table(
         **make_provenance("build_return_table"),
     }
     return table.assign_attrs(to_netcdf_attributes(attributes))
-
-
-def _simulate_point(
-    medium: Medium, wavelengths: np.ndarray, request: DelayRequest, run: RunOptions
-) -> xr.Dataset:
-    """Return the reflected light of a point of the grid, without attributes."""
-    spectra = []
-    for number, wavelength in enumerate(wavelengths):
-        own_run = run._replace(seed=(run.seed + number * SEED_STEP) % 2**63)
-        dataset = simulate_delays(medium, np.array([wavelength]), request, own_run)
-        names = [f"{name}{suffix}" for name in RETURN_QUANTITIES for suffix in ("", "_stderr")]
-        names.append(FLAG_NAME)
-        spectra.append(dataset[names].sel(side="reflected", drop=True))
-    combined = xr.concat(spectra, "wavelength", data_vars="minimal").drop_attrs(deep=False)
-    return combined.assign_coords(delay_bounds=dataset.delay_bounds)
-
-
-def _stack_points(spectra: list[xr.Dataset], axes: ParameterGrid) -> xr.Dataset:
-    """Return the values of all points over the axes of the grid."""
-    first, variables = spectra[0], {}
-    for name, variable in first.data_vars.items():
-        values = np.stack([dataset[name].values for dataset in spectra])
-        values = values.reshape(*axes.shape, *variable.shape)
-        variables[name] = ((*axes.names, *variable.dims), values, variable.attrs)
-    return xr.Dataset(variables, {**axes.to_coordinates(), **first.coords})

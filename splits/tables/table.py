@@ -29,11 +29,11 @@ from splits.tables.axes import (
 )
 from splits.tables.conversions import convert_to_eradiate, convert_to_isofit
 from splits.tables.table_interpolation import (
+    LocatedQuantity,
     TableInterpolation,
     average_bands,
     differentiate_table,
     estimate_interpolation_errors,
-    interpolate_deviations,
     interpolate_table,
 )
 from splits.tables.view_selection import (
@@ -282,7 +282,12 @@ class Table:
         ValueError
             For a table made without ``covariance=True``.
         """
-        return interpolate_deviations(self.interpolation, quantity, at)
+        name = f"{quantity}_batches"
+        if name not in self.dataset:
+            raise invalid("table", quantity, "a table made with covariance=True")
+        point = self.interpolation.complete_point(at)
+        located = LocatedQuantity(self.interpolation, quantity, point)
+        return located.combine(located.read(name))
 
     @declare_function
     def derivatives(self, names: Sequence[str], **at: Any) -> xr.Dataset:

@@ -7,6 +7,7 @@ Derivatives with respect to the parameters of the axes are those of the interpol
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -60,31 +61,26 @@ class TableInterpolation:
             name for name in quantities if name in MIXED_QUANTITIES or POLAR not in self.axes
         ]
         self._prepared: dict[str, dict[str, AxisInterpolation]] = {}
-        self._comparisons: dict[str, xr.Dataset] | None = None
 
-    @property
+    @cached_property
     def comparisons(self) -> dict[str, xr.Dataset]:
         """Tables with positions between the nodes of an axis, by axis."""
-        if self._comparisons is None:
-            self._comparisons = extract_comparisons(self.dataset)
-        return self._comparisons
+        return extract_comparisons(self.dataset)
 
     def prepare(self, quantity: str) -> dict[str, AxisInterpolation]:
         """Return the interpolation of a quantity along each of its numeric axes."""
         if quantity not in self._prepared:
             variable = self.dataset[quantity]
             names = [n for n in self.axes if n in variable.dims]
-            numeric = [name for name in names if self.dataset[name].dtype.kind == "f"]
-            transforms = {
-                name: transform_axis(name, self.dataset[name].values)[0] for name in numeric
+            numeric = {
+                n: self.dataset[n].values for n in names if self.dataset[n].dtype.kind == "f"
             }
+            transforms = {name: transform_axis(name, nodes)[0] for name, nodes in numeric.items()}
             prepared = {}
-            for name in numeric:
-                nodes = self.dataset[name].values
-                comparison = None
-                if name in self.comparisons and quantity in self.comparisons[name]:
+            for name, nodes in numeric.items():
+                comparison = self.comparisons.get(name, xr.Dataset()).get(quantity)
+                if comparison is not None:
                     others = [other for other in names if other != name]
-                    comparison = self.comparisons[name][quantity]
                     comparison = comparison.transpose(name, *others, "wavelength")
                 prepared[name] = AxisInterpolation(
                     name, nodes, variable.sizes["wavelength"],
@@ -109,18 +105,18 @@ class TableInterpolation:
                 point[name] = check_choice(name, str(value), nodes.tolist())
         return point
 
-    def locate(
-        self, quantity: str, point: Mapping[str, Any], slopes_of: Sequence[str] = ()
-    ) -> LocatedQuantity:
-        """Return the nodes of a quantity around a point, and their weights.
-
-        Axes without a position in the point are kept.
-        """
-        return LocatedQuantity(self, quantity, point, slopes_of)
-
 
 class LocatedQuantity:
-    """Quantity of a table at a point on some or all of its axes.
+    """Quantity of a table at a point on some or all of its axes: the nodes around it, with weights.
+
+    Parameters
+    ----------
+    interpolation : TableInterpolation
+    quantity : str
+    point : mapping
+        Position on some axes; the others are kept.
+    slopes_of : sequence of str
+        Axes along which derivatives are needed.
 
     Attributes
     ----------
@@ -312,7 +308,7 @@ def interpolate_table(interpolation: TableInterpolation, at: Mapping[str, Any]) 
     point = interpolation.complete_point(given)
     variables: dict[str, Any] = {}
     for quantity in interpolation.quantities:
-        located = interpolation.locate(quantity, point)
+        located = LocatedQuantity(interpolation, quantity, point)
         values, node_stderr = located.read(quantity), located.read(f"{quantity}_stderr")
         value, stderr = located.combine(values), located.combine_errors(node_stderr)
         error = combine_axis_errors(located.estimate_errors(values), value)
@@ -399,24 +395,13 @@ def estimate_interpolation_errors(
     interpolation: TableInterpolation, quantity: str, at: Mapping[str, Any]
 ) -> np.ndarray:
     """Return the errors of `splits.Table.interpolation_errors` from a table without directions."""
-    located = interpolation.locate(quantity, interpolation.complete_point(at))
+    located = LocatedQuantity(interpolation, quantity, interpolation.complete_point(at))
     values = located.read(quantity)
     errors = [
         np.copysign(error.magnitude, error.signed) if error.is_measured else error.signed
         for error in located.estimate_errors(values)
     ]
     return np.array(errors).reshape(-1, values.shape[-1])
-
-
-def interpolate_deviations(
-    interpolation: TableInterpolation, quantity: str, at: Mapping[str, Any]
-) -> np.ndarray:
-    """Return the deviations of `splits.Table.deviations`."""
-    name = f"{quantity}_batches"
-    if name not in interpolation.dataset:
-        raise invalid("table", quantity, "a table made with covariance=True")
-    located = interpolation.locate(quantity, interpolation.complete_point(at))
-    return located.combine(located.read(name))
 
 
 def differentiate_table(
@@ -431,25 +416,23 @@ def differentiate_table(
     for name in names:
         if name not in axes:
             raise unknown_key(f"names.{name}", axes)
-    if len(set(names)) < len(names):
-        raise invalid("names", list(names), "different names")
-    for name in names:
         if dataset[name].size < 2:
             allowed = "an axis of at least two nodes"
             raise invalid(f"derivatives ({name})", dataset[name].size, allowed)
+    if len(set(names)) < len(names):
+        raise invalid("names", list(names), "different names")
     point = interpolation.complete_point(at)
     variables: dict[str, Any] = {}
     for quantity in interpolation.quantities:
-        located = interpolation.locate(quantity, point, names)
+        located = LocatedQuantity(interpolation, quantity, point, names)
         values, errors = np.stack([located.differentiate(name) for name in names], axis=1)
         label = f"derivative of {quantity} with respect to the parameter, per unit of it"
-        for suffix, rows, long_name in (
-            ("", values, label), ("_stderr", errors, f"standard error of the {label}"),
-        ):  # fmt: skip
+        for name, rows, long_name in (
+            (f"{quantity}_jacobian", values, label),
+            (f"{quantity}_jacobian_stderr", errors, f"standard error of the {label}"),
+        ):
             attributes = {"long_name": long_name, "units": "1"}
-            variables[f"{quantity}_jacobian{suffix}"] = (
-                ("parameter", "wavelength"), rows, attributes,
-            )  # fmt: skip
+            variables[name] = (("parameter", "wavelength"), rows, attributes)
     units = [get_derivative_unit(name) for name in names]
     coordinates = {
         "parameter": ("parameter", list(names), {"long_name": "parameter"}),

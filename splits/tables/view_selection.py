@@ -25,6 +25,7 @@ from splits.tables.axes import (
     MIXED_QUANTITIES,
     POLAR,
     VIEW_AXES,
+    find_variables,
     fold_azimuths,
     list_axes,
     list_quantities,
@@ -33,11 +34,14 @@ from splits.tables.axes import (
 )
 from splits.tables.comparison import rename_comparison
 from splits.tables.interpolation import check_within_axis
-from splits.tables.table_interpolation import TableInterpolation, combine_axis_errors
+from splits.tables.table_interpolation import (
+    LocatedQuantity,
+    TableInterpolation,
+    combine_axis_errors,
+)
 
 N_RINGS, N_RING_DIRECTIONS = 3, 8
 """Numbers of rings of a field of view, and of directions in each."""
-MAX_FIELD_OF_VIEW_DEG = 60.0
 LABELS = {
     "reflectance": "reflectance",
     "reflectance_factor": "reflectance factor",
@@ -61,9 +65,7 @@ ViewAzimuth = Annotated[
 ]
 FieldOfView = Annotated[
     float,
-    Quantity(
-        "full angle of a conical field of view", "degree", low=0.0, high=MAX_FIELD_OF_VIEW_DEG
-    ),
+    Quantity("full angle of a conical field of view", "degree", low=0.0, high=60.0),
 ]
 
 
@@ -103,7 +105,12 @@ class ViewRequest(NamedTuple):
                 allowed = f"a number, or {wavelengths.size}, one for each wavelength"
                 raise invalid("diffuse_fraction", f"of shape {fraction.shape}", allowed)
         check_array_range("diffuse_fraction", np.atleast_1d(fraction), 0.0, 1.0)
-        missing = [name for name in _list_mixed(dataset) if name not in dataset]
+        # A mixture of anisotropy factors is weighted by the reflectances.
+        names = [name for name in MIXED_QUANTITIES if name in dataset]
+        beam = ["reflectance"] if "anisotropy_factor" in names else []
+        needed = [*dict.fromkeys([*beam, *names])]
+        needed += [DIFFUSE_PREFIX + name for name in needed]
+        missing = [name for name in needed if name not in dataset]
         if fraction.any() and missing:
             hint = f"the table lacks {', '.join(missing)}, see quantities of splits.build_table"
             raise invalid("diffuse_fraction", diffuse_fraction, "0 for this table", hint)
@@ -162,14 +169,6 @@ def _choose_azimuth(dataset: xr.Dataset, polar: float, azimuth_deg: float | None
     return float(nodes[0]) if azimuth_deg is None else azimuth_deg
 
 
-def _list_mixed(dataset: xr.Dataset) -> list[str]:
-    """Return the quantities that a mixture of a beam and isotropic light needs."""
-    names = [name for name in MIXED_QUANTITIES if name in dataset]
-    if "anisotropy_factor" in names:
-        names = [*dict.fromkeys(("reflectance", *names))]
-    return [*names, *(DIFFUSE_PREFIX + name for name in names)]
-
-
 def select_view(interpolation: TableInterpolation, request: ViewRequest) -> xr.Dataset:
     """Return a table of spectra for one request, with the interpolation error in its errors.
 
@@ -185,11 +184,9 @@ def select_view(interpolation: TableInterpolation, request: ViewRequest) -> xr.D
         For directions outside the table.
     """
     dataset = interpolation.dataset
-    names = [name for name in MIXED_QUANTITIES if name in dataset]
-    if not names:
-        hint = "quantities under isotropic light alone have no beam"
-        allowed = f"with {' or '.join(MIXED_QUANTITIES)}"
-        raise invalid("table", list(map(str, dataset.data_vars)), allowed, hint)
+    allowed = f"with {' or '.join(MIXED_QUANTITIES)}"
+    hint = "quantities under isotropic light alone have no beam"
+    names = find_variables(dataset, MIXED_QUANTITIES, allowed, hint)
     for axis in dict.fromkeys(axis for name in names for axis in list_view_axes(name)):
         request.check_within_table(axis, dataset[axis].values)
     variables: dict[str, Any] = {}
@@ -210,12 +207,11 @@ def select_view(interpolation: TableInterpolation, request: ViewRequest) -> xr.D
         if axis not in VIEW_AXES and all(name in part for name in names):
             # Positions between nodes of other axes, in the same direction and under the same sky.
             # Quantities under isotropic light do not depend on the incidence of beams.
-            needed = (
-                [DIFFUSE_PREFIX + name for name in names] if request.diffuse_fraction.any() else []
-            )
-            for name in [one for one in needed if one not in part]:
-                at = {d: part[d] for d in dataset[name].dims if d != "wavelength"}
-                part = part.assign({name: load_selection(dataset[name].sel(at))})
+            for name in names if request.diffuse_fraction.any() else ():
+                diffuse = dataset[DIFFUSE_PREFIX + name]
+                if diffuse.name not in part:
+                    at = {d: part[d] for d in diffuse.dims if d != "wavelength"}
+                    part = part.assign({diffuse.name: load_selection(diffuse.sel(at))})
             exact = part.assign({f"{name}_stderr": 0.0 * part[name] for name in part.data_vars})
             found = _estimate(TableInterpolation(exact), names, request)
             compared = xr.Dataset({
@@ -271,7 +267,7 @@ def _average(
     total: Any = 0.0
     # Errors of neighbouring directions are treated as fully correlated.
     for angles, weight in directions:
-        located = interpolation.locate(name, {axis: angles[axis] for axis in axes})
+        located = LocatedQuantity(interpolation, name, {axis: angles[axis] for axis in axes})
         values = located.read(name)
         value, stderr = located.combine(values), located.read(f"{name}_stderr")
         error = combine_axis_errors(located.estimate_errors(values), value)

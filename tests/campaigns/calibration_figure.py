@@ -45,6 +45,5 @@ def draw_calibration(table: pd.DataFrame) -> Figure:
         axes.set_yticks(range(len(names)), names)
         axes.invert_yaxis()
         axes.set_xlabel("scatter between seeds over stated error")
-        axes.spines[["top", "right"]].set_visible(False)
         figure.legend(frameon=False, ncols=2, loc="outside lower center")
     return figure

@@ -258,7 +258,7 @@ CASES = {
         lambda a: splits.build_return_table(lambda saturation: SNOW, {"saturation": [0.0]}, 800.0,
                                             rays=2, threads=1, delay_s=a),
         [2.0**-14, 2.0**-13], runs=True),
-    "build_table grid": ArrayCase(lambda a: ParameterGrid.from_mapping({"depth_m": a}).values,
+    "build_table grid": ArrayCase(lambda a: ParameterGrid.from_mapping({"depth_m": a})["depth_m"],
                                   POLAR),
     "Table.interp": ArrayCase(
         lambda a: TABLE.interp(**FIXED, **{SIZE: 128.0}, wavelength=a), [512.0, 1024.0], one=True),

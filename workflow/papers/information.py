@@ -377,8 +377,6 @@ def draw_band_selection(selections: Mapping[str, xr.Dataset], conditions: str = 
             for label in bottom.get_xticklabels():
                 label.set_horizontalalignment("right")
             bottom.legend(frameon=False, fontsize=SMALL_FONT_PT)
-            for axes in (top, bottom):
-                axes.spines[["top", "right"]].set_visible(False)
         panels[0, 0].set_ylabel("information (bits)")
         panels[1, 0].set_ylabel("posterior / prior\nstandard deviation")
         note = (
@@ -429,8 +427,6 @@ def draw_sobol_indices(indices: Mapping[str, xr.Dataset]) -> Figure:
             top.legend(frameon=False, fontsize=SMALL_FONT_PT, ncols=2, loc="upper center")
             start_at_zero(bottom)
             bottom.set_xlabel("wavelength (nm)")
-            for axes in (top, bottom):
-                axes.spines[["top", "right"]].set_visible(False)
         panels[0, 0].set_ylabel("fraction of the variance")
         panels[1, 0].set_ylabel("standard deviation\nof reflectance")
         note = (

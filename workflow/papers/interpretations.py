@@ -27,7 +27,7 @@ from scipy.special import ndtr
 from splits.core.validation import check_choice, invalid, unknown_key
 from splits.media import Interpretation
 from splits.media.interpretations import INTERPRETATION_CHOICES, INTERPRETATION_SETS
-from splits.plotting.interpretation_shifts import INDEPENDENCE_NOTE, SHIFT_COLOUR
+from splits.plotting.lines import INDEPENDENCE_NOTE, SHIFT_COLOUR
 from splits.plotting.style import (
     BAND_SIGMA,
     SMALL_FONT_PT,
@@ -633,7 +633,7 @@ def _draw_strip(axes: Axes, value: np.ndarray, error: pd.Series | np.ndarray, co
     axes.tick_params(axis="x", labelsize=SMALL_FONT_PT)
     axes.tick_params(axis="y", length=0)
     axes.grid(axis="y", alpha=0.25)
-    axes.spines[["top", "right", "left"]].set_visible(False)
+    axes.spines["left"].set_visible(False)
 
 
 def _make_notes(base: pd.DataFrame, compared: dict[int, pd.DataFrame], set_name: str) -> list[str]:

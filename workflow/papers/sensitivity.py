@@ -298,7 +298,6 @@ def draw_sensitivity_bars(dataset: xr.Dataset, note: str = "") -> Figure:
         axes.set_xticks(x, list(map(escape_mathtext, names)))
         axes.set_ylabel("mean sensitivity index")
         axes.set_ylim(0, 1.05)
-        axes.spines[["top", "right"]].set_visible(False)
         figure.legend(
             *axes.get_legend_handles_labels(), frameon=False, ncols=3, loc="outside upper center"
         )

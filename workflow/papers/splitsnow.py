@@ -544,8 +544,6 @@ def draw_albedo(table: pd.DataFrame, note: str = "") -> Figure:
             top.set_title(f"depth: {1e3 * depth:g} mm" + (" over black" if depth < 0.1 else ""))
             top.set_ylim(0, 1.05)
             bottom.set_xlabel("wavelength (nm)")
-            for axes in (top, bottom):
-                axes.spines[["top", "right"]].set_visible(False)
         panels[0, 0].set_ylabel("albedo")
         panels[1, 0].set_ylabel("model − measured")
         panels[0, 1].legend(frameon=False)

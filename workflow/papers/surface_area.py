@@ -344,8 +344,6 @@ def draw_fitted_spectra(table: pd.DataFrame, note: str = "") -> Figure:
         bottom.axhline(0, color="black", lw=0.6)
         bottom.set_ylabel("model − measured")
         bottom.set_xlabel("wavelength (nm); dotted: not fitted")
-        for axes in panels:
-            axes.spines[["top", "right"]].set_visible(False)
         return annotate_figure(figure, panels, note)
 
 
@@ -388,5 +386,4 @@ def draw_area_law(table: pd.DataFrame, note: str = "") -> Figure:
         axes.set_xlabel("specific surface area (m²/kg)")
         axes.set_ylabel("reflectance at 1310 nm")
         axes.legend(frameon=False, loc="upper left", fontsize=SMALL_FONT_PT)
-        axes.spines[["top", "right"]].set_visible(False)
         return annotate_figure(figure, [axes], note)

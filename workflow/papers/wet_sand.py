@@ -305,7 +305,6 @@ def _draw_plane(
     axes.plot(x, inside.measured, "o", color="black", ms=4, label="measured", zorder=3)
     axes.set_xlabel("viewing angle, forward positive (°)")
     axes.legend(frameon=False, fontsize=SMALL_FONT_PT)
-    axes.spines[["top", "right"]].set_visible(False)
 
 
 def _draw_all_directions(
@@ -336,4 +335,3 @@ def _draw_all_directions(
         axes.plot([], [], marker, color="0.4", ms=2.5, label=f"seen from {angle:g}°")
     axes.set_xlabel("ratio to the nadir, measured")
     axes.legend(frameon=False, fontsize=SMALL_FONT_PT, loc="upper left")
-    axes.spines[["top", "right"]].set_visible(False)

@@ -275,7 +275,7 @@ class Instrument:
     def list_quantities(self) -> tuple[str, ...]:
         """Return the quantities of a table."""
         axes = self.get_views()
-        views = ViewGrid.from_grid(ParameterGrid(tuple(axes), tuple(axes.values())), "")
+        views = ViewGrid.from_grid(ParameterGrid(axes), "")
         return check_quantities(self.get("quantities"), views, self.get("covariance") == "keep")
 
     def to_content(self) -> dict[str, Any]:

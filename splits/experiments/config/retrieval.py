@@ -210,7 +210,7 @@ def check_retrieval(
     kind = "table" if isinstance(section, RetrieveSection) else "return_table"
     if instrument.kind != kind:
         raise invalid("instrument.kind", instrument.kind, f"{kind} with a section {name}")
-    axes = dict(zip(*experiment.make_axes(), strict=True))
+    axes = experiment.make_axes()
     grid = [axis for axis in axes if axis not in instrument.get_views()]
     for key, names in (
         ("free", [*grid, SCALE]), ("fixed", axes), ("prior", [*grid, SCALE]),

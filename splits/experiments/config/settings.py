@@ -480,7 +480,7 @@ class Settings(ConfigSection):
                 raise ConfigError(f"{key}: must be a table of reflectance")
             if available[name].instrument.get_views():
                 raise ConfigError(f"{key}: must be a table without directions")
-            for axis, row in zip(*available[name].make_axes(), strict=True):
+            for axis, row in available[name].make_axes().items():
                 if len(row) < 2 or isinstance(row[0], str):
                     raise ConfigError(f"{key}: its axis {axis} must have at least two numbers")
         for label, name in self.explorer_directions.items():

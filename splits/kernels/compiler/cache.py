@@ -215,21 +215,16 @@ def make_private_folder(folder: Path) -> None:
     folder.parent.mkdir(parents=True, exist_ok=True)
     with suppress(FileExistsError):
         folder.mkdir(mode=0o700)
-        _remove_stale_versions(folder)
+        prefix = folder.name.removesuffix(compute_kernels_digest())
+        for other in folder.parent.glob(f"{glob.escape(prefix)}*"):
+            with suppress(OSError):
+                if other != folder and time.time() - other.lstat().st_mtime > MAX_UNUSED_AGE_S:
+                    shutil.rmtree(other)
     if not _is_private(folder.lstat()):
         warn_once(f"{folder}: not a folder of the user's own, its kernels are not used")
         raise PermissionError("not a folder of the user's own")
     if not os.access(folder, os.W_OK):
         raise PermissionError("not writable")
-
-
-def _remove_stale_versions(folder: Path) -> None:
-    """Remove the kernels of other versions that are unused for `MAX_UNUSED_AGE_S`."""
-    prefix = folder.name.removesuffix(compute_kernels_digest())
-    for other in folder.parent.glob(f"{glob.escape(prefix)}*"):
-        with suppress(OSError):
-            if other != folder and time.time() - other.lstat().st_mtime > MAX_UNUSED_AGE_S:
-                shutil.rmtree(other)
 
 
 def _is_private(status: os.stat_result) -> bool:

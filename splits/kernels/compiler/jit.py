@@ -96,23 +96,6 @@ def _infer_type(variable: Any, definitions: Any, args: Any) -> Any:
     return None
 
 
-def insert_pass(pipelines: list[Any], before: Any, new_pass: Any, description: str) -> list[Any]:
-    """Insert a pass before another in each pipeline, and return the pipelines."""
-    for pipeline in pipelines:
-        position = [known for known, _ in pipeline.passes].index(before)
-        pipeline.passes.insert(position, (new_pass, description))
-    return pipelines
-
-
-class NonePruningCompiler(Compiler):
-    """Numba's compiler with pruning of None fields."""
-
-    def define_pipelines(self) -> list[Any]:
-        """Return Numba's pipelines with the pruning pass."""
-        pipelines = super().define_pipelines()
-        return insert_pass(pipelines, DeadBranchPrune, _NoneFieldPruning, "prune None fields")
-
-
 @register_pass(mutates_CFG=False, analysis_only=True)
 class _RefcountCheck(AnalysisPass):
     """Reject a function that allocates or returns arrays without reference counting."""
@@ -123,40 +106,39 @@ class _RefcountCheck(AnalysisPass):
         AnalysisPass.__init__(self)
 
     def run_pass(self, state: Any) -> bool:
-        if not state.flags.nrt and any(
-            _is_refcounted(state, value_type) for value_type in _list_return_types(state)
+        if state.flags.nrt:
+            return False
+        # Types that the function and the functions that it calls return.
+        return_types = [state.return_type]
+        for call, signature in state.calltypes.items():
+            if isinstance(call, ir.Expr) and call.op == "call":
+                is_constructor = isinstance(state.typemap[call.func.name], types.NamedTupleClass)
+                return_types += [] if is_constructor else [signature.return_type]
+        # The type of a generator does not show what it holds.
+        if any(
+            isinstance(one, types.Generator)
+            or state.targetctx.data_model_manager[one].contains_nrt_meminfo()
+            for one in return_types
         ):
             name = state.func_id.func_qualname
             raise TypeError(f"{name}: allocates or returns arrays: must be `inline_allocating`")
         return False
 
 
-def _list_return_types(state: Any) -> list[Any]:
-    """Return the return types of a function and of the functions that it calls."""
-    return_types = [state.return_type]
-    for call, signature in state.calltypes.items():
-        if isinstance(call, ir.Expr) and call.op == "call":
-            is_constructor = isinstance(state.typemap[call.func.name], types.NamedTupleClass)
-            return_types += [] if is_constructor else [signature.return_type]
-    return return_types
-
-
-def _is_refcounted(state: Any, value_type: Any) -> bool:
-    """Return whether values of a type contain reference-counted memory, such as an array."""
-    has_meminfo: bool = state.targetctx.data_model_manager[value_type].contains_nrt_meminfo()
-    # The type of a generator does not show what it holds.
-    return has_meminfo or isinstance(value_type, types.Generator)
-
-
-class RefcountCheckedCompiler(NonePruningCompiler):
+class RefcountCheckedCompiler(Compiler):
     """Numba's compiler with pruning of None fields and the reference-count check."""
 
     def define_pipelines(self) -> list[Any]:
-        """Return the pipelines with the reference-count check."""
-        pipelines = super().define_pipelines()
-        return insert_pass(
-            pipelines, NativeLowering, _RefcountCheck, "check that no values are reference-counted"
-        )
+        """Return Numba's pipelines with both passes."""
+        pipelines: list[Any] = super().define_pipelines()
+        for before, new_pass, description in (
+            (DeadBranchPrune, _NoneFieldPruning, "prune None fields"),
+            (NativeLowering, _RefcountCheck, "check that no values are reference-counted"),
+        ):
+            for pipeline in pipelines:
+                position = [known for known, _ in pipeline.passes].index(before)
+                pipeline.passes.insert(position, (new_pass, description))
+        return pipelines
 
 
 # --------------------------------------------------------------------------------------------------

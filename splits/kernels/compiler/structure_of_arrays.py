@@ -108,23 +108,14 @@ def _count_rows(kind: Any) -> int:
     return sum(map(_count_rows, kind)) if isinstance(kind, _TUPLES) else 1
 
 
-def _has_contiguous_words(words: Any) -> bool:
-    """Return whether a Numba type is a contiguous, one-dimensional array of 32-bit numbers."""
-    return (
-        isinstance(words, types.Array)
-        and words.ndim == 1
-        and words.layout == "C"
-        and getattr(words.dtype, "bitwidth", None) == _WORD.width
-    )
-
-
 def _register_constructor(structure: type[StructureOfArrays]) -> None:
     kind = ElementType(structure)
 
     @type_callable(structure)
     def define_signature(context: Any) -> Callable[..., Any]:
         def check_arguments(words: Any, index: Any) -> ElementType:
-            if not _has_contiguous_words(words):
+            is_row = isinstance(words, types.Array) and (words.ndim, words.layout) == (1, "C")
+            if not is_row or getattr(words.dtype, "bitwidth", None) != _WORD.width:
                 allowed = "a contiguous one-dimensional array of 32-bit numbers"
                 raise TypingError(f"{structure.__qualname__}: {words} is not {allowed}")
             return kind

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from splits.kernels.arithmetic import UP, Angle, add_scaled
 from splits.kernels.compiler.jit import inline_only, replace
@@ -18,10 +18,9 @@ from splits.kernels.grains.spheroid import (
     compute_chord,
 )
 from splits.kernels.grains.surface import (
-    InteractionResult,
     InteractionVariates,
     InterfaceState,
-    RelativeIndex,
+    SurfaceInteraction,
     compute_coating_path_length,
     find_next_region,
     make_smooth_facet,
@@ -188,16 +187,9 @@ def make_rejection_rules(rules):
 # Path of a ray through one grain, by interactions at its surface, for the scalar kernel.
 
 
-class AdjacentMedia(NamedTuple):
-    """Relative index of the media at an interface, and the variate that selects the pore."""
-
-    relative_index: RelativeIndex
-    pore_variate: float
-
-
 @inline_only
 def sample_adjacent_media(state, interface, grain_type, ray, scene, optics):
-    """Sample the media on both sides of an interface of a grain."""
+    """Return the `RelativeIndex` of the media at an interface of a grain, and the pore variate."""
     shell, next_shell = int(interface.shell), int(interface.shell + interface.side)
     materials, layers = scene.types.material, scene.layers
     pore_variate = ray.pore_variate
@@ -207,23 +199,14 @@ def sample_adjacent_media(state, interface, grain_type, ray, scene, optics):
     pore = pore_material(layers, ray.layer, pore_variate)
     near_material = materials[grain_type, shell - 1] if shell > 0 else pore
     far_material = materials[grain_type, next_shell - 1] if next_shell > 0 else pore
-    near, far = (
-        refractive_index_of(optics, near_material),
-        refractive_index_of(optics, far_material),
-    )
-    return AdjacentMedia(relative_index(near, far), pore_variate)
-
-
-class GrainInteraction(NamedTuple):
-    """An `InteractionResult`, and the `Stokes` (or None) after it."""
-
-    result: InteractionResult
-    stokes: Any
+    near = refractive_index_of(optics, near_material)
+    far = refractive_index_of(optics, far_material)
+    return relative_index(near, far), pore_variate
 
 
 @inline_only
 def sample_interaction(state, d, stokes, interface, grain, roughness, media, rules):
-    """Sample one interaction at the surface of a grain, a `GrainInteraction`."""
+    """Sample one interaction at the surface of a grain, a `SurfaceInteraction`."""
     facet = make_smooth_facet(d, grain, interface.side)
     u = uniform(state)
     while roughness > 0.0:
@@ -239,9 +222,8 @@ def sample_interaction(state, d, stokes, interface, grain, roughness, media, rul
     mirror = rules.wrong_side != WRONG_SIDE_LOBE
     if stokes is None:
         result = reflect_or_refract(d, interface, facet, media, u, mirror, ALL_FEATURES)
-        return GrainInteraction(result, stokes)
-    polarized = reflect_or_refract_polarized(d, stokes, interface, facet, media, u, mirror)
-    return GrainInteraction(polarized.result, polarized.stokes)
+        return SurfaceInteraction(result, stokes)
+    return reflect_or_refract_polarized(d, stokes, interface, facet, media, u, mirror)
 
 
 @inline_only
@@ -269,12 +251,11 @@ def trace_through_grain(state, ray, grain_sample, entry, scene, optics, path_len
     grain, types = entry.grain, scene.types
     interface = InterfaceState(0.0, 1.0, False, False)
     while True:
-        media = sample_adjacent_media(state, interface, grain_type, ray, scene, optics)
+        media, variate = sample_adjacent_media(state, interface, grain_type, ray, scene, optics)
         result, stokes = sample_interaction(
-            state, ray.direction, ray.stokes, interface, grain, roughness, media.relative_index,
-            scene.rules,
-        )  # fmt: skip
-        ray = replace(ray, pore_variate=media.pore_variate)
+            state, ray.direction, ray.stokes, interface, grain, roughness, media, scene.rules
+        )
+        ray = replace(ray, pore_variate=variate)
         if not result.accepted:
             interface = InterfaceState(
                 interface.shell, interface.side, result.needs_lobe, result.transmitted

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from splits.kernels.arithmetic import (
     Angle,
@@ -283,13 +283,6 @@ class RelativeIndex(NamedTuple):
     equal: bool
 
 
-class TransmittedWave(NamedTuple):
-    """Transmitted wave, and the ratio of the sines of refraction and incidence."""
-
-    wave: NormalWave
-    sine_ratio: float
-
-
 class InteractionResult(NamedTuple):
     """Result of one interaction.
 
@@ -344,17 +337,17 @@ def relative_index(near, far):
 
 @inline
 def compute_transmitted_wave(media, cos_facet, sin2, features):
-    """Return the `TransmittedWave`; its ratio is `sine_ratio` of `FresnelResult`."""
+    """Return the `NormalWave` of the transmitted light, and the `sine_ratio` of `FresnelResult`."""
     if features.mixed is None and features.absorbing is None:
         wave = normal_component(media.m, media.m_minus_1, ZERO, cos_facet, False)
-        return TransmittedWave(wave, media.inverse)
+        return wave, media.inverse
     wave = normal_component(media.m, media.m_minus_1, media.k, cos_facet, True)
     if features.mixed is None:
-        return TransmittedWave(wave, rsqrt(fma(wave.a, wave.a, sin2)))
+        return wave, rsqrt(fma(wave.a, wave.a, sin2))
     a = cos_facet if media.equal else wave.a
     b2 = ZERO if media.equal else wave.b2
     ratio = ONE if media.equal else rsqrt(fma(a, a, sin2))
-    return TransmittedWave(NormalWave(a, b2), ratio)
+    return NormalWave(a, b2), ratio
 
 
 @inline
@@ -466,11 +459,11 @@ def compute_coating_path_length(thickness, result, in_coating):
 # between facets, depolarizes.
 
 
-class PolarizedInteraction(NamedTuple):
-    """An `InteractionResult`, and the polarization after it."""
+class SurfaceInteraction(NamedTuple):
+    """An `InteractionResult`, and the `Stokes` (or None) after it."""
 
     result: InteractionResult
-    stokes: Stokes
+    stokes: Any
 
 
 @inline_only
@@ -486,7 +479,7 @@ def reflect_or_refract_polarized(d, stokes, interface, facet, media, u, mirror_w
 
     Returns
     -------
-    PolarizedInteraction
+    SurfaceInteraction
         With the polarization of the incident light if the interaction must be repeated.
     """
     normal = compute_facet_normal(d, facet.normal, facet.cos_i, facet.tilt, facet.azimuth)
@@ -501,13 +494,11 @@ def reflect_or_refract_polarized(d, stokes, interface, facet, media, u, mirror_w
         u = 0.0 if u < reflectance else 1.0
     result = reflect_or_refract(d, interface, facet, media, u, False, ALL_FEATURES)
     if interface.in_lobe:
-        return PolarizedInteraction(result, make_unpolarized(result.direction, stokes))
+        return SurfaceInteraction(result, make_unpolarized(result.direction, stokes))
     if not (result.accepted or (mirror_wrong_side and result.needs_lobe)):
-        return PolarizedInteraction(result, stokes)
-    if result.transmitted:
-        stokes = apply_mueller(result.direction, light, mueller.transmission)
-    else:
-        stokes = apply_mueller(result.direction, light, mueller.reflection)
+        return SurfaceInteraction(result, stokes)
+    elements = mueller.transmission if result.transmitted else mueller.reflection
+    stokes = apply_mueller(result.direction, light, elements)
     if not result.accepted:
         # A mirror image reverses the sense of U and V.
         direction = reflect(result.direction, facet.normal)
@@ -516,4 +507,4 @@ def reflect_or_refract_polarized(d, stokes, interface, facet, media, u, mirror_w
         result = InteractionResult(
             direction, result.transmitted, True, False, dot(direction, facet.normal)
         )
-    return PolarizedInteraction(result, stokes)
+    return SurfaceInteraction(result, stokes)

@@ -18,6 +18,7 @@ from splits.kernels.arithmetic import (
     add_scaled,
     dot,
     normalize,
+    store_vector,
 )
 from splits.kernels.compiler.jit import entry_point, entry_point_no_refcount, inline, inline_only
 from splits.kernels.interface import fresnel, refract
@@ -62,16 +63,6 @@ class Hit(NamedTuple):
     distance: float
     slope: SurfaceSlope
     n_evaluations: int
-
-
-class WaveBand(NamedTuple):
-    """Column of `SurfaceRealization.bands`, and whether it is the finest, with all waves."""
-
-    end: int
-    finer_height: float
-    max_slope: float
-    max_curvature: float
-    is_finest: bool
 
 
 class SurfaceProbe(NamedTuple):
@@ -171,17 +162,7 @@ def compute_safe_step(gap, rate, slope, curvature, climb):
 
 
 @inline_only
-def _load_band(surface, number):
-    """Return the `WaveBand` of a number."""
-    bands = surface.bands
-    return WaveBand(
-        int(bands[BAND_END, number]), bands[FINER_HEIGHT, number], bands[MAX_SLOPE, number],
-        bands[MAX_CURVATURE, number], number == 0,
-    )  # fmt: skip
-
-
-@inline_only
-def refine_probe(probe, sums, band, point, d, side, tolerance):
+def refine_probe(probe, sums, bands, number, point, d, side, tolerance):
     """Refine a `SurfaceProbe` with another band.
 
     Parameters
@@ -190,7 +171,10 @@ def refine_probe(probe, sums, band, point, d, side, tolerance):
         Result of the bands before.
     sums : WaveSums
         Sums over the waves that the band adds.
-    band : WaveBand
+    bands : float64 array
+        See `SurfaceRealization`.
+    number : int
+        Of the band: 0 is the finest, with all waves.
     point, d : Vector
         Point of the ray and its direction.
     side : float
@@ -205,35 +189,22 @@ def refine_probe(probe, sums, band, point, d, side, tolerance):
     height = probe.surface.height + sums.height
     slope_x = probe.surface.slope.x - 2.0 * TWO_PI * sums.scaled_slope_x
     slope_y = probe.surface.slope.y - 2.0 * TWO_PI * sums.scaled_slope_y
-    gap = side * (point.z - height) - band.finer_height
+    finer_height = bands[FINER_HEIGHT, number]
+    gap = side * (point.z - height) - finer_height
     rate = side * (d.z - slope_x * d.x - slope_y * d.y)
     hit, sufficient, free_distance = False, False, probe.free_distance
-    if band.is_finest:
+    if number == 0:
         hit = gap <= tolerance and rate < 0.0
         gap = max(gap, tolerance)
     if gap > 0.0 and not hit:
-        free_distance = max(
-            free_distance,
-            compute_safe_step(gap, rate, band.max_slope, band.max_curvature, side * d.z),
-        )
+        slope, curvature = bands[MAX_SLOPE, number], bands[MAX_CURVATURE, number]
+        step = compute_safe_step(gap, rate, slope, curvature, side * d.z)
+        free_distance = max(free_distance, step)
         # If the finer waves have no height, finer bands cannot extend the step but decide hits.
-        sufficient = gap > max(band.finer_height, tolerance)
+        sufficient = gap > max(finer_height, tolerance)
     return SurfaceProbe(
         HeightAndSlope(height, SurfaceSlope(slope_x, slope_y)), free_distance, hit, sufficient
     )
-
-
-@inline_only
-def _distance_to_max_height(surface, position, d, side):
-    """Return the distance (m) to the maximum height of the surface, inf if a ray never reaches it.
-
-    Parameters are those of `find_first_intersection`.
-    """
-    above = side * position.z - surface.max_height
-    climb = side * d.z
-    if above <= 0.0:
-        return 0.0
-    return above / -climb if climb < 0.0 else math.inf
 
 
 @inline_only
@@ -266,7 +237,10 @@ def find_first_intersection(surface, position, d, side, max_distance=math.inf):
     -------
     Hit
     """
-    s = _distance_to_max_height(surface, position, d, side)
+    # Distance to the maximum height of the surface.
+    s, above, climb = 0.0, side * position.z - surface.max_height, side * d.z
+    if above > 0.0:
+        s = above / -climb if climb < 0.0 else math.inf
     if s > max_distance or s == math.inf:
         return make_no_hit(NO_HIT, 0)
     set_ray_bounds(surface, d)
@@ -276,10 +250,10 @@ def find_first_intersection(surface, position, d, side, max_distance=math.inf):
             return make_no_hit(NO_HIT, n_evaluations)
         probe, begin, tolerance = EMPTY_PROBE, 0, compute_height_tolerance(surface, point, s)
         for number in range(surface.n_bands - 1, -1, -1):
-            band = _load_band(surface, number)
-            sums = sum_waves(surface.waves, begin, band.end, point.x, point.y)
-            probe = refine_probe(probe, sums, band, point, d, side, tolerance)
-            begin = band.end
+            end = int(surface.bands[BAND_END, number])
+            sums = sum_waves(surface.waves, begin, end, point.x, point.y)
+            probe = refine_probe(probe, sums, surface.bands, number, point, d, side, tolerance)
+            begin = end
             if probe.sufficient:
                 break
         if probe.hit:
@@ -292,8 +266,6 @@ def find_first_intersection(surface, position, d, side, max_distance=math.inf):
 
 # --------------------------------------------------------------------------------------------------
 # Refraction of vertical rays at a given realization of a rough surface.
-
-_X, _Y, _Z = range(3)
 
 
 class RefractedRays(NamedTuple):
@@ -338,7 +310,7 @@ def refract_vertical_rays(waves, refractive_index, x, y):
         d = refract(Vector(0.0, 0.0, -1.0), normal, normal.z, fresnel_result)
         position = Vector(x[ray], y[ray], surface_point.height)
         hit = find_first_intersection(surface, position, d, -1.0)
-        for row, vector in ((refracted.position[ray], position), (refracted.direction[ray], d)):
-            row[_X], row[_Y], row[_Z] = vector.x, vector.y, vector.z
+        store_vector(position, refracted.position[ray], 0)
+        store_vector(d, refracted.direction[ray], 0)
         refracted.next_hit_distance[ray] = math.inf if hit.distance == NO_HIT else hit.distance
     return refracted

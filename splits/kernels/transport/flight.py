@@ -76,16 +76,6 @@ class Event(NamedTuple):
     slope: SurfaceSlope
 
 
-class LayerCollision(NamedTuple):
-    """Sampled collision in a layer: a `GrainSample` and a `Collision`.
-
-    In a layer of particles the grain is a placeholder.
-    """
-
-    grain_sample: GrainSample
-    collision: Collision
-
-
 @inline_only
 def find_adjacent_layer(layer, direction):
     """Return the layer on the other side of the boundary ahead of a ray.
@@ -161,7 +151,9 @@ def sample_particle_collision(flight, u, layer_geometry, entry):
 
 @inline_only
 def sample_layer_collision(state, flight, scene, layer_geometry, rules):
-    """Sample the `LayerCollision` of a ray, which may lie outside its layer.
+    """Sample the `GrainSample` and the `Collision` of a ray, which may lie outside its layer.
+
+    In a layer of particles the grain is a placeholder.
 
     Parameters
     ----------
@@ -177,13 +169,13 @@ def sample_layer_collision(state, flight, scene, layer_geometry, rules):
     ):
         grain_sample, entry = make_placeholder_grain(scene.types)
         collision = sample_particle_collision(flight, uniform(state), layer_geometry, entry)
-        return LayerCollision(grain_sample, collision)
+        return grain_sample, collision
     grain_sample = sample_grain(state, scene, flight.layer)
     variates = sample_entry_variates(state, grain_sample.size)
     collision = sample_collision(
         flight, grain_sample.size, variates, uniform(state), layer_geometry, rules
     )
-    return LayerCollision(grain_sample, collision)
+    return grain_sample, collision
 
 
 @inline_only

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.kernels.arithmetic import Vector, dot
+from splits.kernels.arithmetic import Vector, dot, store_vector
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.interface import ComplexIndex, orient_horizontal_normal, reflect_or_refract_ray
 from splits.kernels.phase_function import (
@@ -46,36 +46,6 @@ from splits.kernels.stokes import (
 # 434).  The n scatterings do not count towards the largest order of scattering.
 
 
-class StokesVector(NamedTuple):
-    """Stokes parameters I, Q, U, V."""
-
-    i: float
-    q: float
-    u: float
-    v: float
-
-
-class ScatteringEvent(NamedTuple):
-    """Light at a particle.
-
-    Attributes
-    ----------
-    direction : Vector
-        Direction before the scattering.
-    stokes : Stokes or None
-        Polarization before the scattering.
-    order : int
-        Order of scattering, including this one.
-    depth : float
-        Vertical optical depth below the upper boundary.
-    """
-
-    direction: Vector
-    stokes: Any
-    order: int
-    depth: float
-
-
 class LastScattering(NamedTuple):
     """Light after its last scattering.
 
@@ -85,13 +55,13 @@ class LastScattering(NamedTuple):
         Vertical optical depth of the last scattering.
     vertical_sign : float
         1 if the light travels upwards, −1 downwards.
-    stokes_vector : StokesVector
-        Per steradian.
+    stokes_vector : tuple of float
+        I, Q, U and V per steradian.
     """
 
     depth: float
     vertical_sign: float
-    stokes_vector: StokesVector
+    stokes_vector: tuple[float, float, float, float]
 
 
 class DetectorConnection(NamedTuple):
@@ -133,17 +103,11 @@ def sample_peak_directions(state, detectors, peak_order, t):
     scatterings.
     """
     if detectors.peak is not None:
-        _store_direction(detectors.peak_directions, 0, t)
+        store_vector(t, detectors.peak_directions[0], 0)
         for row in range(1, peak_order + 1):
             t = sample_peak_direction(state, detectors.peak, t)
-            _store_direction(detectors.peak_directions, row, t)
+            store_vector(t, detectors.peak_directions[row], 0)
     return t
-
-
-@inline_only
-def _store_direction(directions, row, d):
-    """Write a direction into a row."""
-    directions[row, 0], directions[row, 1], directions[row, 2] = d.x, d.y, d.z
 
 
 @inline_only
@@ -241,11 +205,11 @@ def complete_connection(state, detectors, phase, peak_order, connection, plane):
 
 @inline_only
 def resolve_stokes_vector(density, stokes, t, plane):
-    """Return the `StokesVector` of light along t (1/sr), Q relative to `plane`."""
+    """Return I, Q, U and V of light along t (1/sr), Q relative to `plane`."""
     if stokes is None:
-        return StokesVector(density, 0.0, 0.0, 0.0)
+        return density, 0.0, 0.0, 0.0
     rotated = rotate_reference_to(stokes, t, plane)
-    return StokesVector(density, density * rotated.q, density * rotated.u, density * stokes.v)
+    return density, density * rotated.q, density * rotated.u, density * stokes.v
 
 
 @inline_only
@@ -257,21 +221,22 @@ def evaluate_scattering(phase, d, stokes, t):
 
 
 @inline_only
-def connect_scattering(state, detectors, phase, peak_order, event, t, plane):
+def connect_scattering(state, detectors, phase, peak_order, ray, depth, t, plane):
     """Return the `LastScattering` towards t of light at a particle.
 
     Light that was not scattered before has a single direction, which none of the directions sampled
     backwards would hit: it contributes with the whole phase function.
 
-    Parameters are those of `complete_connection`, and the `ScatteringEvent`.
+    Parameters are those of `complete_connection` and `score_scattering`, and the vertical optical
+    depth of the particle below the upper boundary.
     """
     direction = sample_peak_directions(state, detectors, peak_order, t)
-    contribution = evaluate_scattering(phase, event.direction, event.stokes, direction)
-    if detectors.peak is not None and event.order > 1:
-        cosine = dot(event.direction, direction)
+    contribution = evaluate_scattering(phase, ray.direction, ray.stokes, direction)
+    if detectors.peak is not None and ray.order > 1:
+        cosine = dot(ray.direction, direction)
         wide_fraction = compute_wide_fraction(detectors.peak, phase, cosine)
         contribution = ScatteredDensity(contribution.density * wide_fraction, contribution.stokes)
-    connection = DetectorConnection(event.depth, direction, contribution, 1.0)
+    connection = DetectorConnection(depth, direction, contribution, 1.0)
     return complete_connection(state, detectors, phase, peak_order, connection, plane)
 
 
@@ -417,7 +382,8 @@ def score_scattering(state, detectors, layers, phase, ray):
     layers : Layers
     phase : PhaseFunction
     ray : Ray
-        Position, direction and polarization before the scattering, and the weight after it.
+        Position, direction and polarization before the scattering, its order, and the weight after
+        it.
     """
     for k in range(detectors.plane.shape[0]):
         score_scattering_at_detector(state, detectors, layers, phase, 0, ray, k)
@@ -432,8 +398,7 @@ def score_scattering_at_detector(state, detectors, layers, phase, peak_order, ra
     t, plane = load_direction(detectors, ray.layer, k), load_plane(detectors, k)
     weight, stokes, layer = ray.weight, ray.stokes, ray.layer
     depth = compute_optical_depth(layers, layer, compute_position(ray).z)
-    event = ScatteringEvent(ray.direction, stokes, ray.order, depth)
-    up = connect_scattering(state, detectors, phase, peak_order, event, t, plane)
+    up = connect_scattering(state, detectors, phase, peak_order, ray, depth, t, plane)
     score_light(detectors, layers, layer, k, stokes, weight, up)
     # Interfaces reflect light that is perpendicular to the plane of incidence at any angle.
     if (
@@ -442,7 +407,7 @@ def score_scattering_at_detector(state, detectors, layers, phase, peak_order, ra
         or (peak_order > 0 and detectors.refractive_index != 1.0)
     ):
         t = Vector(t.x, t.y, -t.z)
-        down = connect_scattering(state, detectors, phase, peak_order, event, t, plane)
+        down = connect_scattering(state, detectors, phase, peak_order, ray, depth, t, plane)
         score_light(detectors, layers, layer, k, stokes, weight, down)
 
 
@@ -457,7 +422,7 @@ def score_ground(state, scene, ray):
     depth = compute_optical_depth(layers, layer, layers.boundaries[layer + 1])
     for k in range(detectors.plane.shape[0]):
         t, plane = load_direction(detectors, layer, k), load_plane(detectors, k)
-        reflected = LastScattering(depth, 1.0, StokesVector(t.z / math.pi, 0.0, 0.0, 0.0))
+        reflected = LastScattering(depth, 1.0, (t.z / math.pi, 0.0, 0.0, 0.0))
         score_light(detectors, layers, layer, k, stokes, weight, reflected)
         order = sample_peak_order(state, detectors)
         if order > 0:

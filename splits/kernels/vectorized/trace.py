@@ -241,26 +241,20 @@ class SourceQueue(NamedTuple):
 
 
 @inline_only
-def skip_finished_items(queue, work):
-    """Advance the queue to the item of the next ray."""
-    item, number = queue.item, queue.ray_in_item
-    while number == work[item, N_RAYS]:
-        item += 1
-        number = 0
-    return replace(queue, item=item, ray_in_item=number)
-
-
-@inline_only
 def launch_next_ray(lane, job, path_lengths, exits, queue):
     """Launch rays in a free lane until one enters the sample or none is left."""
     while queue.next_ray < queue.n_rays:
-        queue = skip_finished_items(queue, job.work)
+        item, number = queue.item, queue.ray_in_item
+        while number == job.work[item, N_RAYS]:
+            item += 1
+            number = 0
         path_lengths[:] = 0.0
-        entered = sample_source(lane, job, queue.next_ray, queue.item, queue.ray_in_item)
+        entered = sample_source(lane, job, queue.next_ray, item, number)
         n_active = queue.n_active + 1 if entered else queue.n_active
         queue = replace(
-            queue, next_ray=queue.next_ray + 1, ray_in_item=queue.ray_in_item + 1, n_active=n_active
-        )
+            queue, next_ray=queue.next_ray + 1, item=item, ray_in_item=number + 1,
+            n_active=n_active,
+        )  # fmt: skip
         if entered:
             return queue
         record_lane_exit(lane, path_lengths, exits)

@@ -96,6 +96,10 @@ def _serialize_table(label: str, entry: ExplorerTable) -> dict[str, Any]:
             nodes[np.abs(transformed - 0.5 * (transformed[0] + transformed[-1])).argmin()]
         )
         attributes = dataset[name].attrs
+        # The first node is clean or dry; directions are of such grains.
+        is_addition = (
+            parse_impurity_parameter(name) is not None or get_quantity(name).root_at == 0.0
+        )
         axes.append(
             {
                 "name": name,
@@ -105,7 +109,7 @@ def _serialize_table(label: str, entry: ExplorerTable) -> dict[str, Any]:
                 ),
                 "nodes": nodes.tolist(),
                 "law": transform,
-                "start": float(nodes[0]) if _is_addition(name) else middle,
+                "start": float(nodes[0]) if is_addition else middle,
                 **_serialize_interpolation(interpolation[name], names),
             }
         )
@@ -190,16 +194,19 @@ def _serialize_directions(dataset: xr.Dataset, axes: Sequence[str]) -> dict[str,
     stderr = dataset.reflectance_factor_stderr.transpose(*_DIRECTION_DIMS).sel(
         polar_deg=polar, azimuth_deg=azimuth
     )
-    interpolation_error = np.concatenate(
-        [
-            _estimate_interpolation_error(
-                factor.values, axis, apply_axis_transform(transform, nodes[name])
-            ).ravel()
-            for axis, (name, transform) in enumerate(
-                zip(_DIRECTION_DIMS, ("logarithm", "cosine"), strict=False)
-            )
-        ]
-    )
+    # Logarithms are interpolated linearly.  The relative error of an axis near each inner node is a
+    # quarter of that at a node that is left out, since the distance between nodes is halved.
+    errors = []
+    for axis, (name, transform) in enumerate(
+        zip(_DIRECTION_DIMS, ("logarithm", "cosine"), strict=False)
+    ):
+        t = apply_axis_transform(transform, nodes[name])
+        rows = np.moveaxis(np.log(factor.values), axis, 0)
+        fraction = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
+        fraction = fraction.reshape(-1, *[1] * (rows.ndim - 1))
+        middle = (1.0 - fraction) * rows[:-2] + fraction * rows[2:]
+        errors.append(0.25 * np.abs(middle - rows[1:-1]).ravel())
+    interpolation_error = np.concatenate(errors)
     largest = np.hypot(
         dataset.attrs["relative_stderr_reached"], interpolation_error.max(initial=0.0)
     )
@@ -212,27 +219,6 @@ def _serialize_directions(dataset: xr.Dataset, axes: Sequence[str]) -> dict[str,
     return axis_values | {
         "value": _encode_float32(factor.values), "error": float(largest), "typical": float(typical),
     }  # fmt: skip
-
-
-def _estimate_interpolation_error(values: np.ndarray, axis: int, nodes: np.ndarray) -> np.ndarray:
-    """Return the relative interpolation error of an axis near each inner node.
-
-    Logarithms are interpolated linearly.  The error is a quarter of that at a node that is left
-    out, since the distance between nodes is halved.
-    """
-    rows = np.moveaxis(np.log(values), axis, 0)
-    fraction = ((nodes[1:-1] - nodes[:-2]) / (nodes[2:] - nodes[:-2])).reshape(
-        -1, *[1] * (rows.ndim - 1)
-    )
-    error: np.ndarray = 0.25 * np.abs(
-        (1.0 - fraction) * rows[:-2] + fraction * rows[2:] - rows[1:-1]
-    )
-    return error
-
-
-def _is_addition(name: str) -> bool:
-    """Return whether the first node of an axis is clean or dry; directions are of such grains."""
-    return parse_impurity_parameter(name) is not None or get_quantity(name).root_at == 0.0
 
 
 def _make_axis_label(name: str, long_name: str) -> str:

@@ -42,7 +42,7 @@ def make_explorer_table(
     names = list(AXES)[:-1]
     grid = ParameterGrid.from_mapping({name: AXES[name] for name in names})
     for name, one in list_comparison_grids(grid, names[:3] if is_compared else []).items():
-        axes = {n: np.array(row) for n, row in zip(*one, strict=True)}
+        axes = {n: np.array(row) for n, row in one.items()}
         part = evaluate_reflectance(axes | {"wavelength": AXES["wavelength"]})
         renamed = rename_comparison(part.to_dataset(name="reflectance"), name)
         dataset = dataset.assign(renamed.data_vars)

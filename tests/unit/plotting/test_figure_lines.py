@@ -27,7 +27,7 @@ from splits.plotting.panels import (
     MAX_ROWS,
     choose_panel_parameters,
 )
-from splits.plotting.season import draw_season
+from splits.plotting.spectra import draw_season
 from splits.plotting.style import format_value, pick_colours
 
 X = np.linspace(400.0, 1000.0, 13)

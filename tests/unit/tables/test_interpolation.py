@@ -228,9 +228,9 @@ def test_the_error_in_a_direction_includes_that_at_the_angles_beside_it():
 def test_every_second_node_of_the_other_axes_is_compared(n_nodes, by_ordinates, compared):
     """The error along soot may change its sign more than once with the depth."""
     depths = np.arange(1.0, n_nodes + 1.0)
-    grid = ParameterGrid(("soot", "depth_m"), ((0.0, 30.0, 200.0), tuple(depths.tolist())))
+    grid = ParameterGrid({"soot": (0.0, 30.0, 200.0), "depth_m": tuple(depths.tolist())})
     found = list_comparison_grids(grid, ["soot"], by_ordinates=by_ordinates)["soot"]
-    np.testing.assert_array_equal(found.get_values("depth_m", None), depths[compared])
+    np.testing.assert_array_equal(found["depth_m"], depths[compared])
 
 
 W = np.array([500.0, 900.0])

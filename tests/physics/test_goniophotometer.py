@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, judge_scatter, judge_z
+from chi2 import NEEDS_JIT, compare_results, judge_scatter, judge_z
 
 import splits
 from splits.kernels.interface import fresnel
@@ -111,8 +111,7 @@ def compute_reciprocity_z(medium, wavelength):
     for one, other, azimuth in PAIRS:
         forward = runs[one].sel(polar_deg=other, azimuth_deg=azimuth)
         reverse = runs[other].sel(polar_deg=one, azimuth_deg=azimuth)
-        error = np.hypot(forward.brdf_stderr, reverse.brdf_stderr)
-        z.append(float(((forward.brdf - reverse.brdf) / error)[0]))
+        z.append(compare_results(forward, reverse, "brdf")[0])
     return z
 
 
@@ -282,8 +281,7 @@ def test_wavelengths_that_share_paths_agree_with_single_runs(relative_stderr, ra
         single = splits.goniophotometer(wet, [wavelength], 30.0, rays=rays, seed=seed, **grid)
         shared = together.sel(wavelength=[wavelength])
         for name, values in z.items():
-            error = np.hypot(single[f"{name}_stderr"], shared[f"{name}_stderr"])
-            values.extend(((shared[name] - single[name]) / error).values.ravel())
+            values.extend(compare_results(shared, single, name))
     for name, values in z.items():
         judge_z(values, f"{name} of wavelengths that share paths", independent=1)
 
@@ -313,7 +311,6 @@ def test_vectorized_kernel_agrees_with_scalar_kernel():
         ("expansion", {"polar_deg": [0, 30, 60, 75], "azimuth_deg": [0, 90, 180]}),
         ("bins", {"n_bins": (6, 8)}),
     ):
-        z = []
         pair = [
             splits.goniophotometer(
                 SNOW, [900.0], 60.0, rays=40_000, seed=seed, kernel=kernel, estimator=estimator,
@@ -321,9 +318,7 @@ def test_vectorized_kernel_agrees_with_scalar_kernel():
             )
             for seed, kernel in ((1, "vectorized"), (2, "scalar"))
         ]  # fmt: skip
-        for name in ("brdf", "btdf"):
-            error = np.hypot(*(run[f"{name}_stderr"] for run in pair))
-            z.extend(((pair[0][name] - pair[1][name]) / error).values.ravel())
+        z = compare_results(*pair, "brdf", "btdf")
         # Directions of an expansion use the same rays, bins do not.
         independent = 1 if estimator == "expansion" else len(z)
         judge_z(z, f"vectorized against scalar, {estimator}", independent)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from chi2 import NEEDS_JIT, judge_z, scale_sample_size
+from chi2 import NEEDS_JIT, compare_results, judge_z, scale_sample_size
 from scattering_matrices import make_matrix
 
 import splits
@@ -99,9 +99,7 @@ def test_reflectance_is_that_of_the_goniophotometer():
         two = splits.spectrophotometer(
             SNOW, wavelengths, 70.0, max_stderr=0.002, stokes=stokes, seed=2
         )
-        for name in ("reflectance", "transmittance"):
-            stderr = np.hypot(one[f"{name}_stderr"], two[f"{name}_stderr"])
-            z.append(((one[name] - two[name]) / stderr).values)
+        z.append(compare_results(one, two, "reflectance", "transmittance"))
         assert one.attrs["incident_stokes"] == two.attrs["incident_stokes"]
     judge_z(np.concatenate(z), "spectrophotometer")
 

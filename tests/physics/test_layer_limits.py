@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from chi2 import NEEDS_JIT, compute_z_bound, judge_scatter, judge_z
+from chi2 import NEEDS_JIT, compare_results, compute_z_bound, judge_scatter, judge_z
 from numba import config
 from scattering_matrices import make_matrix
 
@@ -125,8 +125,7 @@ def test_polarization_has_no_effect_without_polarizers():
         )
         for seed, polarized in ((1, False), (2, True))
     ]  # fmt: skip
-    z = (pair[0].brdf - pair[1].brdf) / np.hypot(pair[0].brdf_stderr, pair[1].brdf_stderr)
-    judge_z(z.values, "with and without polarization", independent=1)
+    judge_z(compare_results(*pair, "brdf"), "with and without polarization", independent=1)
     for name in ("brdf_q", "brdf_u", "brdf_v"):
         assert float(np.abs(pair[1][name]).max()) == 0.0
 
@@ -148,8 +147,7 @@ def test_brdf_obeys_helmholtz_reciprocity(particles):
             )
             for seed, (a, b) in enumerate(((one, other), (other, one)))
         )  # fmt: skip
-        difference = forward.brdf.item() - reverse.brdf.item()
-        z.append(difference / math.hypot(forward.brdf_stderr.item(), reverse.brdf_stderr.item()))
+        z.append(compare_results(forward.squeeze(drop=True), reverse.squeeze(drop=True), "brdf"))
     judge_z(z, f"reciprocity, {particles}")
     assert np.abs(z).max() < 3.0
 
@@ -164,14 +162,11 @@ def test_local_estimation_agrees_with_expansion():
         )
         for seed, name in ((1, "next_event"), (2, "expansion"))
     )
-    z = []
-    for name in ("brdf", "btdf"):
-        stderr = np.hypot(local[f"{name}_stderr"], expansion[f"{name}_stderr"])
-        z.append(((local[name] - expansion[name]) / stderr).values.ravel())
-    for name in ("reflectance", "transmittance", "specular_reflectance", "direct_transmittance"):
-        (a, s), (b, t) = get_value(local, name), get_value(expansion, name)
-        z.append(np.array([(a - b) / math.hypot(s, t)]))
-    judge_z(np.concatenate(z), "local estimation against expansion", independent=1)
+    z = compare_results(
+        local, expansion, "brdf", "btdf", "reflectance", "transmittance", "specular_reflectance",
+        "direct_transmittance",
+    )  # fmt: skip
+    judge_z(z, "local estimation against expansion", independent=1)
 
 
 def test_errors_of_local_estimation_from_few_batches():
@@ -203,9 +198,8 @@ def test_bins_and_local_estimation_agree_on_polarization():
     )  # fmt: skip
     bins = bins.sel(azimuth_deg=local.azimuth_deg)
     for name in ("brdf", "brdf_q", "brdf_u", "brdf_v", "btdf", "btdf_q", "btdf_u", "btdf_v"):
-        difference = (bins[name] - local[name]).values
         # The errors of bins, which use separate rays, dominate.
-        judge_z(difference / np.hypot(bins[f"{name}_stderr"], local[f"{name}_stderr"]).values, name)
+        judge_z(compare_results(bins, local, name), name)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from functools import cached_property
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, judge_z
+from chi2 import NEEDS_JIT, compare_results, judge_z
 
 import splits
 from splits.analysis.colour import make_colour_table
@@ -82,15 +82,6 @@ def make_snow_and_sand(types, settings):
     return snow, sand
 
 
-def concatenate_fluxes(ds, suffix=""):
-    return np.concatenate([ds[f"reflectance{suffix}"].values, ds[f"transmittance{suffix}"].values])
-
-
-def compute_z(one, other):
-    error = np.hypot(concatenate_fluxes(one, "_stderr"), concatenate_fluxes(other, "_stderr"))
-    return (concatenate_fluxes(one) - concatenate_fluxes(other)) / error
-
-
 @NEEDS_JIT
 def test_sand_of_ice_has_the_grain_population_of_snow():
     for settings in SAMPLES.values():
@@ -123,7 +114,7 @@ def test_sand_of_ice_has_the_spectrum_of_snow(types):
             splits.spectrophotometer(medium, ICE_WAVELENGTHS, 30.0, max_stderr=0.005, seed=seed)
             for medium, seed in ((snow, 10 + number), (sand, 20 + number))
         ]
-        z.append(compute_z(*spectra))
+        z.append(compare_results(*spectra, "reflectance", "transmittance"))
     judge_z(
         z,
         f"sand against snow, types {sand.make_grain_population().type_cdf.size}",
@@ -149,7 +140,7 @@ def test_identical_types_may_be_split():
             )
             for types, seed in ((ONE_TYPE, 30), (EIGHT_TYPES, 40))
         )
-        z.append(compute_z(pure, split))
+        z.append(compare_results(pure, split, "reflectance", "transmittance"))
     judge_z(z, "identical types", independent=2)
 
 
@@ -180,8 +171,7 @@ def test_spectral_and_analog_estimators_agree():
             for estimator, seed in (("analog", 50), ("spectral", 60))
         )
         assert analog.attrs["stop_reason"] == spectral.attrs["stop_reason"] == "converged"
-        error = np.hypot(analog.reflectance_stderr, spectral.reflectance_stderr)
-        z.append(((analog.reflectance - spectral.reflectance) / error).values)
+        z.append(compare_results(analog, spectral, "reflectance"))
     judge_z(z, "analog against spectral", independent=2)
 
 
@@ -263,8 +253,7 @@ def test_weakly_absorbing_water_absorbs_equally_in_all_pores():
             # The test has power only if water absorbs a significant fraction.
             assert float(wet.reflectance[1]) < float(dry.reflectance[1]) - 0.02
             pair.append(wet.isel(wavelength=1))
-        error = np.hypot(*(float(one.reflectance_stderr) for one in pair))
-        z.append(float(pair[0].reflectance - pair[1].reflectance) / error)
+        z.append(compare_results(*pair, "reflectance"))
     judge_z(np.array(z), bound_added=True)
 
 
@@ -302,8 +291,7 @@ def test_film_of_air_has_no_effect():
         measure(interpretation, seed, saturation=0.2, refractive_index=air).isel(wavelength=1)
         for seed, interpretation in enumerate(("film", "whole_pores"))
     ]
-    error = np.hypot(*(float(one.reflectance_stderr) for one in pair))
-    judge_z(np.array([float(pair[0].reflectance - pair[1].reflectance) / error]))
+    judge_z(compare_results(*pair, "reflectance"))
 
 
 VISIBLE = np.arange(400.0, 781.0, 10.0)

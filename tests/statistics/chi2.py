@@ -172,6 +172,21 @@ def judge_z(z, label: str = "", independent: int | None = None, bound_added: boo
     assert low <= rms <= high, report
 
 
+def compare_results(one, other, *names: str) -> np.ndarray:
+    """Return differences of quantities of two results in units of their common standard error.
+
+    Values without an error are left out, but must be equal.
+    """
+    z = []
+    for name in names:
+        error = np.asarray(np.hypot(one[f"{name}_stderr"], other[f"{name}_stderr"]))
+        difference = np.asarray(one[name] - other[name])
+        is_exact = error == 0.0
+        assert (np.abs(difference[is_exact]) < 1e-9).all(), (name, difference)
+        z.append(difference[~is_exact] / error[~is_exact])
+    return np.concatenate(z)
+
+
 def compute_pooled_z(differences, errors, values=None) -> float:
     """Return the mean of differences, weighted by inverse variance, in units of its error.
 

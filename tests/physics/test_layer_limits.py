@@ -74,12 +74,12 @@ def test_thick_conservative_layer_follows_diffusion_theory(error):
     # scattering with K0(1) = √3/4 H(1) = 1.2591; for other phase functions 1.26 to 1.28
     # (van de Hulst 1980), hence 2 %.
     layer = splits.ParticleLayer(
-        optical_thickness=1e4, single_scattering_albedo=1.0, asymmetry=0.99,
+        optical_thickness=2e3, single_scattering_albedo=1.0, asymmetry=0.99,
         refractive_index=1.0, ground=None,
     )  # fmt: skip
     ds = splits.spectrophotometer(layer, NM, 0.0, max_stderr=error)
     value, stderr = get_value(ds, "transmittance")
-    expected = 4.0 / 3.0 * 1.2591 / (100.0 + 2.0 * 0.7104)
+    expected = 4.0 / 3.0 * 1.2591 / (20.0 + 2.0 * 0.7104)
     assert abs(value - expected) < 0.02 * expected + compute_z_bound(1) * stderr
     assert float(ds.reflectance[0]) + value == pytest.approx(1.0, abs=1e-12)
 
@@ -93,19 +93,6 @@ def test_black_particles_transmit_only_the_direct_beam():
     value, stderr = get_value(ds, "transmittance")
     judge_z([(value - math.exp(-2.0)) / stderr], "black particles")
     assert float(ds.reflectance[0]) == 0.0
-
-
-def test_spectral_and_analog_estimators_agree():
-    layer = splits.ParticleLayer(optical_thickness=3.0, single_scattering_albedo=0.8)
-    spectral, analog = (
-        splits.spectrophotometer(layer, NM, 40.0, max_stderr=0.005, seed=seed, estimator=estimator)
-        for seed, estimator in ((1, "spectral"), (2, "analog"))
-    )
-    z = []
-    for name in ("reflectance", "transmittance", "absorptance"):
-        (a, s), (b, t) = get_value(spectral, name), get_value(analog, name)
-        z.append((a - b) / math.hypot(s, t))
-    judge_z(z, "analog against spectral", independent=1)
 
 
 @pytest.mark.long

@@ -150,17 +150,6 @@ def test_energy_is_conserved_without_absorption():
 
 
 @pytest.mark.long
-def test_spectral_and_analog_estimators_agree():
-    stack = splits.Stack([TOP, SNOW], ground=0.3)
-    light = {"wavelengths": WAVELENGTHS}
-    one, other = (
-        measure(stack, 30.0, 5, **light),
-        measure(stack, 30.0, 6, estimator="analog", **light),
-    )
-    judge_z(compute_z(one, other), independent=1, bound_added=True)
-
-
-@pytest.mark.long
 def test_matrix_of_pore_index_needs_no_interface():
     """Rays enter the snow below with and without an interface; rejected grains have no effect."""
     haze = {"optical_thickness": 0.7, "ground": None, "depth_m": 0.005}

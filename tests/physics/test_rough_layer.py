@@ -375,12 +375,6 @@ def test_bound_of_realizations_fits_into_the_scene():
     assert BOUND_SIGMA * np.sqrt(53.0 * np.log(2.0)) <= MAX_HEIGHT_SIGMA
 
 
-def test_spectral_and_analog_estimators_agree():
-    stack = splits.Stack([make_layer(surface=WAVES), SNOW, SAND], ground=0.3)
-    one, other = measure(stack, 30.0, 12), measure(stack, 30.0, 13, estimator="analog")
-    judge_z(compute_z(one, other), independent=1, bound_added=True)
-
-
 GAUSSIAN = {"wave_number_per_m": 1.0, "correlation": "gaussian", "waves": 16}
 SEA = GAUSSIAN | {"rms_height_m": 0.1}
 STEEP = GAUSSIAN | {"rms_height_m": 1.0}

@@ -159,22 +159,6 @@ def test_energy_is_conserved_without_absorption(estimator, saturation):
     assert np.abs(ds.absorptance).max() < 1e-12
 
 
-@NEEDS_JIT
-def test_spectral_and_analog_estimators_agree():
-    z = []
-    for number, settings in enumerate((TEC_10039240, {**TEC_13J9823, "saturation": 0.3})):
-        sand = splits.Sand(**settings)
-        analog, spectral = (
-            splits.spectrophotometer(
-                sand, WAVELENGTHS, max_stderr=0.004, seed=seed + number, estimator=estimator
-            )
-            for estimator, seed in (("analog", 50), ("spectral", 60))
-        )
-        assert analog.attrs["stop_reason"] == spectral.attrs["stop_reason"] == "converged"
-        z.append(compare_results(analog, spectral, "reflectance"))
-    judge_z(z, "analog against spectral", independent=2)
-
-
 def simulate_reflectance(seed=7, wavelengths=WAVELENGTHS, **settings):
     """Return reflectance and its standard error."""
     ds = splits.spectrophotometer(splits.Sand(**settings), wavelengths, max_stderr=0.006, seed=seed)

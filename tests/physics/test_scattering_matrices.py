@@ -101,6 +101,8 @@ def select_directions(table: pd.DataFrame) -> pd.DataFrame:
 def test_stokes_vectors_agree_with_the_intercomparison(case, rays):
     table = select_directions(read_benchmark(case))
     label = f"case {case[0]}, {case[1]:g}"
+    # The forward peak of case A5 is costly.
+    rays = rays // 3 if case[0] == "A5" else rays
     judge_stokes(compare_with_benchmark(case, table, rays), label)
 
 

@@ -30,6 +30,7 @@ def test_asymmetry_of_a_smooth_ice_sphere():
         make_dry_snow(1.31, **SPHERES, interpretation=PROJECTED), 500.0, rays=400_000
     )
     expected = integrate_impacts(lambda i: mean_cosine(i, 1.31), projected_density)
+    assert abs(expected - 0.78) < 0.005
     error = float(ds.asymmetry_parameter_stderr[0])
     assert 0.0 < error < 0.002
     judge_z([(float(ds.asymmetry_parameter[0]) - expected) / error], "asymmetry")

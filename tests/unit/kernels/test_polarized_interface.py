@@ -263,42 +263,6 @@ def test_phase_is_continuous_at_the_critical_angle():
             assert abs(complex(real, imaginary) - 1.0) < 10.0 * math.sqrt(offset)
 
 
-def make_meridian_reference(d):
-    """Return the upward reference axis in the plane of d and z."""
-    e = np.cross(np.cross(d, [0.0, 0.0, 1.0]), d)
-    return e / np.linalg.norm(e)
-
-
-def test_horizontal_interfaces_have_block_diagonal_mueller_matrices():
-    rng = np.random.default_rng(15)
-    for _ in range(GEOMETRIES):
-        d, _, s = draw_polarized_light(rng)
-        normal = np.array([0.0, 0.0, -math.copysign(1.0, d[2])])
-        fresnel_mueller = interface.compute_fresnel_mueller(1.33, 1.0, abs(d[2]))
-        light = np.append(1.0, s)
-        plus, minus, real, imaginary = fresnel_mueller.reflection
-        t_plus, t_minus, root, _ = fresnel_mueller.transmission
-        reflection = [[plus, minus, 0, 0], [minus, plus, 0, 0]]
-        reflection += [[0, 0, real, imaginary], [0, 0, -imaginary, real]]
-        transmission = [
-            [t_plus, t_minus, 0, 0],
-            [t_minus, t_plus, 0, 0],
-            [0, 0, root, 0],
-            [0, 0, 0, root],
-        ]
-        e = make_meridian_reference(d)
-        for kernel, matrix in (
-            (compute_reflection, reflection),
-            (compute_refraction, transmission),
-        ):
-            fraction, d2, e2, s2 = kernel(d, e, s, normal, 1.33, 1.0)
-            expected = np.array(matrix) @ light
-            assert fraction == pytest.approx(expected[0], abs=1e-13)
-            q, u = rotate_linear(s2, e2, d2, make_meridian_reference(d2))
-            actual = [fraction * q, fraction * u, fraction * s2[2]]
-            assert actual == pytest.approx(expected[1:], abs=1e-12)
-
-
 def test_fresnel_rhomb_makes_circular_light():
     """Two reflections at 54°37′ in glass of index 1.51 turn light at 45° into circular light."""
     theta = math.radians(54 + 37 / 60)
@@ -313,23 +277,6 @@ def test_fresnel_rhomb_makes_circular_light():
     assert reflectance == 1.0
     assert out[0] == pytest.approx(d, abs=1e-15)
     assert out[2] == pytest.approx([0.0, 0.0, 1.0], abs=1e-3)
-
-
-def test_normal_incidence_preserves_polarization():
-    rng = np.random.default_rng(9)
-    r = ((1.33 - 1.0) / (1.33 + 1.0)) ** 2
-    for cos_i in (1.0, 1.0 - 1e-15):
-        d, e, s, n = draw_incident_light(rng, cos_i, pure=True)
-        reflectance, d2, e2, s2 = compute_reflection(d, e, s, n, 1.0, 1.33)
-        assert reflectance == pytest.approx(r, rel=1e-13)
-        assert d2 == pytest.approx(-d, abs=1e-7)
-        # Reflection keeps the axes of polarization and reverses the handedness.
-        q, u = rotate_linear(s2, e2, d2, e)
-        assert (q, u, s2[2]) == pytest.approx((s[0], -s[1], -s[2]), abs=1e-6)
-        transmittance, d2, e2, s2 = compute_refraction(d, e, s, n, 1.0, 1.33)
-        assert transmittance == pytest.approx(1.0 - r, rel=1e-13)
-        q, u = rotate_linear(s2, e2, d2, e)
-        assert (q, u, s2[2]) == pytest.approx(s, abs=1e-6)
 
 
 @pytest.mark.parametrize("indices", [(1.0, 1.33), (1.33, 1.0)], ids=str)

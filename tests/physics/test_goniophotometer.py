@@ -1,5 +1,7 @@
 """BRDFs and BTDFs against analytical results, discrete ordinates, and other estimators."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, compare_results, judge_scatter, judge_z
@@ -10,7 +12,7 @@ from splits.kernels.interface import fresnel
 pytestmark = NEEDS_JIT
 
 KEEP = {"overlap_with_previous_segment": "keep", "overlap_with_boundary": "keep"}
-FACTORS = ("reflectance", "transmittance")
+STREAMS = 48
 
 
 def make_quadrature(points=48):
@@ -143,26 +145,33 @@ def test_packed_grains_are_reciprocal_with_skipped_overlaps(medium_class, wavele
     judge_z(compute_reciprocity_z(medium, wavelength), label, INDEPENDENT_PAIRS)
 
 
+@cache
+def compute_optics(thickness):
+    """Return sparse snow of an optical thickness, and its optics from eight seeds."""
+    snow = make_sparse_snow({"interpretation": KEEP, **ICE}, thickness)
+    return snow, [
+        splits.single_scattering(snow, [600.0], moments=STREAMS + 1, rays=100_000, seed=seed)
+        for seed in range(1, 9)
+    ]
+
+
 @pytest.mark.parametrize(("thickness", "incidence"), [(4.0, 0.0), (4.0, 60.0), (1.0, 75.0)])
 def test_sparse_grains_agree_with_discrete_ordinates(thickness, incidence):
     pydisort = pytest.importorskip("PythonicDISORT").pydisort
-    snow = make_sparse_snow({"interpretation": KEEP, **ICE}, thickness)
-    streams, expected = 48, []
+    snow, runs = compute_optics(thickness)
+    expected = []
     cosine = np.cos(np.radians(incidence))
-    for seed in range(1, 9):
-        optics = splits.single_scattering(
-            snow, [600.0], moments=streams + 1, rays=100_000, seed=seed
-        )
-        chi = optics.legendre_moment.values.reshape(-1)[: streams + 1].clip(-1.0, 1.0)
-        chi[0], peak = 1.0, max(float(chi[streams]), 0.0)
+    for optics in runs:
+        chi = optics.legendre_moment.values.reshape(-1)[: STREAMS + 1].clip(-1.0, 1.0)
+        chi[0], peak = 1.0, max(float(chi[STREAMS]), 0.0)
         albedo = min(float(optics.single_scattering_albedo[0]), 1.0 - 1e-9)
         mu, *_, radiance = pydisort(
-            float(optics.optical_thickness[0]), albedo, streams, chi[np.newaxis],
+            float(optics.optical_thickness[0]), albedo, STREAMS, chi[np.newaxis],
             mu0=cosine, I0=1.0 / cosine, phi0=0.0, f_arr=peak, NT_cor=True,
         )  # fmt: skip
         azimuths = np.radians([0.0, 90.0, 180.0])
-        expected.append(radiance(0.0, azimuths)[: streams // 2])
-    mu = mu[: streams // 2]
+        expected.append(radiance(0.0, azimuths)[: STREAMS // 2])
+    mu = mu[: STREAMS // 2]
     polar = np.degrees(np.arccos(mu))
     order = np.argsort(polar)
     order = order[polar[order] < 80.0]

@@ -16,13 +16,6 @@ WAVELENGTHS = np.linspace(400.0, 1000.0, 6)
 ICE_WAVELENGTHS = np.array([500.0, 900.0, 1030.0, 1250.0, 1500.0])
 MINERALS = ("quartz", "hematite", "goethite", "magnetite", "kaolinite")
 TEC_10039240 = {"iron_oxide": 0.05, "hematite_ratio": 0.359, "partition": (0.5, 0.0, 0.5)}
-TEC_13J9823 = {
-    "iron_oxide": 0.01,
-    "hematite_ratio": 0.498,
-    "magnetite": 0.17,
-    "partition": (0.0, 1.0, 0.0),
-    "texture": (0.0, 0.072, 0.928),
-}
 ALL_TYPES = {
     "iron_oxide": 0.03,
     "hematite_ratio": 0.4,

@@ -178,7 +178,7 @@ def test_two_layers_of_half_the_thickness_are_the_layer():
     half = splits.ParticleLayer(optical_thickness=1.0, depth_m=0.5, **settings)
     one, two = (
         splits.goniophotometer(
-            medium, [550.0], 50.0, rays=scale_sample_size(100_000), seed=seed,
+            medium, [550.0], 50.0, rays=scale_sample_size(50_000), seed=seed,
             polar_deg=[0.0, 25.0, 60.0], azimuth_deg=[0.0, 60.0, 135.0], estimator="next_event",
         )
         for seed, medium in ((1, whole), (2, splits.Stack([half, half])))

@@ -18,7 +18,7 @@ from splits.kernels.interface import FresnelResult, fresnel, fresnel_between, re
 from splits.kernels.scene import ALIVE
 
 RADIUS = 2.5e-4
-COUNT = 400_000
+COUNT = 200_000
 
 
 DIRECTION = Vector(0.48, -0.64, 0.6)

@@ -23,7 +23,6 @@ from splits.materials.csv_table import MAX_TABLE_BYTES, read_user_table
 from splits.plotting.spectra import check_measured
 from splits.retrieval.measurement import Measurement
 
-ROOT = Path(__file__).parents[3]
 SHIPPED_TABLES = sorted((CONFIG / "measured").glob("*.csv"))
 
 RETRIEVED = RetrieveSection(

@@ -24,7 +24,6 @@ from splits.media.sand_composition import (
 )
 from splits.simulation.spectral_nodes import select_grain_interfaces
 
-ORDER = "min <= mean <= max <= 1"
 INTERPRETATIONS = list(SandInterpretation.__dataclass_fields__)
 EIGHT_TYPES = {
     "iron_oxide": 0.03,

@@ -25,7 +25,6 @@ from splits.media.kinds import check_medium, read_named_medium
 from splits.media.parameters import override_keywords
 from splits.media.snow import NATURAL_GRAIN_SHAPE
 
-ORDER = "min <= mean <= max <= 1"
 NAMES = [field.name for field in fields(Interpretation)]
 
 

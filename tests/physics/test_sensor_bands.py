@@ -109,13 +109,13 @@ def test_reflectance_factors_under_a_sky_are_retrieved(bands):
     """Bands under a sky are weighted by irradiance; so is a response that contains it."""
     sky = splits.sky("midlatitude_winter")
     snow = splits.Snow.natural(optical_radius_um=TRUE_SIZE)
-    options = {"polar_deg": [20.0], "azimuth_deg": [90.0], "relative_stderr": 0.006, "threads": 1}
+    options = {"polar_deg": [20.0], "azimuth_deg": [90.0], "relative_stderr": 0.003, "threads": 1}
     found = splits.hdrf(snow, sky, bands=bands, **options)
     np.testing.assert_allclose(found.irradiance_covered, 1.0)
     made = splits.build_table(
         splits.Snow.natural,
         {SIZE: SIZES, "polar_deg": [10, 20, 30], "azimuth_deg": [60, 90, 120]},
-        incidence_deg=sky.zenith_deg, bands=bands, threads=1, max_stderr=0.006,
+        incidence_deg=sky.zenith_deg, bands=bands, threads=1, max_stderr=0.003,
         quantities=["reflectance_factor", "diffuse_reflectance_factor"],
     )  # fmt: skip
     table = splits.Table(made)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, judge_z
+from chi2 import NEEDS_JIT, compare_results, judge_z
 
 import splits
 
@@ -62,8 +62,7 @@ def test_divided_medium_has_brdf_of_the_whole():
             for seed, one in enumerate((medium, divide(medium, 2), divide(medium, 7)))
         )
         for result in divided:
-            error = np.hypot(result.brdf_stderr, whole.brdf_stderr)
-            z.append(((result.brdf - whole.brdf) / error).values.ravel())
+            z.append(compare_results(result, whole, "brdf"))
     # Errors of an expansion are correlated, and include its truncation error.
     judge_z(np.array(z), "BRDFs of divided media", independent=2 * len(MEDIA), bound_added=True)
 

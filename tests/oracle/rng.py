@@ -71,15 +71,6 @@ def unit_circle(state):
 
 
 @kernel
-def unit_sphere(state):
-    """Return a unit vector (x, y, z) uniform on the sphere."""
-    z = 2.0 * uniform(state) - 1.0
-    r = math.sqrt(1.0 - z * z)
-    c, s = unit_circle(state)
-    return r * c, r * s, z
-
-
-@kernel
 def sample_table(table, row, u):
     """Return the quantile `u` of the distribution tabulated in a row, or the only row.
 

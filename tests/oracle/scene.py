@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oracle import facets, spheroid
+from oracle import spheroid
 
 DRY_PORE = 0
 WET_PORE = 1
@@ -29,9 +29,6 @@ OVERLAP_SKIP = 2
 """A grain that overlaps is skipped: the next distance counts from its position."""
 
 ENTRY_SAMPLING = {"uniform": spheroid.UNIFORM, "projected": spheroid.PROJECTED}
-FACET_SAMPLING = {"projected": facets.PROJECTED, "unweighted": facets.UNWEIGHTED, "any": facets.ANY}
-WRONG_SIDE_RULE = {"cosine_lobe": LOBE, "mirror": MIRROR}
-OVERLAP_RULE = {"reject": OVERLAP_REJECT, "keep": OVERLAP_KEEP, "skip": OVERLAP_SKIP}
 
 
 class Grains(NamedTuple):

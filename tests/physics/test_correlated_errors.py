@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from chi2 import NEEDS_JIT, judge_p, judge_z
+from chi2 import NEEDS_JIT, compare_results, judge_p, judge_z
 from scipy.stats import chi2
 
 import splits
@@ -178,15 +178,7 @@ PROFILES = {
 
 def compare(run, solved, names):
     """Return differences of the runs of all seeds from exact values, over their errors."""
-    z = []
-    for seed in RARE_SEEDS:
-        paths = run(seed)
-        parts = []
-        for name in names:
-            stderr = np.hypot(paths[f"{name}_stderr"], solved[f"{name}_stderr"])
-            parts.append(((paths[name] - solved[name]) / stderr.where(stderr > 0.0)).fillna(0.0))
-        z.append(np.concatenate([part.values.ravel() for part in parts]))
-    return np.array(z)
+    return np.array([compare_results(run(seed), solved, *names) for seed in RARE_SEEDS])
 
 
 @NEEDS_JIT

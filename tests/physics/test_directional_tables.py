@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import xarray as xr
-from chi2 import NEEDS_JIT, compute_z_bound, judge_z
+from chi2 import NEEDS_JIT, compare_results, compute_z_bound, judge_z
 
 import splits
 
@@ -41,7 +41,7 @@ def solved() -> xr.Dataset:
 
 @pytest.fixture(scope="module")
 def traced() -> xr.Dataset:
-    return build("monte_carlo", 0.02)
+    return build("monte_carlo", 0.03)
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def test_hemispherical_integral_is_the_reflectance(solver, reflectances):
         "polar_deg": np.degrees(np.arccos(np.sqrt(0.5 * (1.0 - nodes)))),
         "azimuth_deg": np.arange(0.0, 181.0, 7.5),
     }
-    table = build(solver, 0.01 if solver == "discrete_ordinates" else 0.03, **views)
+    table = build(solver, 0.01 if solver == "discrete_ordinates" else 0.045, **views)
     integral = integrate(table.reflectance_factor)
     np.testing.assert_allclose(integral, table.reflectance, rtol=1e-3, atol=5e-5)
     np.testing.assert_allclose(integrate(table.anisotropy_factor), 1.0, atol=4e-3)
@@ -83,10 +83,8 @@ def test_hemispherical_integral_is_the_reflectance(solver, reflectances):
 @NEEDS_JIT
 def test_both_solvers_agree(solved, traced):
     for name in ALL:
-        stderr = np.hypot(solved[f"{name}_stderr"], traced[f"{name}_stderr"])
-        z = (solved[name] - traced[name]) / stderr
         # Directions of one beam and of all wavelengths share paths.
-        judge_z(z.values, name, independent=4, bound_added=True)
+        judge_z(compare_results(solved, traced, name), name, independent=4, bound_added=True)
 
 
 @NEEDS_JIT
@@ -175,7 +173,7 @@ def test_errors_of_interpolation_agree_with_nodes_left_out():
     z: dict[str, list[np.ndarray]] = {name: [] for name in DIRECTIONAL}
     for axis in ("incidence_deg", "polar_deg", "azimuth_deg"):
         table = splits.Table(build(grid | {axis: grid[axis][::2]}))
-        for _ in range(100):
+        for _ in range(50):
             position = {name: int(random.integers(full.sizes[name])) for name in grid}
             position[axis] = 2 * int(random.integers((full.sizes[axis] - 1) // 2)) + 1
             exact = full.isel(position)

@@ -1,8 +1,10 @@
 """BRDFs and BTDFs against analytical results, discrete ordinates, and other estimators."""
 
+from functools import cache
+
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, judge_scatter, judge_z
+from chi2 import NEEDS_JIT, compare_results, judge_scatter, judge_z
 
 import splits
 from splits.kernels.interface import fresnel
@@ -10,7 +12,7 @@ from splits.kernels.interface import fresnel
 pytestmark = NEEDS_JIT
 
 KEEP = {"overlap_with_previous_segment": "keep", "overlap_with_boundary": "keep"}
-FACTORS = ("reflectance", "transmittance")
+STREAMS = 48
 
 
 def make_quadrature(points=48):
@@ -111,8 +113,7 @@ def compute_reciprocity_z(medium, wavelength):
     for one, other, azimuth in PAIRS:
         forward = runs[one].sel(polar_deg=other, azimuth_deg=azimuth)
         reverse = runs[other].sel(polar_deg=one, azimuth_deg=azimuth)
-        error = np.hypot(forward.brdf_stderr, reverse.brdf_stderr)
-        z.append(float(((forward.brdf - reverse.brdf) / error)[0]))
+        z.append(compare_results(forward, reverse, "brdf")[0])
     return z
 
 
@@ -144,26 +145,33 @@ def test_packed_grains_are_reciprocal_with_skipped_overlaps(medium_class, wavele
     judge_z(compute_reciprocity_z(medium, wavelength), label, INDEPENDENT_PAIRS)
 
 
+@cache
+def compute_optics(thickness):
+    """Return sparse snow of an optical thickness, and its optics from eight seeds."""
+    snow = make_sparse_snow({"interpretation": KEEP, **ICE}, thickness)
+    return snow, [
+        splits.single_scattering(snow, [600.0], moments=STREAMS + 1, rays=100_000, seed=seed)
+        for seed in range(1, 9)
+    ]
+
+
 @pytest.mark.parametrize(("thickness", "incidence"), [(4.0, 0.0), (4.0, 60.0), (1.0, 75.0)])
 def test_sparse_grains_agree_with_discrete_ordinates(thickness, incidence):
     pydisort = pytest.importorskip("PythonicDISORT").pydisort
-    snow = make_sparse_snow({"interpretation": KEEP, **ICE}, thickness)
-    streams, expected = 48, []
+    snow, runs = compute_optics(thickness)
+    expected = []
     cosine = np.cos(np.radians(incidence))
-    for seed in range(1, 9):
-        optics = splits.single_scattering(
-            snow, [600.0], moments=streams + 1, rays=100_000, seed=seed
-        )
-        chi = optics.legendre_moment.values.reshape(-1)[: streams + 1].clip(-1.0, 1.0)
-        chi[0], peak = 1.0, max(float(chi[streams]), 0.0)
+    for optics in runs:
+        chi = optics.legendre_moment.values.reshape(-1)[: STREAMS + 1].clip(-1.0, 1.0)
+        chi[0], peak = 1.0, max(float(chi[STREAMS]), 0.0)
         albedo = min(float(optics.single_scattering_albedo[0]), 1.0 - 1e-9)
         mu, *_, radiance = pydisort(
-            float(optics.optical_thickness[0]), albedo, streams, chi[np.newaxis],
+            float(optics.optical_thickness[0]), albedo, STREAMS, chi[np.newaxis],
             mu0=cosine, I0=1.0 / cosine, phi0=0.0, f_arr=peak, NT_cor=True,
         )  # fmt: skip
         azimuths = np.radians([0.0, 90.0, 180.0])
-        expected.append(radiance(0.0, azimuths)[: streams // 2])
-    mu = mu[: streams // 2]
+        expected.append(radiance(0.0, azimuths)[: STREAMS // 2])
+    mu = mu[: STREAMS // 2]
     polar = np.degrees(np.arccos(mu))
     order = np.argsort(polar)
     order = order[polar[order] < 80.0]
@@ -282,8 +290,7 @@ def test_wavelengths_that_share_paths_agree_with_single_runs(relative_stderr, ra
         single = splits.goniophotometer(wet, [wavelength], 30.0, rays=rays, seed=seed, **grid)
         shared = together.sel(wavelength=[wavelength])
         for name, values in z.items():
-            error = np.hypot(single[f"{name}_stderr"], shared[f"{name}_stderr"])
-            values.extend(((shared[name] - single[name]) / error).values.ravel())
+            values.extend(compare_results(shared, single, name))
     for name, values in z.items():
         judge_z(values, f"{name} of wavelengths that share paths", independent=1)
 
@@ -313,7 +320,6 @@ def test_vectorized_kernel_agrees_with_scalar_kernel():
         ("expansion", {"polar_deg": [0, 30, 60, 75], "azimuth_deg": [0, 90, 180]}),
         ("bins", {"n_bins": (6, 8)}),
     ):
-        z = []
         pair = [
             splits.goniophotometer(
                 SNOW, [900.0], 60.0, rays=40_000, seed=seed, kernel=kernel, estimator=estimator,
@@ -321,9 +327,7 @@ def test_vectorized_kernel_agrees_with_scalar_kernel():
             )
             for seed, kernel in ((1, "vectorized"), (2, "scalar"))
         ]  # fmt: skip
-        for name in ("brdf", "btdf"):
-            error = np.hypot(*(run[f"{name}_stderr"] for run in pair))
-            z.extend(((pair[0][name] - pair[1][name]) / error).values.ravel())
+        z = compare_results(*pair, "brdf", "btdf")
         # Directions of an expansion use the same rays, bins do not.
         independent = 1 if estimator == "expansion" else len(z)
         judge_z(z, f"vectorized against scalar, {estimator}", independent)

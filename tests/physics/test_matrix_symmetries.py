@@ -96,7 +96,7 @@ def _tally(first, count, grain, absorption, sums):
 
 @cache
 def estimate_batches(name: str) -> np.ndarray:
-    """Return elements, shape (batches, rows, columns, bins), from a million rays or more a kind.
+    """Return elements, shape (batches, rows, columns, bins), from half a million rays a kind.
 
     Those of bins are integrals; the sum of P11 over the bins of 10° is 1.
     """
@@ -108,7 +108,7 @@ def estimate_batches(name: str) -> np.ndarray:
     sums = np.zeros((N_BATCHES, 3, N_BINS + 2, 4, 3))
     grain = IsolatedGrain(0.0, scene, optics)
     # Few rays of smooth grains are scattered backward, and batches of few are not normal.
-    n_rays = 6_000_000 if name.startswith("smooth") else 3_000_000
+    n_rays = 6_000_000 if name.startswith("smooth") else 1_500_000
     _tally(0, n_rays, grain, optics.absorption[np.newaxis], sums)
     columns = [
         sums[:, UNPOLARIZED, ..., 0], 2.0 * sums[:, LINEAR, ..., 1], 2.0 * sums[:, LINEAR, ..., 2],

@@ -192,7 +192,7 @@ def test_large_spheres_scatter_as_traced_rays(index, angles):
         density_kg_m3=1.0, interpretation={"entry_point": "projected"},
         refractive_index={"ice": index},
     )  # fmt: skip
-    traced = splits.single_scattering(spheres, [NM], moments=2, rays=1_000_000, stokes=True)
+    traced = splits.single_scattering(spheres, [NM], moments=2, rays=400_000, stokes=True)
     traced = traced.squeeze("wavelength").sel(angle_deg=angles)
     albedo = float(traced.single_scattering_albedo)
     found = average_angles(remove_diffraction(index, SIZES[-1]))

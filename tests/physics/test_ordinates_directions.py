@@ -4,7 +4,7 @@ import os
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, judge_z
+from chi2 import NEEDS_JIT, compare_results, judge_z
 
 import splits
 from splits.discrete_ordinates.granular_stack import WET_ERROR
@@ -66,11 +66,7 @@ def compare(instrument, medium, *arguments, names=NAMES, rays=None, **settings):
         for solver in ({"rays": rays, **TRACED} if rays else TRACED, SOLVED)
     )
     names = ["reflectance_factor", *names] if "brdf" not in solved else names
-    return [
-        ((solved[name] - paths[name]) / np.hypot(solved[f"{name}_stderr"], paths[f"{name}_stderr"]))
-        .values.ravel()
-        for name in names if name in solved
-    ]  # fmt: skip
+    return [compare_results(solved, paths, name) for name in names if name in solved]
 
 
 @NEEDS_JIT
@@ -94,12 +90,7 @@ def test_directions_agree_with_bins(name):
     paths = paths.sortby("polar_deg")
     directions = {"polar_deg": paths.polar_deg.values, "azimuth_deg": paths.azimuth_deg.values}
     solved = splits.goniophotometer(MEDIA[name], [600.0], 53.0, **directions, **SOLVED)
-    z = [
-        ((solved[side] - paths[side]) / np.hypot(solved[f"{side}_stderr"], paths[f"{side}_stderr"]))
-        .values.ravel()
-        for side in ("brdf", "btdf")
-    ]  # fmt: skip
-    judge_z(np.concatenate(z), name, bound_added=True)
+    judge_z(compare_results(solved, paths, "brdf", "btdf"), name, bound_added=True)
 
 
 @NEEDS_JIT

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, judge_z
+from chi2 import NEEDS_JIT, compare_results, judge_z
 from level_fluxes import compute_profile, join_cosines
 from test_ordinates_snow import WAVELENGTHS, make_random_snowpack
 
@@ -159,9 +159,7 @@ def compare_profiles(seeds, error):
             for solver in (TRACED, SOLVED)
         )
         for name in QUANTITIES:
-            stderr = np.hypot(solved[f"{name}_stderr"], paths[f"{name}_stderr"])
-            values = ((solved[name] - paths[name]) / stderr).where(stderr > 0.0)
-            z[name].extend(values.values[np.isfinite(values.values)])
+            z[name].extend(compare_results(solved, paths, name))
     return z
 
 
@@ -186,8 +184,7 @@ def test_actinic_flux_agrees_with_paths():
         splits.irradiance_profile(snow, [400.0, 700.0, 1030.0], 30.0, **keywords, **solver)
         for solver in (TRACED, SOLVED)
     )
-    stderr = np.hypot(paths.actinic_flux_stderr, solved.actinic_flux_stderr)
-    judge_z((solved.actinic_flux - paths.actinic_flux) / stderr, independent=3, bound_added=True)
+    judge_z(compare_results(solved, paths, "actinic_flux"), independent=3, bound_added=True)
 
 
 @pytest.mark.parametrize("water", [0.0, 0.05])

@@ -24,7 +24,6 @@ from splits.discrete_ordinates.refraction import (
 )
 
 ORDERS = 400
-BLACK = np.array(0.0)
 AZIMUTHS = np.array([0.0, 0.7, 2.0, np.pi])
 STACKS = {
     "one layer": ([2.0], [0.9], [0.75], 0.0),

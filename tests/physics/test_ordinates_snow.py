@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, judge_z
+from chi2 import NEEDS_JIT, compare_results, judge_z
 from level_fluxes import compute_profile, join_cosines
 
 import splits
@@ -94,9 +94,7 @@ def compare_snowpacks(seeds: range, error: float, only_wet: bool = False) -> np.
             )
             for solver in ("monte_carlo", "discrete_ordinates")
         )
-        for name in ("reflectance", "transmittance"):
-            stderr = np.hypot(ordinates[f"{name}_stderr"], paths[f"{name}_stderr"])
-            z.append(((ordinates[name] - paths[name]) / stderr).values)
+        z.append(compare_results(ordinates, paths, "reflectance", "transmittance"))
     return np.array(z).reshape(len(seeds), 2, -1)
 
 
@@ -255,8 +253,8 @@ def test_profiles_and_directions_of_point_grains_agree_with_paths():
             )
             for how in (TRACED, SOLVED)
         )
-        stderr = np.hypot(paths.brdf_stderr, solved.brdf_stderr)
-        judge_z((solved.brdf - paths.brdf) / stderr, "BRDF", independent=4, bound_added=True)
+        z = compare_results(solved, paths, "brdf")
+        judge_z(z, "BRDF", independent=4, bound_added=True)
 
 
 @NEEDS_JIT

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, judge_z
+from chi2 import NEEDS_JIT, compare_results, judge_z
 from scattering_matrices import make_matrix
 
 import splits
@@ -112,8 +112,7 @@ def test_brdf_of_subdivided_layer_equals_that_of_the_layer():
         subdivided = splits.goniophotometer(
             subdivide(LAYERS["forward"], n_sublayers), 550.0, 40.0, seed=n_sublayers, **view
         )
-        error = np.hypot(subdivided.brdf_stderr, reference.brdf_stderr)
-        z.append(((subdivided.brdf - reference.brdf) / error).values.ravel())
+        z.append(compare_results(subdivided, reference, "brdf"))
     judge_z(np.concatenate(z), independent=3, bound_added=True)
 
 
@@ -148,17 +147,6 @@ def test_energy_is_conserved_without_absorption():
         balance = measure(stack, 70.0, 4)[0]
         assert balance[:2].sum() == pytest.approx(1.0, abs=1e-12)
         assert balance[2] == pytest.approx(0.0, abs=1e-12)
-
-
-@pytest.mark.long
-def test_spectral_and_analog_estimators_agree():
-    stack = splits.Stack([TOP, SNOW], ground=0.3)
-    light = {"wavelengths": WAVELENGTHS}
-    one, other = (
-        measure(stack, 30.0, 5, **light),
-        measure(stack, 30.0, 6, estimator="analog", **light),
-    )
-    judge_z(compute_z(one, other), independent=1, bound_added=True)
 
 
 @pytest.mark.long
@@ -245,12 +233,8 @@ def test_next_event_estimates_of_subdivided_layers_agree(polarized):
         )
         for seed, medium in enumerate([*media, splits.Stack(thin_top)])
     ]  # fmt: skip
-    z = []
     names = ["brdf", "btdf", *(["brdf_q", "brdf_u", "btdf_q"] if polarized else [])]
-    for other in runs[1:]:
-        for name in names:
-            error = np.hypot(runs[0][f"{name}_stderr"], other[f"{name}_stderr"])
-            z.append(((runs[0][name] - other[name]) / error).values[error.values > 0.0])
+    z = [compare_results(runs[0], other, *names) for other in runs[1:]]
     judge_z(np.concatenate(z), "subdivided layers", independent=2)
 
 
@@ -277,11 +261,8 @@ def test_next_event_estimates_of_stacks_agree_with_bins(polarized):
         polar_deg=bins.polar_deg.values, azimuth_deg=bins.azimuth_deg.values[:4],
     )  # fmt: skip
     bins = bins.sel(azimuth_deg=local.azimuth_deg)
-    for name in names:
-        difference = (bins[name] - local[name]).values
-        judge_z(difference / np.hypot(bins[f"{name}_stderr"], local[f"{name}_stderr"]).values, name)
-    error = np.hypot(bins.reflectance_stderr, local.reflectance_stderr)
-    judge_z(((bins.reflectance - local.reflectance) / error).values, "reflectance")
+    for name in (*names, "reflectance"):
+        judge_z(compare_results(bins, local, name), name)
 
 
 @pytest.mark.long
@@ -417,9 +398,7 @@ def test_snowpacks_agree_with_discrete_ordinates():
                 max_stderr=0.001,
                 seed=100 + 10 * number + round(incidence),
             )
-            for name in ("reflectance", "absorptance"):
-                error = np.hypot(expected[f"{name}_stderr"], spectrum[f"{name}_stderr"])
-                z.append(((spectrum[name] - expected[name]) / error).values)
+            z.append(compare_results(spectrum, expected, "reflectance", "absorptance"))
     # The twelve wavelengths use the same paths.
     judge_z(np.array(z), independent=len(SNOWPACKS) * 2, bound_added=True)
 

@@ -4,7 +4,7 @@ from functools import cached_property
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, judge_z
+from chi2 import NEEDS_JIT, compare_results, judge_z
 
 import splits
 from splits.analysis.colour import make_colour_table
@@ -16,13 +16,6 @@ WAVELENGTHS = np.linspace(400.0, 1000.0, 6)
 ICE_WAVELENGTHS = np.array([500.0, 900.0, 1030.0, 1250.0, 1500.0])
 MINERALS = ("quartz", "hematite", "goethite", "magnetite", "kaolinite")
 TEC_10039240 = {"iron_oxide": 0.05, "hematite_ratio": 0.359, "partition": (0.5, 0.0, 0.5)}
-TEC_13J9823 = {
-    "iron_oxide": 0.01,
-    "hematite_ratio": 0.498,
-    "magnetite": 0.17,
-    "partition": (0.0, 1.0, 0.0),
-    "texture": (0.0, 0.072, 0.928),
-}
 ALL_TYPES = {
     "iron_oxide": 0.03,
     "hematite_ratio": 0.4,
@@ -82,15 +75,6 @@ def make_snow_and_sand(types, settings):
     return snow, sand
 
 
-def concatenate_fluxes(ds, suffix=""):
-    return np.concatenate([ds[f"reflectance{suffix}"].values, ds[f"transmittance{suffix}"].values])
-
-
-def compute_z(one, other):
-    error = np.hypot(concatenate_fluxes(one, "_stderr"), concatenate_fluxes(other, "_stderr"))
-    return (concatenate_fluxes(one) - concatenate_fluxes(other)) / error
-
-
 @NEEDS_JIT
 def test_sand_of_ice_has_the_grain_population_of_snow():
     for settings in SAMPLES.values():
@@ -123,7 +107,7 @@ def test_sand_of_ice_has_the_spectrum_of_snow(types):
             splits.spectrophotometer(medium, ICE_WAVELENGTHS, 30.0, max_stderr=0.005, seed=seed)
             for medium, seed in ((snow, 10 + number), (sand, 20 + number))
         ]
-        z.append(compute_z(*spectra))
+        z.append(compare_results(*spectra, "reflectance", "transmittance"))
     judge_z(
         z,
         f"sand against snow, types {sand.make_grain_population().type_cdf.size}",
@@ -149,7 +133,7 @@ def test_identical_types_may_be_split():
             )
             for types, seed in ((ONE_TYPE, 30), (EIGHT_TYPES, 40))
         )
-        z.append(compute_z(pure, split))
+        z.append(compare_results(pure, split, "reflectance", "transmittance"))
     judge_z(z, "identical types", independent=2)
 
 
@@ -166,23 +150,6 @@ def test_energy_is_conserved_without_absorption(estimator, saturation):
     ds = splits.spectrophotometer(sand, wavelengths, 30.0, max_stderr=0.03, estimator=estimator)
     assert np.abs(ds.reflectance + ds.transmittance - 1.0).max() < 1e-12
     assert np.abs(ds.absorptance).max() < 1e-12
-
-
-@NEEDS_JIT
-def test_spectral_and_analog_estimators_agree():
-    z = []
-    for number, settings in enumerate((TEC_10039240, {**TEC_13J9823, "saturation": 0.3})):
-        sand = splits.Sand(**settings)
-        analog, spectral = (
-            splits.spectrophotometer(
-                sand, WAVELENGTHS, max_stderr=0.004, seed=seed + number, estimator=estimator
-            )
-            for estimator, seed in (("analog", 50), ("spectral", 60))
-        )
-        assert analog.attrs["stop_reason"] == spectral.attrs["stop_reason"] == "converged"
-        error = np.hypot(analog.reflectance_stderr, spectral.reflectance_stderr)
-        z.append(((analog.reflectance - spectral.reflectance) / error).values)
-    judge_z(z, "analog against spectral", independent=2)
 
 
 def simulate_reflectance(seed=7, wavelengths=WAVELENGTHS, **settings):
@@ -263,8 +230,7 @@ def test_weakly_absorbing_water_absorbs_equally_in_all_pores():
             # The test has power only if water absorbs a significant fraction.
             assert float(wet.reflectance[1]) < float(dry.reflectance[1]) - 0.02
             pair.append(wet.isel(wavelength=1))
-        error = np.hypot(*(float(one.reflectance_stderr) for one in pair))
-        z.append(float(pair[0].reflectance - pair[1].reflectance) / error)
+        z.append(compare_results(*pair, "reflectance"))
     judge_z(np.array(z), bound_added=True)
 
 
@@ -302,8 +268,7 @@ def test_film_of_air_has_no_effect():
         measure(interpretation, seed, saturation=0.2, refractive_index=air).isel(wavelength=1)
         for seed, interpretation in enumerate(("film", "whole_pores"))
     ]
-    error = np.hypot(*(float(one.reflectance_stderr) for one in pair))
-    judge_z(np.array([float(pair[0].reflectance - pair[1].reflectance) / error]))
+    judge_z(compare_results(*pair, "reflectance"))
 
 
 VISIBLE = np.arange(400.0, 781.0, 10.0)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from chi2 import NEEDS_JIT, judge_z, scale_sample_size
+from chi2 import NEEDS_JIT, compare_results, judge_z, scale_sample_size
 from scattering_matrices import make_matrix
 from scipy.interpolate import CubicSpline
 
@@ -101,6 +101,8 @@ def select_directions(table: pd.DataFrame) -> pd.DataFrame:
 def test_stokes_vectors_agree_with_the_intercomparison(case, rays):
     table = select_directions(read_benchmark(case))
     label = f"case {case[0]}, {case[1]:g}"
+    # The forward peak of case A5 is costly.
+    rays = rays // 3 if case[0] == "A5" else rays
     judge_stokes(compare_with_benchmark(case, table, rays), label)
 
 
@@ -176,7 +178,7 @@ def test_two_layers_of_half_the_thickness_are_the_layer():
     half = splits.ParticleLayer(optical_thickness=1.0, depth_m=0.5, **settings)
     one, two = (
         splits.goniophotometer(
-            medium, [550.0], 50.0, rays=scale_sample_size(100_000), seed=seed,
+            medium, [550.0], 50.0, rays=scale_sample_size(50_000), seed=seed,
             polar_deg=[0.0, 25.0, 60.0], azimuth_deg=[0.0, 60.0, 135.0], estimator="next_event",
         )
         for seed, medium in ((1, whole), (2, splits.Stack([half, half])))
@@ -184,6 +186,4 @@ def test_two_layers_of_half_the_thickness_are_the_layer():
     for name in (
         f"{function}{suffix}" for function in ("brdf", "btdf") for suffix in STOKES.values()
     ):
-        stderr = np.hypot(one[f"{name}_stderr"], two[f"{name}_stderr"]).values
-        z = ((one[name] - two[name]).values / stderr)[stderr > 0.0]
-        judge_z(z, f"two layers, {name}", independent=2)
+        judge_z(compare_results(one, two, name), f"two layers, {name}", independent=2)

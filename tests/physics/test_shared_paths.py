@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, compute_z_bound, judge_z
+from chi2 import NEEDS_JIT, compare_results, compute_z_bound, judge_scatter, judge_z
 
 import splits
 from splits.core.validation import InvalidValue
@@ -78,9 +78,7 @@ def test_shared_paths_agree_with_single_runs(setting, error):
         single = splits.spectrophotometer(
             medium, WAVELENGTHS, max_stderr=2.0 * error, seed=100 + number, solver="monte_carlo"
         )
-        shared = together.sel(medium=name)
-        error_of_difference = np.hypot(shared.reflectance_stderr, single.reflectance_stderr)
-        z.append(((shared.reflectance - single.reflectance) / error_of_difference).values)
+        z.append(compare_results(together.sel(medium=name), single, "reflectance"))
     judge_z(np.array(z), setting, independent=len(WAVELENGTHS), bound_added=True)
 
 
@@ -184,9 +182,7 @@ def test_errors_of_derivatives_agree_with_scatter():
     ]
     slopes = np.array([run.reflectance_jacobian.values[0] for run in runs])
     batches = np.array([run.reflectance_jacobian_batches.values[:, 0] for run in runs])
-    variances = (batches**2).sum(axis=1).mean(axis=0)
-    z = (slopes - slopes.mean(axis=0)) / np.sqrt(variances * (1.0 - 1.0 / len(runs)))
-    judge_z(z, independent=len(runs))
+    judge_scatter(slopes, np.sqrt((batches**2).sum(axis=1)))
 
 
 @NEEDS_JIT
@@ -373,10 +369,7 @@ def test_points_agree_with_single_runs(shared_run):
                 shared = dataset.sel(
                     {"specific_surface_area_m2_kg": area, "impurities_ng_g.black_carbon": soot}
                 ).isel(incidence_deg=int(incidence > 0))
-                difference = shared.reflectance.values - single.reflectance.values
-                z += list(
-                    difference / np.hypot(shared.reflectance_stderr, single.reflectance_stderr)
-                )
+                z += list(compare_results(shared, single, "reflectance"))
     z = np.array(z)
     # Points of one ensemble are correlated.
     print(f"{z.size} values against single runs: rms z {np.sqrt((z**2).mean()):.2f}")
@@ -470,7 +463,6 @@ def test_directions_over_a_spectral_ground(estimator):
     directions = splits.goniophotometer(layer, [500.0, 900.0], 0.0, **settings)
     assert "btdf" not in directions
     fluxes = splits.spectrophotometer(layer, [500.0, 900.0], 0.0, max_stderr=0.002, seed=1)
-    stderr = np.hypot(directions.reflectance_stderr, fluxes.reflectance_stderr)
-    assert (np.abs(directions.reflectance - fluxes.reflectance) < 4.0 * stderr).all()
+    assert (np.abs(compare_results(directions, fluxes, "reflectance")) < 4.0).all()
     with pytest.raises(InvalidValue, match="a ground that depends on wavelength"):
         splits.goniophotometer(layer, [500.0], 0.0, estimator="next_event")

@@ -1,10 +1,11 @@
 """Media with analytical results, and agreement of the estimators."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, judge_scatter, judge_z, start_random_stream
+from chi2 import NEEDS_JIT, compare_results, judge_scatter, judge_z, start_random_stream
 from scenes import make_optics, make_scene, trace_ray
 from scipy import integrate
 
@@ -194,20 +195,42 @@ def stack_quantities(ds, suffix=""):
     return np.stack([ds[f"{quantity}{suffix}"].values for quantity in QUANTITIES])
 
 
+PARTICLES = splits.ParticleLayer(optical_thickness=3.0, single_scattering_albedo=0.8)
+WAVES = {"rms_height_m": 0.02, "wave_number_per_m": 20.0, "correlation": "gaussian", "waves": 24}
+BELOW = [
+    splits.Snow(depth_m=0.006, saturation=0.2),
+    splits.Sand(depth_m=0.004, interpretation="splitsnow_2021"),
+]
+ESTIMATED = {
+    **{name: (splits.Snow(**settings), SPECTRUM) for name, settings in MEDIA.items()},
+    "sand": (splits.load_medium("tec_10039240"), WAVELENGTHS),
+    "wet sand": (splits.load_medium("tec_13j9823", saturation=0.3), WAVELENGTHS),
+    "particles": (PARTICLES, WAVELENGTHS),
+    "particles on snow and sand": (
+        splits.Stack([replace(PARTICLES, ground=None, depth_m=0.01), *BELOW], ground=0.3),
+        WAVELENGTHS,
+    ),
+    "rough particles": (
+        splits.Stack(
+            [replace(PARTICLES, ground=None, depth_m=0.3, surface=WAVES), *BELOW], ground=0.3
+        ),
+        WAVELENGTHS,
+    ),
+}
+
+
 def test_spectral_and_analog_estimators_agree():
     z = []
-    for number, settings in enumerate(MEDIA.values()):
-        snow = splits.Snow(**settings)
+    for number, (medium, wavelengths) in enumerate(ESTIMATED.values()):
         # Both estimators number their random streams alike, so their seeds differ.
-        analog = splits.spectrophotometer(
-            snow, SPECTRUM, 20.0, max_stderr=0.009, seed=10 + number, estimator="analog"
+        analog, spectral = (
+            splits.spectrophotometer(
+                medium, wavelengths, 20.0, max_stderr=error, seed=seed + number, estimator=estimator
+            )
+            for estimator, seed, error in (("analog", 10, 0.009), ("spectral", 20, 0.006))
         )
-        spectral = splits.spectrophotometer(
-            snow, SPECTRUM, 20.0, max_stderr=0.006, seed=20 + number
-        )
-        error = np.hypot(stack_quantities(analog, "_stderr"), stack_quantities(spectral, "_stderr"))
-        z.append((stack_quantities(analog) - stack_quantities(spectral)) / error)
-    judge_z(z, "analog against spectral", independent=len(MEDIA))
+        z.append(compare_results(analog, spectral, *QUANTITIES))
+    judge_z(np.concatenate(z), "analog against spectral", independent=len(ESTIMATED))
 
 
 @pytest.mark.parametrize("estimator", ["spectral", "analog"])

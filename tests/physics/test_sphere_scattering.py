@@ -18,7 +18,7 @@ from splits.kernels.interface import FresnelResult, fresnel, fresnel_between, re
 from splits.kernels.scene import ALIVE
 
 RADIUS = 2.5e-4
-COUNT = 400_000
+COUNT = 200_000
 
 
 DIRECTION = Vector(0.48, -0.64, 0.6)
@@ -117,14 +117,6 @@ def test_mean_cosine_and_path_of_a_smooth_sphere(entry):
 
 
 @NEEDS_JIT
-def test_asymmetry_of_an_ice_sphere():
-    expected = integrate_impacts(lambda i: mean_cosine(i, 1.31), projected_density)
-    assert abs(expected - 0.78) < 0.005
-    cosine, _, _ = sample_scattering(1.31, ray=3)
-    judge_z([(cosine.mean() - expected) / (cosine.std() / math.sqrt(COUNT))], "asymmetry")
-
-
-@NEEDS_JIT
 def test_absorption_in_a_smooth_sphere():
     # Weighted and analog absorption against the sum over internal orders.
     z = []
@@ -144,15 +136,6 @@ def test_absorption_in_a_smooth_sphere():
 
 
 @NEEDS_JIT
-def test_matched_grain_does_not_deviate_rays():
-    for psi, facetness in ((1.0, 0.0), (0.5, 0.0), (0.7, 1.0)):
-        for entry in ("uniform", "projected"):
-            cosine, path, _ = sample_scattering(1.0, psi, facetness, entry)
-            assert np.abs(cosine - 1.0).max() < 1e-12
-            assert path.min() > 0.0
-
-
-@NEEDS_JIT
 def test_roughness_reduces_forward_scattering():
     means = [sample_scattering(1.31, 0.8, f)[0].mean() for f in (0.0, 0.3, 1.0)]
     assert means[0] > means[1] + 0.01 > means[2] + 0.02
@@ -167,6 +150,7 @@ INDICES = [
     (1.0, 3.0, 3.0),
     (1.31, 1.0, 0.0),
     (1.31, 1.0, 1e-7),
+    (1.31, 1.0, 1e-3),
     (1.33, 1.31, 0.02),
     (1.5, 0.9, 1.0),
     (1.31, 1.31, 0.1),
@@ -188,20 +172,16 @@ def test_reflectance_and_direction_agree_with_complex_amplitudes(indices):
     for cos_i in COSINES:
         s, p, q = compute_polarized_reflectance(*indices, cos_i)
         reflectance, ratio, cos_t = fresnel(*indices, cos_i)
+        assert 0.0 <= reflectance <= 1.0
         assert reflectance == pytest.approx(0.5 * (s + p), rel=1e-9, abs=1e-14)
         if s > 1.0 - 1e-15:
-            assert (ratio, cos_t) == (0.0, 0.0)
+            # Total reflection, which the slightest absorption beyond the interface frustrates.
+            assert (ratio, cos_t) == (0.0, 0.0) and indices[2] == 0.0
             continue
         # Planes of constant phase have the tangential wave number sinθ and the normal Re q.
         wave = math.hypot(math.sqrt(1.0 - cos_i * cos_i), q.real)
         assert ratio == pytest.approx(1.0 / wave, rel=1e-9)
         assert cos_t == pytest.approx(q.real / wave, rel=1e-7, abs=1e-12)
-
-
-@pytest.mark.parametrize("indices", INDICES, ids=str)
-def test_reflectance_is_a_probability(indices):
-    values = [fresnel(*indices, c)[0] for c in COSINES]
-    assert min(values) >= 0.0 and max(values) <= 1.0
 
 
 @pytest.mark.parametrize("n2", [1.31, 1.33, 2.4])
@@ -214,29 +194,12 @@ def test_p_reflectance_is_zero_at_brewster_angle(n2):
     assert s == pytest.approx(((n2 * n2 - 1) / (n2 * n2 + 1)) ** 2, rel=1e-12)
 
 
-@pytest.mark.parametrize(("n2", "k2"), [(1.31, 0.0), (1.2, 0.4), (0.3, 3.0)])
-def test_reflectance_at_normal_incidence(n2, k2):
-    expected = ((n2 - 1) ** 2 + k2**2) / ((n2 + 1) ** 2 + k2**2)
-    reflectance, _, cos_t = fresnel(1.0, n2, k2, 1.0)
-    assert reflectance == pytest.approx(expected, rel=1e-13)
-    assert cos_t == pytest.approx(1.0, rel=1e-15)
-
-
-def test_grazing_incidence_reflects_everything():
-    for indices in INDICES[:-1]:
-        assert fresnel(*indices, 1e-9)[0] == pytest.approx(1.0, abs=1e-6)
-
-
 def test_total_internal_reflection_below_critical_cosine():
     n1 = 1.31
     critical = math.sqrt(1.0 - 1.0 / n1**2)
     for cos_i in np.linspace(1e-6, critical * (1.0 - 1e-9), 20):
         assert fresnel(n1, 1.0, 0.0, cos_i) == (1.0, 0.0, 0.0)
     assert fresnel(n1, 1.0, 0.0, critical * (1.0 + 1e-6))[0] < 1.0
-
-
-def test_absorbing_far_medium_frustrates_total_reflection():
-    assert fresnel(1.31, 1.0, 1e-3, 0.3)[0] < 1.0
 
 
 @pytest.mark.parametrize("n", [1.0, 1.31, 2.4])

@@ -107,6 +107,13 @@ def compute_p_of_values(values, cdf, edges=53) -> float:
     return compute_p_of_counts(counts, np.diff(edges))
 
 
+def compute_p_of_unit_square(a, b, bins: int = 12) -> float:
+    """Return the chi-square p-value of pairs that should be uniform on the unit square."""
+    counts = np.histogram2d(a, b, bins=bins, range=((0, 1), (0, 1)))[0]
+    assert counts.sum() == np.size(a)
+    return compute_p_of_counts(counts, np.full(bins * bins, 1.0 / bins**2))
+
+
 def tabulate_cdf(density, low: float, high: float, points: int = 20_001):
     """Return the cumulative distribution of a density on [low, high] by the trapezoidal rule."""
     x = np.linspace(low, high, points)
@@ -172,6 +179,21 @@ def judge_z(z, label: str = "", independent: int | None = None, bound_added: boo
     assert low <= rms <= high, report
 
 
+def compare_results(one, other, *names: str) -> np.ndarray:
+    """Return differences of quantities of two results in units of their common standard error.
+
+    Values without an error are left out, but must be equal.
+    """
+    z = []
+    for name in names:
+        error = np.asarray(np.hypot(one[f"{name}_stderr"], other[f"{name}_stderr"]))
+        difference = np.asarray(one[name] - other[name])
+        is_exact = error == 0.0
+        assert (np.abs(difference[is_exact]) < 1e-9).all(), (name, difference)
+        z.append(difference[~is_exact] / error[~is_exact])
+    return np.concatenate(z)
+
+
 def compute_pooled_z(differences, errors, values=None) -> float:
     """Return the mean of differences, weighted by inverse variance, in units of its error.
 
@@ -188,8 +210,10 @@ def compute_pooled_z(differences, errors, values=None) -> float:
     return float((d * v / s**2).sum() / np.sqrt((v**2 / s**2).sum()))
 
 
-def judge_scatter(samples, stated, label: str = "", bound_added: bool = False) -> None:
+def judge_scatter(samples, stated, label: str = "", bound_added: bool = False) -> float:
     """Fail if the scatter of repeated runs is above or below their stated errors, at 1 %.
+
+    Return the root mean square of the scatter over the stated error.
 
     Parameters
     ----------
@@ -217,3 +241,4 @@ def judge_scatter(samples, stated, label: str = "", bound_added: bool = False) -
     )
     print(report)
     assert low <= ratio.min() and ratio.max() <= high, report
+    return float(np.sqrt((ratio**2).mean()))

@@ -118,12 +118,6 @@ def keep_all_grains(scene):
 
 
 @njit
-def get_pore_space(scene):
-    """Return the geometry of the first layer of a scene."""
-    return ray_state.get_layer_geometry(scene.layers, 0)
-
-
-@njit
 def sample_pore(u, scene):
     """Return the pore material that a uniform number selects."""
     return ray_state.pore_material(scene.layers, 0, u)

@@ -12,6 +12,7 @@ from chi2 import (
     NEEDS_JIT,
     TAIL_PROBABILITIES,
     compute_p_of_counts,
+    compute_p_of_unit_square,
     compute_p_of_values,
     draw_samples,
     judge_p,
@@ -26,9 +27,9 @@ from scipy import stats
 
 import splits
 from splits.kernels import rng
-from splits.kernels.arithmetic import UP, Vector, log, sample_circle, to_single
+from splits.kernels.arithmetic import UP, Vector, log, to_single
 from splits.kernels.grains.grain_path import get_layer_geometry
-from splits.kernels.scene import ANY_FACETS, Features
+from splits.kernels.scene import Features
 from splits.kernels.vectorized import lanes as lane_module
 from splits.kernels.vectorized import passes
 from splits.kernels.vectorized.lanes import Lane, gather_interpolate
@@ -83,12 +84,6 @@ def _draw_doubles(words, out):
         out[i] = lane_module.to_uniform_52(words[i])
 
 
-@njit
-def _draw_uniforms(state, out):
-    for i in range(out.size):
-        out[i] = rng.uniform(state)
-
-
 @pytest.mark.parametrize("lane", [0, 1, lane_module.N_LANES - 1])
 def test_lanes_use_the_random_stream_of_their_ray(lane):
     lanes = np.full(lane_module.STATE_SIZE, 0xDEADBEEF, dtype=np.uint32)
@@ -102,10 +97,9 @@ def test_lanes_use_the_random_stream_of_their_ray(lane):
         np.testing.assert_array_equal(actual, expected)
         _draw_words(lanes, lane, 101, actual[:900])
         np.testing.assert_array_equal(actual[:900], expected[100:])
-        doubles, uniforms = np.empty(1000), np.empty(1000)
+        doubles = np.empty(1000)
         _draw_doubles(expected, doubles)
-        _draw_uniforms(start_random_stream(ray), uniforms)
-        np.testing.assert_array_equal(doubles, uniforms)
+        np.testing.assert_array_equal(doubles, draw_samples(rng.uniform, 1000, ray=ray))
 
 
 def test_streams_continue_after_2_to_the_31_numbers():
@@ -146,13 +140,11 @@ def test_three_numbers_are_uniform_and_independent():
     assert out.min() > 0.0 and out.max() < 1.0
     p = {i: compute_p_of_values(out[:, i], uniform_cdf, BIN_EDGES) for i in range(3)}
     for i, j in ((0, 1), (0, 2), (1, 2)):
-        counts = np.histogram2d(out[:, i], out[:, j], bins=12, range=((0, 1), (0, 1)))[0]
-        p[i, j] = compute_p_of_counts(counts, np.full(144, 1 / 144))
+        p[i, j] = compute_p_of_unit_square(out[:, i], out[:, j])
     cube_counts = np.histogramdd(out, bins=6, range=[(0, 1)] * 3)[0]
     p["all"] = compute_p_of_counts(cube_counts, np.full(216, 1 / 216))
     # Independence of successive numbers, and uniformity of the lowest of the 21 bits.
-    pair_counts = np.histogram2d(out[:-1, 2], out[1:, 0], bins=12, range=((0, 1), (0, 1)))[0]
-    p["successive"] = compute_p_of_counts(pair_counts, np.full(144, 1 / 144))
+    p["successive"] = compute_p_of_unit_square(out[:-1, 2], out[1:, 0])
     for i in range(3):
         p["low bits", i] = compute_p_of_values(np.modf(out[:, i] * 2.0**15)[0], uniform_cdf, 16)
     judge_p(p)
@@ -199,21 +191,6 @@ def test_fine_numbers_are_uniform_in_the_lower_tail():
     judge_p(p)
 
 
-@njit
-def _sample_circle(state):
-    u, _, _ = lane_module.to_three_uniforms(draw_bits(state))
-    x, y = sample_circle(u)
-    return float(x), float(y)
-
-
-def test_azimuths_are_uniform():
-    x, y = draw_samples(_sample_circle, N_SAMPLES, width=2).T
-    assert np.abs(x * x + y * y - 1.0).max() < 2e-6
-    judge_p(
-        {"azimuth": compute_p_of_values(np.arctan2(y, x) / (2.0 * np.pi) % 1.0, uniform_cdf, 101)}
-    )
-
-
 # --- tilted facets ----------------------------------------------------------------------------
 
 
@@ -233,42 +210,14 @@ def test_variates_of_an_interaction_follow_their_distributions():
     normal = draw_samples(_sample_half_normal, N_SAMPLES, make_lanes())
     cos, sin = draw_samples(_sample_half_circle, N_SAMPLES, make_lanes(), width=2).T
     assert np.abs(cos * cos + sin * sin - 1.0).max() < 1e-6 and cos.min() > -1e-6
-    p = {
-        "normal": compute_p_of_values(normal, stats.halfnorm.cdf, far),
-        "azimuth": compute_p_of_values(np.arctan2(sin, cos) / np.pi + 0.5, uniform_cdf, 101),
-    }
-    counts = np.histogram2d(
-        stats.halfnorm.cdf(normal), np.arctan2(sin, cos) / np.pi + 0.5, bins=12,
-        range=((0, 1), (0, 1)),
-    )[0]  # fmt: skip
-    p["both"] = compute_p_of_counts(counts, np.full(144, 1 / 144))
-    judge_p(p)
-
-
-@njit
-def _sample_tilt(state, lanes, sigma):
-    """Return 1 − n·n' of any facet, whether it faces the ray or not."""
-    d = to_single_precision(Vector(0.6, 0.0, -0.8))
-    facet = sample_facet_by_lane(lanes, d, to_single_precision(UP), sigma, ANY_FACETS)
-    return float(single(1.0) - facet.tilt.cos)
-
-
-def test_tilt_is_half_normal():
-    p = {}
-    for facetness in (0.1, 0.3, 1.0):
-        sigma = 0.5 * facetness
-        x = draw_samples(_sample_tilt, N_SAMPLES, make_lanes(int(100 * facetness)), single(sigma))
-        assert x.min() >= 0.0 and x.max() < 1.0
-        distribution = stats.truncnorm(0.0, 1.0 / sigma, scale=sigma)
-        p[facetness] = compute_p_of_values(x, distribution.cdf, BIN_EDGES)
-        p[facetness, "far"] = compute_p_of_values(
-            x, distribution.cdf, 1.0 - 10.0 ** -np.arange(1.0, 4.5, 0.5)
-        )
-    judge_p(p)
-
-
-def test_smooth_facets_have_no_tilt():
-    assert (draw_samples(_sample_tilt, 1000, make_lanes(), single(0.0)) == 0.0).all()
+    azimuth = np.arctan2(sin, cos) / np.pi + 0.5
+    judge_p(
+        {
+            "normal": compute_p_of_values(normal, stats.halfnorm.cdf, far),
+            "azimuth": compute_p_of_values(azimuth, uniform_cdf, 101),
+            "both": compute_p_of_unit_square(stats.halfnorm.cdf(normal), azimuth),
+        }
+    )
 
 
 MIN_SINE = single(1e-4)
@@ -525,10 +474,6 @@ def test_flight_pass_follows_the_entry_distributions(psi, entry):
     u = np.cross(RAY, [1.0, 0.0, 0.0])
     u /= np.linalg.norm(u)
     azimuth = np.arctan2(n @ np.cross(RAY, u), n @ u) / (2 * np.pi) % 1.0
-    counts = np.histogram2d(
-        compute_area_below(np.clip(z, -1, 1), psi), compute_facing_cdf(facing, entry), bins=10,
-        range=((0, 1), (0, 1)),
-    )[0]  # fmt: skip
     n_forward = int((w @ RAY > 0.0).sum())
     curvature = (1.0 - flattening) / hit.semi_minor
     scale = medium.mean_grain_distance_m
@@ -540,7 +485,9 @@ def test_flight_pass_follows_the_entry_distributions(psi, entry):
             ),
             "axis side": compute_p_of_counts([n_forward, N_SAMPLES - n_forward], [0.5, 0.5]),
             "facing": compute_p_of_values(facing, lambda x: compute_facing_cdf(x, entry)),
-            "joint": compute_p_of_counts(counts, np.full(100, 0.01)),
+            "joint": compute_p_of_unit_square(
+                compute_area_below(np.clip(z, -1, 1), psi), compute_facing_cdf(facing, entry), 10
+            ),
             "turn": compute_p_of_values(axis_azimuth, uniform_cdf),
             "azimuth": compute_p_of_values(azimuth, uniform_cdf),
             "distance": compute_p_of_values(hit.distance, stats.expon(scale=scale).cdf, BIN_EDGES),

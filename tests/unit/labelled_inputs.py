@@ -149,7 +149,6 @@ SPECTRUM = columns(wavelength_nm=NM, albedo=ALBEDOS)
 SERIES = pd.Series(ALBEDOS, pd.Index(NM, name="wavelength"))
 SKY = columns(wavelength_nm=NM, direct=ALBEDOS, diffuse=ALBEDOS)
 NATURAL = splits.Snow.natural(specific_surface_area_m2_kg=20, depth_m=0.05)
-CLEAN = {"specific_surface_area_m2_kg": 20, "depth_m": 0.05}
 SKY_OF_NATURAL = splits.sky({"wavelength_nm": NM, "direct": ALBEDOS, "diffuse": ALBEDOS}, 50.0)
 QUICK = {"max_stderr": 0.5, "threads": 1}
 DIRECTIONS = {

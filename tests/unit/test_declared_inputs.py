@@ -512,6 +512,8 @@ def test_declared_objects_are_values(made, change):
     assert (found == pytest.approx(value)) if isinstance(value, float) else value in (
         found, getattr(found, "name", None), round(found) if isinstance(found, float) else None
     )  # fmt: skip
+    with pytest.raises(AttributeError):
+        setattr(made, name, value)
     others = {field.name for field in dataclasses.fields(made)} - {
         name, type(made).ALTERNATIVES.get(name),
     }  # fmt: skip

@@ -100,10 +100,6 @@ def make_snow(**settings):
     return splits.Snow.natural(optical_radius_um=100, depth_m=0.02, **settings)
 
 
-def make_layer(**settings):
-    return splits.ParticleLayer(optical_thickness=0.5, **settings)
-
-
 def make_figure():
     from matplotlib.figure import Figure
 

@@ -82,6 +82,16 @@ def test_nothing_is_kept_without_a_folder(made):
     assert made == [1.0, 1.0]
 
 
+def test_a_folder_in_place_of_a_file_is_left_alone(tmp_path, made, caplog):
+    cache = Cache(tmp_path, "some", is_optional=True)
+    get(cache, made)
+    (path,) = tmp_path.iterdir()
+    path.unlink()
+    path.mkdir()
+    assert get(cache, made).value[0] == 1.0
+    assert made == [1.0, 1.0] and any("not kept" in one for one in caplog.messages)
+
+
 @pytest.mark.parametrize("damage", ["empty", "cut", "bit", "text", "foreign"])
 def test_damaged_and_foreign_files_are_made_again(tmp_path, made, caplog, damage):
     cache = Cache(tmp_path, "some")
@@ -130,14 +140,16 @@ def test_files_that_were_used_are_deleted(tmp_path, made):
 def test_files_unused_for_the_longest_time_are_removed(tmp_path, made):
     get(Cache(tmp_path, "some"), made)
     (path,) = tmp_path.iterdir()
+    kernel = tmp_path / "kernel.nbc"
+    kernel.write_bytes(b"0")
     cache = Cache(tmp_path, "some", max_bytes=2.5 * path.stat().st_size)
     for number in (2.0, 3.0):
         for age, other in enumerate(
-            sorted(tmp_path.iterdir(), key=lambda one: one.stat().st_mtime)
+            sorted(tmp_path.glob("some_*"), key=lambda one: one.stat().st_mtime)
         ):
             os.utime(other, (age + 1.0, age + 1.0))
         # The first file is used again.
         get(cache, made)
         get(cache, made, number)
-    assert path.exists() and len(list(tmp_path.iterdir())) == 2
+    assert path.exists() and len(list(tmp_path.glob("some_*"))) == 2 and kernel.exists()
     assert made == [1.0, 2.0, 3.0]

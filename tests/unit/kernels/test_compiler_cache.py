@@ -317,12 +317,12 @@ def test_one_of_several_concurrent_processes_compiles(tmp_path):
     script.write_text(CONCURRENT_PROGRAM)
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "env": environment}
-    processes = [subprocess.Popen([sys.executable, script], **pipes) for _ in range(4)]
+    processes = [subprocess.Popen([sys.executable, script], **pipes) for _ in range(3)]
     for process in processes:  # start all of them before waiting for any
         process.stdin.write("go\n")
         process.stdin.flush()
     outputs = sorted(process.communicate(timeout=300)[0] for process in processes)
-    assert outputs == ["go 2 0\n"] + 3 * ["go 2 1\n"]
+    assert outputs == ["go 2 0\n"] + 2 * ["go 2 1\n"]
 
 
 LOCKED = f"""{KERNEL}

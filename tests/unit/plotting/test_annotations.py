@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -210,10 +211,17 @@ FIGURES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", FIGURES)
-def test_figures_have_column_width_and_readable_text(kind):
+@cache
+def draw_once(kind):
+    """Return a drawn figure, which tests share."""
     figure = FIGURES[kind]()
     figure.draw_without_rendering()
+    return figure
+
+
+@pytest.mark.parametrize("kind", FIGURES)
+def test_figures_have_column_width_and_readable_text(kind):
+    figure = draw_once(kind)
     assert figure.get_figwidth() in (ONE_COLUMN_INCHES, TWO_COLUMNS_INCHES)
     artists = [
         artist
@@ -233,8 +241,7 @@ def test_figures_have_column_width_and_readable_text(kind):
 
 @pytest.mark.parametrize("kind", FIGURES)
 def test_axes_end_above_the_data_and_legends_leave_room(kind):
-    figure = FIGURES[kind]()
-    figure.draw_without_rendering()
+    figure = draw_once(kind)
     framed = ("refractive_index", "return", "range_bias", "swatches", "interpretation")
     for axes in figure.axes:
         is_map = any(isinstance(mesh, QuadMesh) for mesh in axes.collections) or axes.images

@@ -1,5 +1,6 @@
-"""Retrievals: exact answers where available, coverage, and unconstrained parameters."""
+"""Retrievals: exact answers where available, coverage, results, and posteriors of a sampler."""
 
+import emcee
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,7 +13,15 @@ import splits
 from splits.core.validation import InvalidValue
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.measurement import Measurement
-from splits.retrieval.state_vector import StateVector
+from splits.retrieval.optimal_estimation import (
+    N_DRAWS,
+    MAPEstimate,
+    PosteriorDraws,
+    PosteriorSummary,
+    Solution,
+    list_warnings,
+)
+from splits.retrieval.state_vector import ParameterRange, StateVector
 
 SIZE, SOOT = "optical_radius_um", "impurities_ng_g.black_carbon"
 FIXED = {"incidence_deg": 30.0}
@@ -324,3 +333,116 @@ def test_invalid_input_is_rejected_in_one_line(table, name):
     with pytest.raises(InvalidValue, match=message) as error:
         splits.retrieve(**(valid | arguments))
     assert "\n" not in str(error.value)
+
+
+# --- settings, alternative solutions and messages -------------------------------------------------
+
+
+@pytest.mark.parametrize("noise", [0.01, None])
+def test_exact_spectra_are_retrieved_from_a_table(table, noise):
+    measured = table.interp(**{SIZE: 200.0, SOOT: 50.0, **FIXED}).reflectance
+    result = splits.retrieve(measured, table, [SIZE, SOOT], noise, fixed=FIXED)
+    np.testing.assert_allclose(result.dataset.value, [200.0, 50.0], rtol=1e-3)
+
+
+def test_results_state_their_settings(table, tmp_path):
+    measured = W, evaluate_spectrum(200.0, 50.0)
+    prior = {SIZE: (210.0, 30.0)}
+    result = splits.retrieve(measured, table, {SIZE: (100, 400)}, 0.01, prior=prior, seed=3,
+                             fixed={**FIXED, SOOT: 50.0})  # fmt: skip
+    result.dataset.to_netcdf(tmp_path / "result.nc")
+    with xr.open_dataset(tmp_path / "result.nc") as saved:
+        attributes = saved.attrs
+    assert (attributes["solver"], attributes["seed"]) == ("table", 3)
+    assert attributes["fixed_incidence_deg"] == 30.0
+    assert attributes[f"free_{SIZE}"].tolist() == [100.0, 400.0]
+    assert attributes[f"prior_{SIZE}"].tolist() == [210.0, 30.0]
+    assert f"fixed: {SOOT} 50, incidence_deg 30" in repr(result).splitlines()
+
+
+MEDIUM = splits.Snow.natural(optical_radius_um=200.0)
+MESSAGES = [
+    (1e-3 * W, {SIZE: (50, 500)}, r"micrometres\? write"),
+    (W, {SIZE: (50, 1e6)}, r"free.optical_radius_um = 1000000.0: must be in \[0\.\d+, \d+\.?\d*\]"),
+    (W, [SIZE], r"must be a mapping of names to \(low, high\)"),
+    (W, {"incidence": (10, 20)}, r"scale \(did you mean incidence_deg\?\)"),
+]
+
+
+@pytest.mark.parametrize(("wavelengths", "free", "message"), MESSAGES)
+def test_messages_about_media(wavelengths, free, message):
+    with pytest.raises(InvalidValue, match=message):
+        splits.retrieve((wavelengths, np.full(W.size, 0.5)), MEDIUM, free, 0.01)
+
+
+def make_solution(alternatives, spread):
+    """Return a solution at 0.2 with other estimates, and draws with a spread."""
+    draws = 0.2 + spread * np.random.default_rng(1).standard_normal((N_DRAWS, 1))
+    covariance, none = np.array([[1e-4]]), np.zeros(1)
+    estimates = [
+        MAPEstimate(np.array([x]), none, covariance, covariance, 0.0, 0.0, np.array([False]))
+        for x in (0.2, *alternatives[:1])
+    ]
+    summary = PosteriorSummary(covariance, np.eye(1), 1.0, 1.0)
+    return Solution(estimates, summary, PosteriorDraws(draws, 4000.0), 1.0, none, none,
+                    tuple(np.array([x]) for x in alternatives))  # fmt: skip
+
+
+@pytest.mark.parametrize(("spread", "is_covered"), [(0.01, False), (0.3, True)])
+def test_similar_alternatives_are_listed_once(spread, is_covered):
+    state_vector = StateVector.from_ranges(
+        {"a": (0.0, 1.0)}, None, {"a": ParameterRange(0.0, 1.0, "identity")}
+    )
+    solution = make_solution([0.8, 0.81, 0.21, 0.6], spread)
+    warnings = [
+        one for one in list_warnings(state_vector, solution, np.array([True])) if "alter" in one
+    ]
+    assert [one[-3:] for one in warnings] == ["0.8", "0.6"]
+    assert all(("draws do not cover it" in one) != is_covered for one in warnings)
+
+
+# --- posterior samples against an MCMC sampler ----------------------------------------------------
+
+
+N_WALKERS, N_STEPS, N_BURN_IN = 32, 3000, 500
+
+
+@NEEDS_JIT
+def test_quantiles_match_an_ensemble_sampler():
+    """Scale, size and soot are correlated for visible wavelengths and a noise of 5 %."""
+    w, table = W[:4], make_snowlike_table()
+    measured, names = evaluate_spectrum(300.0, 20.0, w), [SIZE, SOOT, "scale"]
+    ranges = {SIZE: (40.0, 2000.0), SOOT: (0.0, 1600.0), "scale": (0.8, 1.2)}
+    result = splits.retrieve((w, measured), table, ranges, 0.05, fixed=FIXED)
+    measurement = Measurement.from_input((w, measured), 0.05)
+    model = TableForwardModel(
+        table, measurement, StateVector.from_ranges(ranges, None, get_table_ranges(table)), FIXED
+    )
+    best = model.state_vector.to_coordinates(result.dataset.value.values)
+    covariance = measurement.covariance + model.compute_error_covariance(best)
+    lower = np.linalg.cholesky(covariance)
+
+    def compute_log_probability(states):
+        inside = ((states >= 0.0) & (states <= 1.0)).all(axis=1)
+        misfit = model.evaluate(np.clip(states, 0.0, 1.0)) - measured
+        log_probability = -0.5 * (np.linalg.solve(lower, misfit.T) ** 2).sum(axis=0)
+        return np.where(inside, log_probability, -np.inf)
+
+    sampler = emcee.EnsembleSampler(N_WALKERS, len(names), compute_log_probability, vectorize=True)
+    sampler._random.seed(1)
+    start = np.random.default_rng(1).random((N_WALKERS, len(names)))
+    sampler.run_mcmc(start, N_STEPS)
+    chain = sampler.get_chain(discard=N_BURN_IN)
+    autocorrelation_time = sampler.get_autocorr_time(discard=N_BURN_IN, tol=0)
+    states = model.state_vector.to_coordinates(result.dataset.draws.values)
+    for i in range(len(names)):
+        for probability in (0.16, 0.5, 0.84):
+            quantile = np.quantile(chain[:, :, i], probability)
+            fraction = float((states[:, i] <= quantile).mean())
+            n_effective = 1.0 / (
+                1.0 / result.dataset.attrs["effective_sample_size"]
+                + autocorrelation_time[i] / (N_WALKERS * (N_STEPS - N_BURN_IN))
+            )
+            assert abs(fraction - probability) < 4.0 * np.sqrt(
+                probability * (1.0 - probability) / n_effective
+            ), names[i]

@@ -309,16 +309,6 @@ def test_errors_decrease_with_the_number_of_rays():
     np.testing.assert_allclose(coarse / fine, 4.0, rtol=0.3)
 
 
-@NEEDS_JIT
-def test_result_is_independent_of_the_number_of_threads():
-    one_thread, three_threads, other_seed = (
-        simulate_fixed(Sand(**SAND), 256, seed, threads)[0]
-        for seed, threads in ((5, 1), (5, 3), (6, 1))
-    )
-    np.testing.assert_array_equal(one_thread, three_threads)
-    assert (one_thread[0] != other_seed[0]).all()
-
-
 @pytest.fixture(scope="module")
 def base():
     return np.array([simulate_fixed(Sand(**SAND), 256, seed)[0][0] for seed in range(16)])

@@ -117,7 +117,7 @@ def _check_targets(
     experiment: ExperimentConfig, arguments: argparse.Namespace, measured: Path
 ) -> None:
     """Reject results that would replace an input of their experiment."""
-    sections = (experiment.figure, experiment.retrieval, experiment.fit)
+    sections = (experiment.figure, experiment.retrieval)
     names = [section.measured for section in sections if section and section.measured]
     inputs = [arguments.file, *(measured / name for name in names)]
     targets = [arguments.output / Path(path).name for path in experiment.list_product_paths()]
@@ -134,8 +134,7 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
     from splits.experiments.config.sections import Accuracy
     from splits.experiments.config.simulation import SimulationConfig
     from splits.experiments.run import write_run
-    from splits.experiments.run_fit import run_fit
-    from splits.io.netcdf import load, save
+    from splits.io.netcdf import load
 
     seed = 1 if arguments.seed is None else check_integer("--seed", arguments.seed, 0)
     threads = arguments.threads
@@ -165,35 +164,18 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
     exit_on_signals("splits run", f"to resume, type: {command}")
     simulation = SimulationConfig.model_validate(experiment.dump_simulation())
     with locate_errors(arguments.file):
-        if experiment.fit:
-            table = read_spectra(measured / experiment.fit.measured, "fit.measured")
-            save(run_fit(simulation, accuracy, table, seed, threads, _log), target)
-        else:
-            block_folder = arguments.output / "blocks" / experiment.name
-            write_run(simulation, accuracy, seed, block_folder, target, threads, _log)
+        block_folder = arguments.output / "blocks" / experiment.name
+        write_run(simulation, accuracy, seed, block_folder, target, threads, _log)
         _print_line(target)
         if experiment.retrieval:
             _run_retrieval(experiment, target, measured, seed, threads)
             return
-        if experiment.fit:
-            _write_fitted_parameters(target)
         if has_figure:
             from splits.plotting import draw, save_figure
 
             figure = draw(load(target), experiment.resolve_figure(), *measured_spectra)
             save_figure(figure, target.with_suffix(""))
             _print_line(target.with_suffix(".png"))
-
-
-def _write_fitted_parameters(path: Path) -> None:
-    """Write the parameters of fitted sands as a table beside their dataset."""
-    from splits.core.escaping import write_data_frame
-    from splits.experiments.run_fit import make_fit_table
-    from splits.io.netcdf import load
-
-    parameters = path.with_name(f"{path.stem}_parameters.csv")
-    write_data_frame(make_fit_table(load(path)), parameters)
-    _print_line(parameters)
 
 
 def _run_retrieval(

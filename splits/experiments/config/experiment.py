@@ -135,7 +135,7 @@ def parse_place(text: str) -> Place:
 
 RESERVED_NAMES = (
     "all", "everything", "archive", "explorer", "explorer_page", "benchmark", "benchmarks",
-    "update_docs", "figure", "figure_benchmark", "fitted_parameters", "report", "retrieve",
+    "update_docs", "figure", "figure_benchmark", "report", "retrieve",
     "retrieve_return", "natural_grains", "simulate", "table", "table_part",
 )  # fmt: skip
 """Names of rules of the workflow, which experiments may not have."""
@@ -211,7 +211,6 @@ class ExperimentConfig(SimulationConfig):
         return [
             f"data/{self.name}.nc",
             *(figure + suffix for suffix in FIGURE_SUFFIXES if self.has_figure),
-            *([f"tables/{self.name}_parameters.csv"] if self.fit else []),
             *([f"tables/{self.name}_retrieved.csv"] if self.retrieval else []),
         ]
 

@@ -29,7 +29,7 @@ QuantityName = Literal[
     "brdf", "btdf", "reflectance_factor", "anisotropy_factor", "brdf_dolp",
 ]  # fmt: skip
 FigureKind = Literal[
-    "spectra", "points", "refractive_index", "swatches", "fit",
+    "spectra", "points", "refractive_index", "swatches",
     "principal_plane", "hemisphere", "lobes", "bins", "spread", "surface", "lens",
     "polarization", "return", "range_bias", "summary", "season", "none",
 ]  # fmt: skip
@@ -107,13 +107,11 @@ def resolve_figure(simulation: SimulationConfig, figure: FigureSection) -> dict[
     Kinds, quantities and values that the experiment does not have are rejected.
     """
     instrument, grid = simulation.instrument, simulation.grid
-    kinds = [
-        kind
-        for kind in INSTRUMENT_FIGURES.get(instrument.kind, ())
-        if kind not in ("fit", "season")
-    ] or ["none"]
-    if simulation.has_packs or simulation.fit:
-        kinds = ["season" if simulation.has_packs else "fit"]
+    kinds = [kind for kind in INSTRUMENT_FIGURES.get(instrument.kind, ()) if kind != "season"] or [
+        "none"
+    ]
+    if simulation.has_packs:
+        kinds = ["season"]
     is_single = kinds[0] == "spectra" and grid and instrument.get_wavelengths().size == 1
     kind = figure.kind or ("points" if is_single else kinds[0])
     if kind not in (*kinds, "none"):

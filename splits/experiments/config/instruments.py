@@ -391,7 +391,7 @@ class Instrument:
         scales, n_points = self.get("point_stderr_scale"), math.prod(map(len, grid.values()))
         if scales is not None and (len(scales) != n_points or not is_single):
             allowed = f"{n_points} numbers, one for each point of the grid"
-            allowed = allowed if is_single else "left out for tables, fits and snowpacks"
+            allowed = allowed if is_single else "left out for tables and snowpacks"
             raise invalid("instrument.point_stderr_scale", list(scales), allowed)
         if self.kind == "beam_spread" and grid and "half_width_m" not in self.settings:
             allowed, hint = "given where there is a grid", "all maps have the same axes"

@@ -154,7 +154,7 @@ def test_invalid_media_of_a_grid_are_rejected(tmp_path, text, message):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("figure: {kind: fit}\ninstrument: {wavelength_nm: [500]}", r"figure\.kind = 'fit'"),
+        ("figure: {kind: season}\ninstrument: {wavelength_nm: [500]}", r"figure\.kind = 'season'"),
         ("figure: {kind: lobes}", r"figure\.kind = 'lobes': must be one of spectra, points"),
         ("figure: {quantity: brdf}", r"figure\.quantity = 'brdf': must be one of absorptance"),
         ("figure: {kind: lobes, quantity: btdf}\ninstrument: {kind: goniophotometer}",

@@ -116,8 +116,8 @@ def search_minima(
     make_objective: Callable[[np.ndarray, int], Objective],
     survey_states: np.ndarray,
     stages: Sequence[DescentStage],
-) -> list[list[LocalMinimum]]:
-    """Return the minima found by the descents of every stage, best first.
+) -> list[LocalMinimum]:
+    """Return the minima found by the descents of the last stage, best first.
 
     Parameters
     ----------
@@ -136,7 +136,6 @@ def search_minima(
         )
         for state in survey_states
     ]
-    stage_minima: list[list[LocalMinimum]] = []
     for number, stage in enumerate(stages, 1):
         separation = MIN_START_SEPARATION if number == 1 else stage.min_separation
         minima = _select_distinct(minima, stage._replace(min_separation=separation))
@@ -150,8 +149,7 @@ def search_minima(
             for minimum in minima
         ]
         minima.sort(key=lambda minimum: minimum.cost)
-        stage_minima.append(minima)
-    return stage_minima
+    return minima
 
 
 def _select_distinct(minima: Sequence[LocalMinimum], stage: DescentStage) -> list[LocalMinimum]:

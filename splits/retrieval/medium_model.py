@@ -209,7 +209,7 @@ class MediumForwardModel(ABC):
         )
         best, *other_minima = search_minima(
             self, self.make_objective, np.clip(survey_states, 0.02, 0.98), self.descent_stages
-        )[-1]
+        )
         minima = [best] + [
             minimum
             for minimum in other_minima

@@ -117,7 +117,7 @@ def _check_targets(
     experiment: ExperimentConfig, arguments: argparse.Namespace, measured: Path
 ) -> None:
     """Reject results that would replace an input of their experiment."""
-    sections = (experiment.figure, experiment.retrieval, experiment.fit)
+    sections = (experiment.figure, experiment.retrieval)
     names = [section.measured for section in sections if section and section.measured]
     inputs = [arguments.file, *(measured / name for name in names)]
     targets = [arguments.output / Path(path).name for path in experiment.list_product_paths()]
@@ -129,14 +129,12 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
     import_optional("yaml", "experiments", "experiment files need")
     from splits.analysis.measured import read_spectra
     from splits.core.atomic import check_writable
-    from splits.core.escaping import write_data_frame
     from splits.core.process import exit_on_signals
     from splits.experiments.config.load import load_experiment, locate_errors
     from splits.experiments.config.sections import Accuracy
     from splits.experiments.config.simulation import SimulationConfig
     from splits.experiments.run import write_run
-    from splits.experiments.run_fit import make_fit_table, run_fit
-    from splits.io.netcdf import load, save
+    from splits.io.netcdf import load
 
     seed = 1 if arguments.seed is None else check_integer("--seed", arguments.seed, 0)
     threads = arguments.threads
@@ -166,20 +164,12 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
     exit_on_signals("splits run", f"to resume, type: {command}")
     simulation = SimulationConfig.model_validate(experiment.dump_simulation())
     with locate_errors(arguments.file):
-        if experiment.fit:
-            table = read_spectra(measured / experiment.fit.measured, "fit.measured")
-            save(run_fit(simulation, accuracy, table, seed, threads, _log), target)
-        else:
-            block_folder = arguments.output / "blocks" / experiment.name
-            write_run(simulation, accuracy, seed, block_folder, target, threads, _log)
+        block_folder = arguments.output / "blocks" / experiment.name
+        write_run(simulation, accuracy, seed, block_folder, target, threads, _log)
         _print_line(target)
         if experiment.retrieval:
             _run_retrieval(experiment, target, measured, seed, threads)
             return
-        if experiment.fit:
-            parameters = target.with_name(f"{target.stem}_parameters.csv")
-            write_data_frame(make_fit_table(load(target)), parameters)
-            _print_line(parameters)
         if has_figure:
             from splits.plotting import draw, save_figure
 

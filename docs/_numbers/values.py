@@ -43,7 +43,8 @@ LABEL_DTYPES: Any = {"low": str, "high": str, "value": str}
 AGREEMENT_FILE, TABLE3_FILE = "tables/agreement.csv", "tables/table3.csv"
 SENSITIVITY_FILE, SAND_SHIFTS_FILE = "tables/sensitivity.csv", "tables/sand_weights.csv"
 ALL_SENSITIVITY_FILE = "tables/sensitivity_by_interpretation.csv"
-SAND_FIT_FILE, LAYER_TRENDS_FILE = "tables/sand_fit_parameters.csv", "tables/layer_trends.csv"
+RETRIEVED_SAND_FILE = "tables/retrieved_sand_retrieved.csv"
+LAYER_TRENDS_FILE = "tables/layer_trends.csv"
 LENS_FILE, GLASS_FILE = "data/layer_fig02_lens.nc", "data/layer_fig03_glass.nc"
 OURS_COLUMNS = ("ours", "stderr")
 MSI_COLUMNS = ("msi", "msi_stderr")
@@ -233,7 +234,7 @@ def _list_sensitivity_numbers() -> dict[str, QuotedNumber]:
 
 
 def _list_sand_numbers() -> dict[str, QuotedNumber]:
-    """Return the effects of data and interpretation, the fine fraction, and misfits of fits."""
+    """Return the effects of data and interpretation, the fine fraction, and retrievals."""
     varied = {
         "refractive_index": {
             "goethite.half": "goethite k / 2",
@@ -270,27 +271,25 @@ def _list_sand_numbers() -> dict[str, QuotedNumber]:
     soils = ("quartzipsamment_87P706", "torripsamment_90P0142", "camborthid_89P1772")
     for name, goethite in goethites.items():
         for soil in soils:
-            misfit = select_cell(
-                "rmse", refractive_index=goethite, sample=soil, parameter="iron_oxide"
-            )
-            numbers[f"misfit.{name}.{soil.split('_')[0]}"] = QuotedNumber(SAND_FIT_FILE, misfit)
-    modelled: RowFilter = {"refractive_index": "as modelled"}
-    constrained: RowFilter = {"verdict": "constrained"}
-    return numbers | {
-        "misfit.least": QuotedNumber(
-            SAND_FIT_FILE, select_extreme("rmse", largest=False, **modelled)
-        ),
-        "misfit.most": QuotedNumber(SAND_FIT_FILE, select_extreme("rmse", **modelled)),
-        "misfit.error": QuotedNumber(SAND_FIT_FILE, select_max_magnitude("rmse_stderr")),
-        "fits.all": QuotedNumber(SAND_FIT_FILE, select_row_count(), ".0f"),
-        "fits.determined": QuotedNumber(SAND_FIT_FILE, select_row_count(**constrained), ".0f"),
-        "fits.iron_oxide": QuotedNumber(
-            SAND_FIT_FILE, select_row_count(parameter="iron_oxide", **constrained), ".0f"
-        ),
-        "fits.clay": QuotedNumber(
-            SAND_FIT_FILE, select_row_count(parameter="clay", **constrained), ".0f"
-        ),
+            row = {"model": goethite, "sample": soil, "parameter": "iron_oxide"}
+            key = f"{name}.{soil.split('_')[0]}"
+            numbers[f"misfit.{key}"] = QuotedNumber(RETRIEVED_SAND_FILE, select_cell("rmse", **row))
+            percent = select_cell("median", "standard deviation", 100.0, **row)
+            numbers[f"iron.{key}"] = QuotedNumber(RETRIEVED_SAND_FILE, percent, ".2f")
+    for name, largest in (("least", False), ("most", True)):
+        extreme = select_extreme("rmse", largest=largest, model="as modelled")
+        numbers[f"misfit.{name}"] = QuotedNumber(RETRIEVED_SAND_FILE, extreme)
+    counts: dict[str, RowFilter] = {
+        "all": {},
+        "constrained": {"constrained": "yes"},
+        "iron_oxide": {"constrained": "yes", "parameter": "iron_oxide"},
+        "magnetite": {"constrained": "yes", "parameter": "magnetite"},
     }
+    for name, where in counts.items():
+        numbers[f"composition.{name}"] = QuotedNumber(
+            RETRIEVED_SAND_FILE, select_row_count(**where), ".0f"
+        )
+    return numbers
 
 
 def _list_angular_and_layer_numbers() -> dict[str, QuotedNumber]:

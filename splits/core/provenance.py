@@ -26,13 +26,6 @@ SIMULATION_SOURCES = (
     "experiments/config/simulation.py", "experiments/run.py", "experiments/run_table.py",
 )  # fmt: skip
 """Folders and files, relative to the package, that determine every simulation."""
-FIT_SOURCES = (
-    "retrieval/sand_fit.py", "experiments/run_fit.py", "tables/interpolation.py",
-    "retrieval/state_vector.py", "retrieval/optimal_estimation.py", "retrieval/least_squares.py",
-    "retrieval/linearization.py", "retrieval/measurement.py", "retrieval/result.py",
-    "retrieval/gauss_newton.py",
-)  # fmt: skip
-"""Additional files that determine a fit."""
 RETRIEVAL_SOURCES = (
     "analysis/theory/kokhanovsky_zege.py", "experiments/config/retrieval.py",
     "experiments/run_retrieve.py", "tables/interpolation.py", "tables/axis_interpolation.py",
@@ -62,10 +55,9 @@ STUDY_SOURCES = (
 
 
 @cache
-def hash_physics_sources(*, fit: bool = False) -> str:
-    """Return the SHA-256 (first 16 hex digits) of the sources of a simulation, or of a fit."""
-    sources = _list_files(SIMULATION_SOURCES + (FIT_SOURCES if fit else ()))
-    return hash_files(PACKAGE_FOLDER, sources)
+def hash_physics_sources() -> str:
+    """Return the SHA-256 (first 16 hex digits) of the sources of a simulation."""
+    return hash_sources(SIMULATION_SOURCES)
 
 
 def hash_sources(names: Iterable[str]) -> str:

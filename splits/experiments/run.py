@@ -94,9 +94,6 @@ def run(
     xarray.Dataset
         The instrument's variables over the grid's parameters and wavelength.
     """
-    if experiment.fit:
-        hint = "use splits.experiments.run_fit.run_fit"
-        raise invalid("fit", experiment.fit.measured, "left out", hint)
     if experiment.is_in_parts:
         return run_table(experiment, accuracy, seed, None, threads, log)
     if experiment.instrument.kind == "refractive_index":

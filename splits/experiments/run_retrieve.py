@@ -178,6 +178,7 @@ def make_retrieval_table(
                 "2.5 %": low,
                 "97.5 %": high,
                 "constrained": "yes" if part.constrained else "no",
+                "rmse": ds.attrs["rmse"],
                 "averaging kernel": float(part.averaging_kernel.sel(other_parameter=name)),
                 "chi2": ds.attrs["chi2"],
                 "chi2 at reference": retrieval.reference_chi2,
@@ -269,7 +270,7 @@ def select_spectra(
 
     Unknown samples, and tables that do not match the section, are rejected.
     """
-    names = list_samples("retrieve", measured, section.samples)
+    names = list_samples(measured, section.samples)
     wavelength = measured[WAVELENGTH_COLUMN].to_numpy(dtype=float)
     snapped = snap_to_limits(wavelength, wavelengths[0], wavelengths[-1])
     inside = (snapped >= wavelengths[0]) & (snapped <= wavelengths[-1])
@@ -333,12 +334,12 @@ def get_fixed_values(section: RetrieveSection, sample: str, table: Table) -> dic
     return fixed if angle is None else {**fixed, INCIDENCE: angle}
 
 
-def list_samples(section: str, measured: pd.DataFrame, names: Sequence[str]) -> list[str]:
-    """Return the samples of a measured table that a section names, by default all.
+def list_samples(measured: pd.DataFrame, names: Sequence[str]) -> list[str]:
+    """Return the samples of a measured table that the section names, by default all.
 
     Unknown samples, and tables without wavelengths or names of columns, are rejected.
     """
-    key, columns = f"{section}.measured", list(measured.columns)
+    key, columns = "retrieve.measured", list(measured.columns)
     available = [str(name) for name in columns if name != WAVELENGTH_COLUMN]
     check_relations(
         (WAVELENGTH_COLUMN in columns, key, columns, f"a table with column {WAVELENGTH_COLUMN}"),
@@ -348,7 +349,7 @@ def list_samples(section: str, measured: pd.DataFrame, names: Sequence[str]) -> 
             "a column of row numbers? write the table with index=False",
         ),
     )  # fmt: skip
-    return [check_choice(f"{section}.samples", name, available) for name in names] or available
+    return [check_choice("retrieve.samples", name, available) for name in names] or available
 
 
 class MeasuredReturn(NamedTuple):

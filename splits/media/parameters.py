@@ -9,7 +9,7 @@ these in a layer of a stack (``layers.0.depth_m``).
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import cache
 from numbers import Real
@@ -81,6 +81,22 @@ def parse_impurity_parameter(parameter: str) -> tuple[str, str] | None:
     """Return keyword and type of a name such as impurities_ng_g.black_carbon, or None."""
     key, _, kind = parameter.partition(".")
     return (key, kind) if key in list_amounts() and re.fullmatch(r"\w+", kind) else None
+
+
+def find_whole(parameter: str) -> str:
+    """Return the name of the whole that has a parameter as a part, such as partition, or ""."""
+    whole = parameter.rpartition(".")[0]
+    return whole if get_quantity(whole.rpartition(".")[2]).parts else ""
+
+
+def check_single_parts(names: Iterable[str]) -> None:
+    """Reject several parts of a whole, whose other parts keep their ratios."""
+    first: dict[str, str] = {}
+    for name in names:
+        whole = find_whole(name)
+        if whole and first.setdefault(whole, name) != name:
+            hint = f"{first[whole]} is given, and the other parts keep their ratios"
+            raise invalid(name, "given", "left out", hint)
 
 
 def describe_parameter(parameter: str) -> tuple[str, str]:

@@ -9,7 +9,6 @@ from .principal_plane import draw_polarization as draw_polarization
 from .principal_plane import draw_principal_planes as draw_principal_planes
 from .rough_surface import draw_lens as draw_lens
 from .rough_surface import draw_surface as draw_surface
-from .sand_fit import draw_fits as draw_fits
 from .spectra import draw_refractive_indices as draw_refractive_indices
 from .spectra import draw_spectra as draw_spectra
 from .style import describe_conditions as describe_conditions

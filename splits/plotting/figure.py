@@ -19,7 +19,6 @@ from splits.plotting.panels import FIGURE_SETTINGS, INSTRUMENT_FIGURES, check_se
 from splits.plotting.points import draw_points, draw_summary, draw_swatches
 from splits.plotting.principal_plane import draw_bin_sizes, draw_polarization, draw_principal_planes
 from splits.plotting.rough_surface import draw_lens, draw_surface
-from splits.plotting.sand_fit import draw_fits
 from splits.plotting.spectra import draw_refractive_indices, draw_season, draw_spectra
 from splits.plotting.style import add_notes, use_style
 from splits.plotting.time_of_flight import draw_beam_spread, draw_range_bias, draw_returns
@@ -41,7 +40,6 @@ FUNCTIONS: dict[str, Callable[..., Figure]] = {
     "refractive_index": draw_refractive_indices,
     "swatches": draw_swatches,
     "season": draw_season,
-    "fit": draw_fits,
 }
 """Functions that draw the kinds of figures; their arguments are `FIGURE_SETTINGS`."""
 POINT_KINDS = ("lobes", "bins", "spread", "surface", "lens")

@@ -16,7 +16,7 @@ FIGURE_SETTINGS: dict[str, tuple[str, ...]] = {
     "hemisphere": ("quantity", "select", "legend"),
     "principal_plane": ("quantity", "select", "legend", "ylim"),
     "season": ("quantity",),
-    **dict.fromkeys(("fit", "return", "range_bias", "polarization"), ("select", "legend")),
+    **dict.fromkeys(("return", "range_bias", "polarization"), ("select", "legend")),
     **dict.fromkeys(("lobes", "bins", "spread", "surface", "lens", "swatches"), ("select",)),
     "refractive_index": (),
 }
@@ -24,7 +24,7 @@ FIGURE_SETTINGS: dict[str, tuple[str, ...]] = {
 
 INSTRUMENT_FIGURES: dict[str, tuple[str, ...]] = {
     "refractive_index": ("refractive_index",),
-    "spectrophotometer": ("spectra", "points", "swatches", "fit", "season"),
+    "spectrophotometer": ("spectra", "points", "swatches", "season"),
     "albedo": ("season",),
     "goniophotometer": ("principal_plane", "hemisphere", "lobes", "bins", "polarization"),
     "beam_spread": ("spread",),

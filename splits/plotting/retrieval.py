@@ -170,7 +170,7 @@ def _draw_spectrum(figure: Figure, cell: SubplotSpec, part: xr.Dataset, title: s
         highest = max(highest, float(np.nanmax([measured, fitted])))
     bottom.axhline(0.0, color="black", lw=0.6)
     expected = float(part.chi2_expected.isel(model=0))
-    top.set_title(title if part.sizes["model"] == 1 else f"{title} (χ² expected: {expected:.0f})")
+    top.set_title(title if part.sizes["model"] == 1 else f"{title}\n(χ² expected: {expected:.0f})")
     top.set_ylabel(format_value(str(part.attrs.get("quantity", "reflectance"))))
     # Room for a legend of several lines.
     several = part.sizes["model"] > 1

@@ -25,7 +25,7 @@ from splits.core.escaping import escape_mathtext
 from splits.core.inputs import UNPOLARIZED_LIGHT, get_incident_stokes
 from splits.core.validation import expand_path
 from splits.media.formatting import count_digits
-from splits.media.parameters import get_quantity, parse_impurity_parameter
+from splits.media.parameters import find_whole, get_quantity, parse_impurity_parameter
 
 Colour = tuple[float, float, float] | str
 Dash = str | tuple[int, tuple[int, ...]]
@@ -82,6 +82,8 @@ def format_parameter(parameter: str) -> str:
         return f"layer {number}: {format_parameter(key)}"
     if parameter == "wavelength":
         return "wavelength (nm)"
+    if find_whole(parameter):
+        return parameter.rpartition(".")[2]
     key, kind = parse_impurity_parameter(parameter) or (parameter, "")
     quantity = get_quantity(key)
     label = escape_mathtext(kind.replace("_", " ")) or quantity.label

@@ -116,9 +116,8 @@ def search_minima(
     make_objective: Callable[[np.ndarray, int], Objective],
     survey_states: np.ndarray,
     stages: Sequence[DescentStage],
-    log: Callable[[int, float], None] = lambda stage, cost: None,
-) -> list[list[LocalMinimum]]:
-    """Return the minima found by the descents of every stage, best first.
+) -> list[LocalMinimum]:
+    """Return the minima found by the descents of the last stage, best first.
 
     Parameters
     ----------
@@ -128,8 +127,6 @@ def search_minima(
     survey_states : float, shape (states, parameters)
         States of the survey, which is stage 0.
     stages : sequence of DescentStage
-    log : callable
-        Receives the number of every stage, from 1 on, and the smallest sum of squares.
     """
     survey_states = np.clip(survey_states, model.bound_margin, 1.0 - model.bound_margin)
     survey_objective = make_objective(survey_states[0], 0)
@@ -139,11 +136,9 @@ def search_minima(
         )
         for state in survey_states
     ]
-    stage_minima: list[list[LocalMinimum]] = []
     for number, stage in enumerate(stages, 1):
         separation = MIN_START_SEPARATION if number == 1 else stage.min_separation
         minima = _select_distinct(minima, stage._replace(min_separation=separation))
-        log(number, minima[0].cost)
         # Later stages start near the minimum, so their trust region is smaller.
         radius = INITIAL_RADIUS / 2 ** (number - 1)
         objective = make_objective(minima[0].state, number)
@@ -154,8 +149,7 @@ def search_minima(
             for minimum in minima
         ]
         minima.sort(key=lambda minimum: minimum.cost)
-        stage_minima.append(minima)
-    return stage_minima
+    return minima
 
 
 def _select_distinct(minima: Sequence[LocalMinimum], stage: DescentStage) -> list[LocalMinimum]:

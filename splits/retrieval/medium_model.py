@@ -43,6 +43,7 @@ from splits.media.medium import Medium
 from splits.media.parameters import (
     ALTERNATIVES,
     INCIDENCE_KEY,
+    check_single_parts,
     get_parameter,
     replace_parameter,
     replace_parameters,
@@ -66,13 +67,18 @@ from splits.simulation.threads import limit_blas_threads
 from splits.tables.axes import check_axis_values
 from splits.tables.interpolation import transform_axis
 
-N_SURVEY = 16
-"""Number of states of the survey."""
+SURVEY_RANGE = (16, 128)
+"""Smallest and largest number of states of the survey."""
 DESCENT_STAGES = (DescentStage(2, 60), DescentStage(2, 60, ALTERNATIVE_CHI2, MIN_SEPARATION))
 """Stages of descents: from the best states of the survey, and with the final accuracy."""
 LAST_STAGE = len(DESCENT_STAGES)
 BAND_STEP_NM = 10.0
 """Step of wavelengths within bands (nm)."""
+
+
+def count_survey(n_parameters: int) -> int:
+    """Return the number of states of the survey, on average two along each coordinate."""
+    return int(np.clip(2**n_parameters, *SURVEY_RANGE))
 
 
 class ConvergedMinima(NamedTuple):
@@ -192,7 +198,9 @@ class MediumForwardModel(ABC):
         from scipy.stats import qmc
 
         state_vector = self.state_vector
-        survey_states = qmc.Sobol(len(state_vector.names), seed=self.seed).random(N_SURVEY)
+        n_parameters = len(state_vector.names)
+        sequence = qmc.Sobol(n_parameters, seed=self.seed)
+        survey_states = sequence.random(count_survey(n_parameters))
         has_prior = np.isfinite(state_vector.prior_sd)
         survey_states[:, has_prior] = (
             state_vector.prior_mean[has_prior]
@@ -200,7 +208,7 @@ class MediumForwardModel(ABC):
         )
         best, *other_minima = search_minima(
             self, self.make_objective, np.clip(survey_states, 0.02, 0.98), self.descent_stages
-        )[-1]
+        )
         minima = [best] + [
             minimum
             for minimum in other_minima
@@ -361,7 +369,8 @@ class ProgressTracker:
         )
         # Each descent needs about two Jacobians and a few steps; descents of the last stage mostly
         # start at the minimum.  Jacobians for errors and the test of linearity follow.
-        survey_cost = N_SURVEY + DESCENT_STAGES[0].n_starts * 2 * (2 + count_runs(n_parameters))
+        descent_cost = DESCENT_STAGES[0].n_starts * 2 * (2 + count_runs(n_parameters))
+        survey_cost = count_survey(n_parameters) + descent_cost
         last_stage_cost = DESCENT_STAGES[1].n_starts * (4 * final_cost + jacobian_cost)
         self.total_cost = (
             survey_cost
@@ -544,6 +553,7 @@ def make_medium_state_vector(
         raise invalid("free", ranges, "a mapping of names to (low, high)", hint)
     with key_prefix("free"):
         check_alternatives(ALTERNATIVES, {str(name): pair for name, pair in ranges.items()})
+        check_single_parts(map(str, ranges))
     allowed_ranges: dict[str, ParameterRange] = {SCALE: ParameterRange(*SCALE_RANGE, "identity")}
     for name, pair in ranges.items():
         if name == SCALE:

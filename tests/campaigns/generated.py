@@ -251,7 +251,6 @@ QUANTITIES = {
     "spectrophotometer": ["reflectance", "transmittance", "absorptance"],
     "goniophotometer": ["brdf", "btdf", "reflectance_factor", "anisotropy_factor"],
 }
-FIT_SECTION = {"measured": "sand_reflectance_jhu.csv"}
 
 
 @st.composite
@@ -325,9 +324,7 @@ def grids(draw, kind: str) -> dict[str, Any]:
 def figures(draw, kind: str, grid: dict[str, Any]) -> dict[str, Any]:
     figure = {}
     if draw(st.booleans()):
-        figure["kind"] = draw(
-            st.sampled_from([name for name in INSTRUMENT_FIGURES[kind] if name != "fit"])
-        )
+        figure["kind"] = draw(st.sampled_from(INSTRUMENT_FIGURES[kind]))
     shown = figure.get("kind", INSTRUMENT_FIGURES[kind][0])
     if kind in QUANTITIES and shown in ("spectra", "points", "principal_plane") and draw(OFTEN):
         several = st.lists(st.sampled_from(QUANTITIES[kind]), min_size=1, max_size=3, unique=True)
@@ -365,9 +362,6 @@ def valid_contents(draw) -> dict[str, Any]:
             content["instrument"].pop(parameter, None)
     content["grid"] = grid
     content["figure"] = draw(figures(instrument, grid))
-    if kind == "sand" and draw(RARELY):
-        content["fit"] = dict(FIT_SECTION)
-        content["figure"] = {"kind": "fit"}
     for key in ("title", "caption"):
         if draw(RARELY):
             content[key] = draw(LABELS)

@@ -55,10 +55,11 @@ FILES = [
     "<<: {medium: {kind: sand}}\n", ALIAS_BOMB, "name: [a]\n", "name: null\n", "name: 1\n",
     "title: [a]\n", "title: null\n", "experiments: all\n", "medium: snow\n", "medium: []\n",
     "medium: null\n", "grid: []\n", "grid: null\n", "instrument: null\n", "figure: null\n",
-    "fit: null\n", "fit: {}\n", "fit: {measured: ..}\n", "fit: {measured: ''}\n",
+    "retrieve: null\n", "retrieve: {}\n", "retrieve: {measured: ..}\n",
+    "retrieve: {measured: ''}\n",
     "figure: {measured: README.md}\n",
-    "fit: {measured: README.md}\nfigure: {kind: fit}\nmedium: {kind: sand}\n",
-    "fit: {measured: aviris_ng_varsa2021.csv}\nfigure: {kind: fit}\nmedium: {kind: sand}\n",
+    "retrieve: {measured: README.md, free: [iron_oxide]}\nmedium: {kind: sand}\n",
+    "retrieve: {measured: aviris_ng_varsa2021.csv, free: [iron_oxide]}\nmedium: {kind: sand}\n",
 ]  # fmt: skip
 
 ODD_VALUES = st.sampled_from([*NUMBERS, *SCALARS, *COLLECTIONS, *YAML_SYNTAX]).map(

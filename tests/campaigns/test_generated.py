@@ -38,7 +38,6 @@ CAMPAIGN = os.environ.get("CAMPAIGN", "300,10")
 N_FILES, N_RUNS, SEED = (*map(int, CAMPAIGN.split(",")), 1)[:3]
 MAX_BATCHES = 50
 """Upper bound that is not reached: a tenth to a half of the files of a batch are accepted."""
-NOT_ACCEPTED = ("rejected", "a fit, not run")
 MAX_LINE_CHARS = 500
 TIME_LIMIT_S = 20.0
 """Limit of CPU time for reading one file."""
@@ -75,7 +74,7 @@ def judge_each(
     verdicts: list[tuple] = []
 
     def is_enough() -> bool:
-        n_accepted = sum(verdict not in NOT_ACCEPTED for verdict, _ in verdicts)
+        n_accepted = sum(verdict != "rejected" for verdict, _ in verdicts)
         return len(verdicts) >= count and n_accepted >= min_accepted
 
     for batch in range(MAX_BATCHES):
@@ -212,8 +211,6 @@ def make_running_judge(folder: Path) -> Callable[[str], str]:
         except ConfigError:
             return "rejected"
         try:
-            if experiment.fit:
-                return "a fit, not run"
             dataset = run(limit_rays(experiment), TINY_ACCURACY, threads=1)
             with matplotlib.rc_context({"figure.max_open_warning": 0}):
                 figure = draw(dataset, experiment.resolve_figure())
@@ -238,7 +235,7 @@ def test_accepted_experiments_run_with_valid_results(tmp_path):
     start = time.perf_counter()
     texts = generated.valid_contents().map(generated.to_file_text)
     verdicts = judge_each(texts, N_RUNS, N_RUNS, make_running_judge(tmp_path))
-    accepted_verdicts = (*NOT_ACCEPTED, "valid", "valid, letter missing in fonts")
+    accepted_verdicts = ("rejected", "valid", "valid, letter missing in fonts")
     bad = report_verdicts(verdicts, accepted_verdicts)
     print(f"{time.perf_counter() - start:.0f} s")
     assert not bad, bad

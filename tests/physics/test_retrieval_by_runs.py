@@ -11,6 +11,7 @@ from splits.retrieval.linearization import Linearization, LinearizedModel, estim
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.medium_model import (
     ProgressTracker,
+    count_survey,
     make_medium_state_vector,
     select_simulation_wavelengths,
 )
@@ -52,6 +53,38 @@ def test_retrieved_snow_agrees_within_errors():
             z.append((samples.mean() - transformed_truth) / samples.std())
         assert result.constrained[SIZE]
     judge_z(np.array(z), bound_added=True)
+
+
+@NEEDS_JIT
+def test_retrieved_sand_agrees_within_errors():
+    """A sand of SPLITS Table 2, with the partition and the texture of the medium known."""
+    truth = {"iron_oxide": 0.02, "hematite_ratio": 0.4, "magnetite": 0.03}
+    grains = {"partition": (0.2, 0.5, 0.3), "texture": (0.0005, 0.08, 0.9195)}
+    w = np.arange(400.0, 1001.0, 50.0)
+    spectrum, noise = simulate_measurement(splits.Sand(**truth, **grains), 3, w, 0.004)
+    free = {"iron_oxide": (0.005, 0.05), "hematite_ratio": (0.0, 1.0), "magnetite": (0.01, 0.1)}
+    one_thread, result = (
+        splits.retrieve(spectrum, splits.Sand(**grains), free, noise, threads=n) for n in (1, 2)
+    )
+    np.testing.assert_array_equal(one_thread.dataset.draws, result.dataset.draws)
+    ends = result.dataset.quantiles.sel(quantile=[0.025, 0.975])
+    for name, true in truth.items():
+        low, high = ends.sel(parameter=name).values
+        assert low < true < high, name
+    assert result.constrained["iron_oxide"] and result.constrained["hematite_ratio"]
+
+
+def test_one_part_of_a_whole_may_be_free():
+    spectrum = W, np.full(W.size, 0.3)
+    free = {"partition.pure": (0.1, 0.5), "iron_oxide": (0.001, 0.05), "partition.coated": (0, 0.5)}
+    with pytest.raises(
+        InvalidValue, match=r"^free\.partition\.coated = .*partition\.pure is given"
+    ):
+        splits.retrieve(spectrum, splits.Sand(), free)
+
+
+def test_surveys_grow_with_the_number_of_parameters():
+    assert [count_survey(n) for n in (1, 4, 5, 7, 20)] == [16, 16, 32, 128, 128]
 
 
 @NEEDS_JIT

@@ -11,7 +11,6 @@ from formula_tables import W, evaluate_spectrum, make_snowlike_table
 import splits
 from splits.analysis.theory.phase_function import to_eradiate
 from splits.materials import make_refractive_index
-from splits.retrieval.sand_fit import check_measured_reflectance
 from splits.tables.axes import ParameterGrid
 from splits.tables.return_table import TITLE
 
@@ -287,7 +286,6 @@ CASES = {
     "retrieve_return values": ArrayCase(lambda a: retrieve_return((DELAYS, a)), RATES),
     "retrieve_return noise": ArrayCase(
         lambda a: retrieve_return(noise=a), [0.0625, 0.125, 0.25], one=True),
-    "fit": ArrayCase(lambda a: check_measured_reflectance(a, np.array(NM)), PARAMETERS, labels=NM),
     # Single grains, and files of other programs.
     "phase_function": ArrayCase(lambda a: splits.phase_function(make_optics(), a), POLAR, one=True),
     "for_eradiate": ArrayCase(

@@ -22,7 +22,6 @@ from splits.experiments.config.instruments import KINDS, list_section_inputs
 from splits.experiments.config.retrieval import NoiseSection, PriorFromSample, RetrieveSection
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.settings import ArchiveAuthor, Settings, Study, StudyOutput
-from splits.experiments.config.simulation import FitSection
 from splits.instruments.snow_packs import RESULT_FLAGS
 from splits.simulation.strata import STOP_REASONS
 
@@ -56,7 +55,7 @@ def test_every_public_name_is_documented():
 
 
 MODELS = [
-    ExperimentConfig, FitSection, FigureSection, RetrieveSection, NoiseSection, PriorFromSample,
+    ExperimentConfig, FigureSection, RetrieveSection, NoiseSection, PriorFromSample,
     Settings, Accuracy, ArchiveAuthor, Study, StudyOutput,
 ]  # fmt: skip
 

@@ -75,7 +75,7 @@ def test_only_changed_physics_sources_rerun_simulations(moved):
     for touched in (package / "media" / "snow.py", package / "instruments" / "lens.py"):
         os.utime(touched)
     for name, jobs in (
-        ("retrieval/sand_fit.py", []),
+        ("retrieval/retrieve.py", []),
         ("plotting/style.py", ["Drawing indices", "Writing the report"]),
     ):
         with open(package / name, "a", encoding="utf-8") as file:

@@ -107,10 +107,11 @@ CASES = {
     "figure: {select: {medium: red}}\n",
     "trip_sand_swatches": SAND + DAYLIGHT + "grid: {iron_oxide: [0.001, 0.02]}\n"
     "figure: {kind: swatches}\n",
-    "trip_sand_fit": "medium: {kind: sand}\ninstrument: {incidence_deg: 8}\n"
-    "grid: {porosity: {loose: 0.5}}\n"
-    "fit: {measured: sand_reflectance_jhu.csv, samples: [quartzipsamment_87P706]}\n"
-    "figure: {kind: fit, select: {porosity: loose}}\n",
+    "trip_sand_retrieved": SAND
+    + "instrument: {kind: table, wavelength_nm: [500, 600, 700, 800, 900], incidence_deg: 8}\n"
+    "grid: {iron_oxide: [0.001, 0.01], partition.coated: [0.1, 0.5, 0.9]}\n"
+    "retrieve: {measured: sand_reflectance_jhu.csv, samples: [quartzipsamment_87P706],"
+    " free: [iron_oxide, partition.coated]}\n",
     "trip_sand_plane": SAND + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
     + TWO_VALUES + SELECT_WET,
     "trip_sand_spread": SAND + "instrument: {kind: beam_spread, wavelength_nm: [600], rays: 5000,"
@@ -143,8 +144,13 @@ CASES = {
 }  # fmt: skip
 
 
-RUN_AS_JOBS = ("trip_snow_spectra", "trip_sand_fit", "trip_layer_polarization", "trip_waves_lens")
-"""One of each kind of medium, and a fit; jobs do not depend on the kind of experiment."""
+RUN_AS_JOBS = (
+    "trip_snow_spectra",
+    "trip_sand_retrieved",
+    "trip_layer_polarization",
+    "trip_waves_lens",
+)
+"""One of each kind of medium, and a retrieval; jobs do not depend on the kind of experiment."""
 
 
 def read_experiment(project, name):
@@ -211,13 +217,13 @@ def test_experiment_file_gives_dataset_and_figure(finished, name):
         assert is_explained.all()
 
 
-def test_fit_writes_its_parameters(finished):
+def test_retrieval_writes_its_parameters(finished):
     project, jobs = finished
-    path = project.folder / "results" / "tiny" / "tables" / "trip_sand_fit_parameters.csv"
+    path = project.folder / "results" / "tiny" / "tables" / "trip_sand_retrieved_retrieved.csv"
     assert path.is_file(), jobs.text[-3000:]
     table = pd.read_csv(path)
     assert set(table["sample"]) == {"quartzipsamment_87P706"}
-    assert set(table["porosity"]) == {0.5}
+    assert set(table["parameter"]) == {"iron_oxide", "partition.coated"}
 
 
 @pytest.mark.parametrize("name", CASES)

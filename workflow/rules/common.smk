@@ -128,17 +128,16 @@ def count_cores():
     return workflow.resource_settings.cores or 1
 
 
-def choose_threads(name):
+def choose_threads():
     """Return the threads of a simulation.
 
     Up to four simulations run in parallel, which hides their start-up times.  A single requested
-    experiment, and a fit, which is long, have all cores.
+    experiment has all cores.
     """
     targets = workflow.dag_settings.targets
     requested = {name for target in targets for name in GROUPS.get(target, [target])}
     n_parallel = min(4, len(requested & set(EXPERIMENTS) or SELECTED))
-    cores = count_cores()
-    return cores if EXPERIMENTS[name].fit else max(1, cores // n_parallel)
+    return max(1, count_cores() // n_parallel)
 
 
 def choose_study_threads(study):

@@ -43,7 +43,7 @@ rule retrieve_return:
         experiment=match_any(EXPERIMENTS_WITH_RETURNS),
     conda:
         "../../environment.yml"
-    threads: lambda wildcards: choose_threads(wildcards.experiment)
+    threads: lambda wildcards: choose_threads()
     params:
         experiment=lambda wildcards: EXPERIMENTS[wildcards.experiment].dump_simulation(),
         retrieve=lambda wildcards: escape_json(

@@ -1,9 +1,6 @@
 rule simulate:
     input:
         tables=lambda wildcards: EXPERIMENTS[wildcards.experiment].list_table_paths(),
-        measured=lambda wildcards: list_measured_files(
-            EXPERIMENTS[wildcards.experiment].fit
-        ),
     output:
         f"{RESULTS}/data/{{experiment}}.nc",
     log:
@@ -16,16 +13,14 @@ rule simulate:
     conda:
         "../../environment.yml"
     # Results do not depend on the number of threads.
-    threads: lambda wildcards: choose_threads(wildcards.experiment)
+    threads: lambda wildcards: choose_threads()
     params:
         experiment=lambda wildcards: EXPERIMENTS[wildcards.experiment].dump_simulation(),
         accuracy=SETTINGS.accuracies[SETTINGS.accuracy].model_dump(),
         seed=SETTINGS.seed,
         kept=lambda wildcards: f"{RESULTS}/blocks/{wildcards.experiment}",
         # Sources are not inputs, which would be recorded with the path of the package.
-        physics=lambda wildcards: hash_physics_sources(
-            fit=bool(EXPERIMENTS[wildcards.experiment].fit)
-        ),
+        physics=hash_physics_sources(),
     message:
         "Simulating {wildcards.experiment}"
     script:

@@ -33,20 +33,3 @@ for NAME, STUDY in COMPLETE_STUDIES.items():
             f"Making {NAME}"
         script:
             "../scripts/study.py"
-
-
-rule fitted_parameters:
-    input:
-        f"{RESULTS}/data/{{experiment}}.nc",
-    output:
-        f"{RESULTS}/tables/{{experiment}}_parameters.csv",
-    log:
-        f"{RESULTS}/logs/fitted_parameters/{{experiment}}.log",
-    conda:
-        "../../environment.yml"
-    params:
-        sources=hash_sources(["experiments/run_fit.py"]),
-    message:
-        "Listing the sands fitted by {wildcards.experiment}"
-    script:
-        "../scripts/fitted_parameters.py"

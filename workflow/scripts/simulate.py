@@ -9,14 +9,11 @@ exit_on_signals(
 
 from pathlib import Path
 
-from splits import save
-from splits.analysis.measured import read_spectra
 from splits.core.progress import open_progress_log
 from splits.experiments.config.load import locate_job_errors
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.run import write_run
-from splits.experiments.run_fit import run_fit
 
 with (
     open_progress_log(snakemake.log[0]) as log,
@@ -25,9 +22,5 @@ with (
     experiment = SimulationConfig.model_validate(snakemake.params.experiment)
     accuracy = Accuracy.model_validate(snakemake.params.accuracy)
     settings = {"seed": snakemake.params.seed, "threads": snakemake.threads, "log": log}
-    if experiment.fit:
-        measured = read_spectra(snakemake.input.measured[0])
-        save(run_fit(experiment, accuracy, measured, **settings), snakemake.output[0])
-    else:
-        folder, target = Path(snakemake.params.kept), Path(snakemake.output[0])
-        write_run(experiment, accuracy, folder=folder, path=target, **settings)
+    folder, target = Path(snakemake.params.kept), Path(snakemake.output[0])
+    write_run(experiment, accuracy, folder=folder, path=target, **settings)

@@ -148,7 +148,7 @@ QuantityName = Literal[
     "brdf", "btdf", "reflectance_factor", "anisotropy_factor", "brdf_dolp",
 ]  # fmt: skip
 FigureKind = Literal[
-    "spectra", "points", "refractive_index", "swatches", "fit",
+    "spectra", "points", "refractive_index", "swatches",
     "principal_plane", "hemisphere", "lobes", "bins", "spread", "surface", "lens",
     "polarization", "return", "range_bias", "summary", "season", "none",
 ]  # fmt: skip
@@ -221,7 +221,7 @@ class FigureSection(FiniteSection):
 
 RESERVED_NAMES = (
     "all", "everything", "archive", "explorer", "explorer_page", "benchmark", "benchmarks",
-    "update_docs", "figure", "figure_benchmark", "fitted_parameters", "report", "retrieve",
+    "update_docs", "figure", "figure_benchmark", "report", "retrieve",
     "retrieve_return", "natural_grains", "simulate", "table", "table_part",
 )  # fmt: skip
 """Names of rules of the workflow, which experiments may not have."""
@@ -292,7 +292,6 @@ class ExperimentConfig(SimulationConfig):
         return [
             f"data/{self.name}.nc",
             *(figure + suffix for suffix in FIGURE_SUFFIXES if self.has_figure),
-            *([f"tables/{self.name}_parameters.csv"] if self.fit else []),
             *([f"tables/{self.name}_retrieved.csv"] if self.retrieval else []),
         ]
 
@@ -326,12 +325,10 @@ class ExperimentConfig(SimulationConfig):
         """
         instrument, grid = self.instrument, self.grid
         kinds = [
-            kind
-            for kind in INSTRUMENT_FIGURES.get(instrument.kind, ())
-            if kind not in ("fit", "season")
+            kind for kind in INSTRUMENT_FIGURES.get(self.instrument.kind, ()) if kind != "season"
         ] or ["none"]
-        if self.has_packs or self.fit:
-            kinds = ["season" if self.has_packs else "fit"]
+        if self.has_packs:
+            kinds = ["season"]
         is_single = kinds[0] == "spectra" and grid and instrument.get_wavelengths().size == 1
         kind = self.figure.kind or ("points" if is_single else kinds[0])
         if kind not in (*kinds, "none"):

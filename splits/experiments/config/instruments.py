@@ -381,7 +381,7 @@ class Instrument:
             (
                 scales is None or (is_single and len(scales) == n_points),
                 "instrument.point_stderr_scale", scales,
-                numbers if is_single else "left out for tables, fits and snowpacks",
+                numbers if is_single else "left out for tables and snowpacks",
             ),
             (
                 self.kind != "beam_spread" or not grid or "half_width_m" in self.settings,

@@ -88,7 +88,7 @@ def load_experiment(
         if isinstance(grid, dict):
             content["grid"] = _apply_grid_bases(grid, media)
         experiment = validate_content(ExperimentConfig, content)
-        for section in ("figure", "retrieve", "retrieve_return", "fit"):
+        for section in ("figure", "retrieve", "retrieve_return"):
             name = getattr(getattr(experiment, section), "measured", None)
             if name and not (measured / name).is_file():
                 available = [path.name for path in measured.glob("*.csv")]

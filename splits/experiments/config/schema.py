@@ -19,7 +19,7 @@ from splits.experiments.config.media import PACKS_KIND, SAMPLE_KEY
 from splits.experiments.config.settings import OUTPUT_FOLDERS, Settings
 from splits.experiments.config.simulation import NAME_PATTERN
 from splits.media.kinds import LAYERS_KEY, MEDIUM_CLASSES, MEDIUM_FACTORIES
-from splits.media.parameters import list_amounts
+from splits.media.parameters import list_amounts, list_declared_quantities
 from splits.media.snow_pack_files import read_snow_packs
 from splits.tables.axes import INCIDENCE
 
@@ -77,7 +77,8 @@ def _add_media(properties: dict[str, Any], definitions: dict[str, Any]) -> None:
     description = properties["medium"]["description"]
     properties["medium"] = {"$ref": "#/$defs/medium", "description": description}
     names = [*(key for key in keywords if key not in ("kind", "base")), INCIDENCE, SAMPLE_KEY]
-    paths = rf"^(({'|'.join(list_amounts())})\.\w+|{LAYERS_KEY}\.\d+\.\w+)$"
+    wholes = [name for name, one in list_declared_quantities().items() if one.parts]
+    paths = rf"^(({'|'.join([*list_amounts(), *wholes])})\.\w+|{LAYERS_KEY}\.\d+\.\w+)$"
     given = {"type": ["array", "object"], "minItems": 1, "minProperties": 1}
     is_spacing = {"anyOf": [{"required": [STEP_KEYS[0]]}, {"required": [GEOMSPACE_KEY]}]}
     properties["grid"] |= {

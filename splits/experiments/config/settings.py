@@ -274,10 +274,8 @@ def check_studies(
         stems = [PurePath(file).stem for file in study.list_outputs(name)]
         uses += [(f"studies.{name}", one, f"the study {name}") for one in [name, *stems]]
     for name, experiment in available.items():
-        sections = {"parameters": experiment.fit, "retrieved": experiment.retrieval}
-        for suffix, section in sections.items():
-            owner = f"the table of the experiment {name}" if section else ""
-            uses.append((f"experiment {name}", f"{name}_{suffix}", owner))
+        owner = f"the table of the experiment {name}" if experiment.retrieval else ""
+        uses.append((f"experiment {name}", f"{name}_retrieved", owner))
     uses += [(f"experiment {name}", name, f"the experiment {name}") for name in available]
     owners: dict[str, str] = {}
     for key, name, owner in uses:

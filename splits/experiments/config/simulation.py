@@ -1,4 +1,4 @@
-"""Model of a simulation: medium, instrument, grid and fit of an experiment file.
+"""Model of a simulation: medium, instrument and grid of an experiment file.
 
 Media and instruments check their values themselves.  Of a grid, the first point and the values of
 each axis are built when a file is read, and all points when it runs.
@@ -21,7 +21,6 @@ from pydantic import (
     PlainSerializer,
     PlainValidator,
     WithJsonSchema,
-    field_validator,
     model_validator,
 )
 
@@ -55,12 +54,17 @@ from splits.experiments.config.media import (
     merge_values,
     replace_table_paths,
 )
-from splits.experiments.config.sections import ConfigSection, MeasuredFile, Number, match_pattern
+from splits.experiments.config.sections import ConfigSection, match_pattern
 from splits.media.kinds import LAYERS_KEY, MEDIUM_CLASSES, get_kind, make_medium
 from splits.media.medium import Medium
-from splits.media.parameters import override_keywords, parse_impurity_parameter
+from splits.media.parameters import (
+    check_single_parts,
+    find_whole,
+    override_keywords,
+    parse_impurity_parameter,
+    replace_parameter,
+)
 from splits.media.snow_packs import SnowPacks
-from splits.retrieval.sand_fit import resolve_ranges
 from splits.tables.axes import INCIDENCE, ParameterGrid
 
 NAME_PATTERN = re.compile(r"(?!(con|prn|aux|nul|com\d|lpt\d)$)[a-z][a-z0-9_]{0,63}")
@@ -77,24 +81,6 @@ Name = Annotated[
 ]
 Point = tuple[dict[str, str], Medium, float | str]
 """Labels, medium and angle of incidence of a point of a grid."""
-
-
-class FitSection(ConfigSection):
-    """Measured spectra to which sands are fitted."""
-
-    measured: MeasuredFile
-    """name of a file of `config/measured/`, with a column `wavelength_nm` and a column of
-    reflectances (fractions, no gaps) per sample"""
-    samples: tuple[str, ...] = ()
-    """samples to fit; by default all"""
-    ranges: dict[str, tuple[Number, Number]] = Field({})
-    """(low, high) by parameter; by default those of SPLITS Table 2"""
-
-    @field_validator("ranges")
-    @classmethod
-    def _check_ranges(cls, value: dict[str, Any]) -> dict[str, Any]:
-        resolve_ranges(value)
-        return value
 
 
 class SimulationConfig(ConfigSection):
@@ -123,21 +109,19 @@ class SimulationConfig(ConfigSection):
         default_factory=dict
     )
     """parameters that vary"""
-    fit: FitSection | None = None
-    """fits a sand to measured spectra instead of simulating given media"""
 
     @model_validator(mode="after")
     def _check_points(self) -> SimulationConfig:
         """Reject settings that exclude each other, and values that a medium does not have."""
         kind, instrument = get_kind(self.medium), self.instrument
         check_choice("medium.kind", kind, (*MEDIUM_CLASSES, PACKS_KIND))
-        is_single = not (self.is_in_parts or self.fit)
-        instrument.check_simulation(self.grid, is_single=is_single, has_packs=self.has_packs)
+        instrument.check_simulation(
+            self.grid, is_single=not self.is_in_parts, has_packs=self.has_packs
+        )
         if self.has_packs:
             of_packs = f"for medium.kind = {kind!r}"
             check_relations(
                 (not self.grid, "grid", "given", f"left out {of_packs}"),
-                (not self.fit, "fit", "given", f"left out {of_packs}"),
                 (
                     instrument.kind in PACK_INSTRUMENTS, "instrument.kind", instrument.kind,
                     f"{' or '.join(PACK_INSTRUMENTS)} {of_packs}",
@@ -145,8 +129,6 @@ class SimulationConfig(ConfigSection):
             )  # fmt: skip
             self.load_packs()
             return self
-        if self.fit:
-            self._check_fit(kind)
         if instrument.kind in (TABLE, "return_table"):
             self.make_axes()
         elif self.count_points() > MAX_GRID_POINTS:
@@ -161,19 +143,6 @@ class SimulationConfig(ConfigSection):
             with self.locate_errors(labels):
                 check_incidence("incidence_deg", incidence)
         return self
-
-    def _check_fit(self, kind: str) -> None:
-        """Reject settings that a fit does not allow."""
-        key, instrument = "instrument", self.instrument
-        if instrument.kind != "spectrophotometer":
-            raise invalid(f"{key}.kind", instrument.kind, "spectrophotometer with a section fit")
-        if kind != "sand":
-            raise invalid("medium.kind", kind, "sand in an experiment with a section fit")
-        if "wavelength_nm" in instrument.settings:
-            allowed = "left out: a fit uses the measured wavelengths"
-            raise invalid(f"{key}.wavelength_nm", "given", allowed)
-        if instrument.get("estimator") == "analog":
-            raise invalid(f"{key}.estimator", "analog", "left out: fits reuse paths")
 
     @property
     def has_packs(self) -> bool:
@@ -243,7 +212,10 @@ class SimulationConfig(ConfigSection):
         try:
             yield
         except InvalidValue as error:
-            path = error.key.removeprefix("medium.").split(" ", 1)[0]
+            # Only parts of a whole are replaced in a medium, see `merge_settings`.
+            is_part = error.key.startswith("parameter ")
+            error.key = error.key.removeprefix("medium.").removeprefix("parameter ")
+            path = error.key.split(" ", 1)[0]
             key = path if path in self.grid else re.split(r"\W", path, maxsplit=1)[0]
             sample = self.grid.get(SAMPLE_KEY, {}).get(labels.get(SAMPLE_KEY, ""), {})
             if key in self.grid:
@@ -255,8 +227,7 @@ class SimulationConfig(ConfigSection):
             elif key in list_section_inputs(self.instrument.kind):
                 prefix = "instrument"
             else:
-                prefix = "fit" if key in FitSection.model_fields else "medium"
-            error.key = error.key.removeprefix("medium.")
+                prefix = "grid" if is_part else "medium"
             if prefix == "grid" and isinstance(error, UnknownKey) and path == key in self.grid:
                 keywords = list(signature(MEDIUM_CLASSES[get_kind(self.medium)]).parameters)
                 raise unknown_key(f"grid.{key}", [*keywords, INCIDENCE, SAMPLE_KEY]) from None
@@ -272,11 +243,17 @@ class SimulationConfig(ConfigSection):
         for parameter in [p for p in values if parse_impurity_parameter(p)]:
             key, kind = parse_impurity_parameter(parameter) or ("", "")
             values[key] = {**values.get(key, {}), kind: values.pop(parameter)}
+        # Layers of stacks have no parts on a grid.
+        parts = {p: values.pop(p) for p in [*values] if find_whole(p).isidentifier()}
+        check_single_parts(parts)
         sample = {k: v for k, v in values.pop(SAMPLE_KEY, {}).items() if k != "kind"}
         settings = apply_paths(override_keywords(base, sample), values)
         for key in filter(is_merged, {**base, **sample, **values}):
-            parts = [part[key] for part in (base, sample, values) if key in part]
-            settings |= {key: merge_values(key, parts)} if parts else {}
+            given = [one[key] for one in (base, sample, values) if key in one]
+            settings |= {key: merge_values(key, given)} if given else {}
+        for name, value in parts.items():
+            medium = replace_parameter(make_medium(get_kind(self.medium), settings), name, value)
+            settings[find_whole(name)] = getattr(medium, find_whole(name))
         return settings
 
     def make_axes(self) -> ParameterGrid:

@@ -25,17 +25,6 @@ GROUP_TITLES = {
 """Titles of the groups of experiments that the package comes with, in the order of the report."""
 REPORT_SOURCES = ("contents.py", "page.py", "page.css", "page.html", "page.js")
 """Files of this folder that determine the page."""
-FIT_CAPTION = (
-    "Sands fitted to measured spectra, with the standard error of every parameter. There are two "
-    "separate verdicts. The verdict on a parameter states whether the spectrum constrains it, "
-    "which means that its error is below half of the error that follows from the range alone. The "
-    "verdict on the spectrum states whether the fitted sand reproduces it with a root-mean-square "
-    "misfit below 0.03 (a good reconstruction according to SPLITS). If a spectrum is reproduced, "
-    "its parameters may still be undetermined, since other sands reproduce it as well. A "
-    "constrained parameter may be at the end of its range; a mass fraction of clay of 0.0001 is "
-    "negligible. The spectra that the paper fits (TEC) are not public as numbers, so the misfits "
-    "of the paper cannot be reproduced."
-)
 RETRIEVAL_CAPTION = (
     "Parameters retrieved from spectra or returns with the table of the experiment, by optimal "
     "estimation. Errors include the stated noise of the measurement, the noise of the table, and "
@@ -148,7 +137,7 @@ def make_report_contents(
             title=experiment.title or name,
             caption=experiment.caption,
             place=paper.place if paper else "",
-            note=FIT_CAPTION if experiment.fit else RETRIEVAL_CAPTION,
+            note=RETRIEVAL_CAPTION,
             **_sort_files(experiment.list_product_paths()),
         )
         items.setdefault(paper.paper if paper else experiment.group, []).append(item)

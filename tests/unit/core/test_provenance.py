@@ -6,7 +6,6 @@ import pytest
 
 from splits.core import provenance
 from splits.core.provenance import (
-    FIT_SOURCES,
     PACKAGE_FOLDER,
     STUDY_SOURCES,
     hash_physics_sources,
@@ -26,9 +25,7 @@ def package(monkeypatch, tmp_path):
 
 
 def test_digest_is_independent_of_the_location(package):
-    copied, copied_fit = digest(), digest(fit=True)
-    assert (copied, copied_fit) == (hash_physics_sources(), hash_physics_sources(fit=True))
-    assert copied != copied_fit
+    assert digest() == hash_physics_sources()
 
 
 def test_digest_is_independent_of_line_endings(package):
@@ -51,19 +48,11 @@ def test_digest_is_independent_of_line_endings(package):
         "experiments/config/media.py",
     ],
 )
-def test_physics_sources_change_both_digests(package, name):
-    before = digest(), digest(fit=True)
+def test_physics_sources_change_the_digest(package, name):
+    before = digest()
     with open(package / name, "a", encoding="utf-8") as file:
         file.write("# changed\n")
-    assert all(old != new for old, new in zip(before, (digest(), digest(fit=True)), strict=True))
-
-
-@pytest.mark.parametrize("name", FIT_SOURCES)
-def test_fit_sources_change_the_digest_of_fits_only(package, name):
-    before = digest(), digest(fit=True)
-    with open(package / name, "a", encoding="utf-8") as file:
-        file.write("# changed\n")
-    assert digest() == before[0] and digest(fit=True) != before[1]
+    assert digest() != before
 
 
 def test_a_moved_file_changes_the_digest(package):
@@ -73,11 +62,11 @@ def test_a_moved_file_changes_the_digest(package):
 
 
 def test_plotting_and_analysis_do_not_change_the_digest(package):
-    before = digest(fit=True)
+    before = digest()
     for name in ("plotting/lines.py", "analysis/colour.py", "kernels/notes.txt"):
         with open(package / name, "a", encoding="utf-8") as file:
             file.write("# changed\n")
-    assert digest(fit=True) == before
+    assert digest() == before
 
 
 @pytest.mark.parametrize(

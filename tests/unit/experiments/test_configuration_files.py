@@ -6,7 +6,12 @@ import pytest
 from shipped import CONFIG
 
 from splits.core.validation import ConfigError
-from splits.experiments import load_experiment, load_experiments, load_settings
+from splits.experiments import (
+    SimulationConfig,
+    load_experiment,
+    load_experiments,
+    load_settings,
+)
 from splits.experiments.config.load import read_yaml
 
 ROOT = Path(__file__).parents[3]
@@ -154,7 +159,7 @@ def test_invalid_media_of_a_grid_are_rejected(tmp_path, text, message):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("figure: {kind: fit}\ninstrument: {wavelength_nm: [500]}", r"figure\.kind = 'fit'"),
+        ("figure: {kind: season}\ninstrument: {wavelength_nm: [500]}", r"figure\.kind = 'season'"),
         ("figure: {kind: lobes}", r"figure\.kind = 'lobes': must be one of spectra, points"),
         ("figure: {quantity: brdf}", r"figure\.quantity = 'brdf': must be one of absorptance"),
         ("figure: {kind: lobes, quantity: btdf}\ninstrument: {kind: goniophotometer}",
@@ -177,3 +182,16 @@ def test_mineral_tables_are_listed_for_the_workflow(tmp_path):
         "instrument: {wavelength_nm: [500]}",
     )
     assert load_experiment(path).list_table_paths() == [str(table)]
+
+
+def test_parts_of_a_whole_vary_on_a_grid():
+    content = {
+        "name": "parts",
+        "medium": {"kind": "sand", "partition": [0, 0.5, 0.5]},
+        "instrument": {"wavelength_nm": [500]},
+        "grid": {"partition.coated": [0.2, 1], "texture.silt": [0.05]},
+    }
+    media = [medium for _, medium, _ in SimulationConfig.model_validate(content).iter_points()]
+    assert [medium.partition for medium in media] == [(0.0, 0.8, 0.2), (0.0, 0.0, 1.0)]
+    # The default texture has no clay.
+    assert [medium.texture for medium in media] == [(0.0, 0.05, 0.95)] * 2

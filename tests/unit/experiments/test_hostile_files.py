@@ -50,7 +50,8 @@ FILES = {
     f"figure: {{measured: {300 * 'a'}}}": "figure.measured = 'aaaa",
     "figure: {measured: ../published/splitsnow2021.csv}":
         "figure.measured = '../published/splitsnow2021.csv': must be the name of a file of",
-    "fit: {measured: /etc/passwd}\nmedium: {kind: sand}": "fit.measured = '/etc/passwd': must be",
+    "retrieve: {measured: /etc/passwd, free: [depth_m]}":
+        "retrieve.measured = '/etc/passwd': must be",
     'grid: {saturation: {"a\\nb": 0}}': "grid.saturation (label) = 'a\\nb': must be text without",
     'grid: {saturation: {"\\e[31m": 0}}': "grid.saturation (label) = '\\x1b[31m': must be text",
     'instrument: {"a\\nb": 1}': "unknown key",

@@ -67,6 +67,7 @@ def test_shipped_files_match_their_schema(path):
         {"medium": {"base": "splits_base", "iron_oxide": 0.1}},
         {"medium": {"kind": "stack", "layers": [{"depth_m": 0.1}, {"kind": "sand"}]}},
         {"grid": {"layers.0.depth_m": [1], "impurities_ng_g.black_carbon": [0, 1]}},
+        {"grid": {"partition.coated": [0, 1], "texture.silt": [0.01]}, "medium": {"kind": "sand"}},
         {"instrument": {"incidence_deg": "diffuse"}, "figure": {"quantity": "reflectance"}},
         {"instrument": {"wavelength_nm": {"start": 400, "stop": 900, "step": 50, "also": [532]}}},
         {"instrument": {"kind": "time_of_flight", "delay_s": {"geomspace": [1e-9, 1e-8, 5]}}},

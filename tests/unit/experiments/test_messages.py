@@ -68,8 +68,8 @@ WRONG_TYPES = {
         "instrument.polar_deg = True: must be numbers in degrees",
     "instrument: {wavelength_nm: [true, 500]}":
         "instrument.wavelength_nm = True: must be numbers in nanometres",
-    "fit: {measured: a.csv, ranges: {clay: [false, true]}}":
-        "fit.ranges.clay[0] = False: must be a number",
+    "retrieve: {measured: a.csv, free: [depth_m], prior: {depth_m: [false, true]}}":
+        "retrieve.prior.depth_m[0] = False: must be a number",
     "figure: {quantity: [brdf, brdf]}":
         "figure.quantity = ['brdf', 'brdf']: must be at least one, without repetition",
     "instrument: {kind: table, quantities: [reflectance, reflectance]}":
@@ -95,8 +95,8 @@ WRONG_TYPES = {
     "figure: {select: {saturation: [0]}}":
         "figure.select.saturation = [0]: must be a number or text",
     "title: 2024": "title = 2024: must be text (put it into quotes)",
-    "fit: 5": "fit = 5: must be a mapping of keys to values",
-    "5: 6": "5: unknown key, must be one of name, medium, instrument, grid, fit, group, "
+    "retrieve: 5": "retrieve = 5: must be a mapping of keys to values",
+    "5: 6": "5: unknown key, must be one of name, medium, instrument, grid, group, "
         "reproduces, title, caption, figure, retrieve, retrieve_return",
 }  # fmt: skip
 
@@ -108,7 +108,7 @@ def test_wrong_types_are_described(tmp_path, text):
 
 def test_a_misspelt_figure_is_reported(tmp_path):
     text = read_message(tmp_path, "figure: {kind: swatchs}")
-    assert text.startswith("figure.kind = 'swatchs': must be one of bins, fit, ")
+    assert text.startswith("figure.kind = 'swatchs': must be one of bins, ")
     assert text.endswith("(did you mean swatches?)")
 
 
@@ -145,10 +145,14 @@ KEY_LOCATIONS = [
     ({"instrument": {"wavelength_nm": [500, 400]}}, "instrument.wavelength_nm = [500.0, 400.0]"),
     ({"instrument": {"kind": "goniophotometer", "estimator": "bins", "n_bins": [0, 2]}},
      "instrument.n_bins = [0, 2]: must be"),
-    ({"medium": {"kind": "sand"}, "fit": {"measured": "x.csv", "ranges": {"clay": [1, 0]}}},
-     "fit.ranges.clay (low) = 1.0: must be in"),
-    ({"fit": {"measured": "sand_reflectance_jhu.csv", "ranges": {"magnetit": [0, 1]}}},
-     "fit.ranges = 'magnetit': must be one of"),
+    ({"medium": {"kind": "sand"}, "grid": {"partition.coated": [0, 2]}},
+     "grid.partition.coated = 2.0: must be in"),
+    ({"medium": {"kind": "sand"}, "grid": {"partition.coatd": [0, 1]}},
+     "grid.partition = 'coatd': must be one of coated, mixed, pure (did you mean coated?)"),
+    ({"medium": {"kind": "sand"}, "grid": {"partition.pure": [0, 1], "partition.coated": [0, 1]}},
+     "grid.partition.pure = 'given': must be left out (partition.coated is given, and"),
+    ({"medium": {"kind": "snow"}, "grid": {"partition.coated": [0, 1]}},
+     "grid.partition.coated: unknown key"),
     ({"medium": {"kind": "particle_layer", "surface": {"rms_height_m": 1, "wave_number_per_m": 1}}},
      "medium.surface.band_limit_per_m = None: must be given"),
 ]  # fmt: skip
@@ -181,9 +185,6 @@ UNUSED_SETTINGS = [
      "instrument.stderr_scale"),
     ({"instrument": make_instrument_section("goniophotometer", estimator="bins", stderr_scale=2)},
      "instrument.stderr_scale"),
-    ({"medium": {"kind": "sand"}, "instrument": {"estimator": "analog"},
-      "figure": {"kind": "fit"}, "fit": {"measured": "sand_reflectance_jhu.csv"}},
-     "instrument.estimator"),
 ]  # fmt: skip
 
 

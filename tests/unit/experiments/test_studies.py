@@ -88,7 +88,7 @@ def test_code_does_not_depend_on_experiment_names(shipped):
 @pytest.mark.parametrize(
     "name",
     ["fig23_sensitivity", "letcher2022_measured", "sensitivity", "table2", "agreement",
-     "sand_fit_parameters", "angular_trends", "sand_colours"],
+     "retrieved_sand_retrieved", "angular_trends", "sand_colours"],
 )  # fmt: skip
 def test_experiment_names_of_studies_are_rejected(shipped, name):
     experiment = ExperimentConfig.model_validate({"name": name})

@@ -50,7 +50,7 @@ MISTAKES = [
     ("title: again\n", "", "line 25: not YAML ('title' given twice, in lines 2 and 25)",
      NOT_PARSED),
     ("captoin", "caption", "line 3: captoin: unknown key, must be one of name, medium, "
-     "instrument, grid, fit, group, reproduces, title, caption, figure, retrieve, "
+     "instrument, grid, group, reproduces, title, caption, figure, retrieve, "
      "retrieve_return (did you mean caption?)",
      IN_SCHEMA),
     ("plan\n", "plane\n", "line 21: figure.kind = 'principal_plan': must be one of "

@@ -14,10 +14,8 @@ from shipped import CONFIG
 import splits
 from splits import cli
 from splits.core.validation import ConfigError, InvalidValue
-from splits.experiments import SimulationConfig, load_experiment, load_settings
+from splits.experiments import load_experiment, load_settings
 from splits.experiments.config.retrieval import RetrieveSection
-from splits.experiments.config.sections import Accuracy
-from splits.experiments.run import run
 from splits.experiments.run_retrieve import get_fixed_values
 
 ROOT = Path(__file__).parents[3]
@@ -30,7 +28,6 @@ LENS = (
 )
 LENS += " waves: 8, correlation: gaussian}}\ninstrument: {kind: lens, radius_m: 0.1, "
 LENS += "screen_depth_m: [1], centre_on: origin, "
-FIT = "medium: {kind: sand}\nfit: {measured: sand_reflectance_jhu.csv}\nfigure: {kind: fit}\n"
 TABLE = "medium: {kind: natural_snow}\n"
 TABLE += "instrument: {kind: table, wavelength_nm: {start: 400, stop: 1300, step: 100}}\n"
 TABLE += "grid: {optical_radius_um: [50, 100, 200]}\n"
@@ -43,10 +40,6 @@ UNUSED_SETTINGS = {
     "instrument: {kind: refractive_index}\nfigure: {legend: a}": "figure.legend",
     "instrument: {kind: goniophotometer}\nfigure: {kind: lobes, ylim: [0, 1]}": "figure.ylim",
     "instrument: {kind: refractive_index, seed: 3}": "instrument.seed",
-    FIT.replace("figure: {kind: fit}", "figure: none")
-    + "instrument: {kind: goniophotometer}": "instrument.kind",
-    FIT.replace("figure: {kind: fit}", "figure: none") + "instrument: {kind: table}\n"
-    "grid: {saturation: [0, 1]}": "instrument.kind",
     "medium: {saturation: 0.5}\n" + SPECTRUM + GRID: "medium.saturation",
     "medium: {specific_surface_area_m2_kg: 20}\n" + SPECTRUM + "grid: {grain_size_um: [[9, 99]]}":
         "medium.specific_surface_area_m2_kg",
@@ -106,15 +99,6 @@ def test_angles_in_sample_names_are_used_or_rejected(sample, axis, incidence, fi
         return
     with pytest.raises(InvalidValue, match=message):
         get_fixed_values(section, sample, table)
-
-
-def test_a_fit_section_is_not_ignored():
-    section = {"measured": "sand_reflectance_jhu.csv"}
-    experiment = SimulationConfig.model_validate(
-        {"name": "a", "medium": {"kind": "sand"}, "fit": section}
-    )
-    with pytest.raises(ValueError, match=r"fit = 'sand_reflectance_jhu\.csv': .*run_fit"):
-        run(experiment, Accuracy(max_stderr=0.5))
 
 
 def test_a_seed_of_the_file_is_not_ignored(tmp_path, capsys):

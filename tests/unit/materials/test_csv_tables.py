@@ -14,8 +14,6 @@ from snowoptics import refractive_index as snowoptics
 import splits
 from splits.analysis.measured import read_measured, read_spectra
 from splits.experiments.config.retrieval import RetrieveSection
-from splits.experiments.config.simulation import SimulationConfig
-from splits.experiments.run_fit import check_fit
 from splits.experiments.run_retrieve import select_spectra
 from splits.illumination.bands import as_bands
 from splits.materials import library
@@ -28,9 +26,6 @@ SHIPPED_TABLES = sorted((CONFIG / "measured").glob("*.csv"))
 RETRIEVED = RetrieveSection(
     measured="mine.csv", samples=["reflectance"], free=["size"], noise={"absolute": 0.01}
 )
-FIT = SimulationConfig(
-    name="made", medium={"kind": "sand"}, fit={"measured": "mine.csv", "samples": ["reflectance"]}
-)
 
 
 def retrieve_spectrum(path):
@@ -41,7 +36,6 @@ def retrieve_spectrum(path):
 
 EXPERIMENTS = {
     "figure": lambda path: check_measured(read_spectra(path), ["reflectance"]),
-    "fit": lambda path: check_fit(FIT, read_spectra(path)),
     "retrieve": retrieve_spectrum,
 }
 """What the jobs of an experiment do with a measured table."""
@@ -156,9 +150,8 @@ def test_gaps_are_allowed_in_figures_only(tmp_path):
         path.write_text(make_table_text("figure").replace("0.9", gap, 1), encoding="utf-8")
         READERS["figure"][1](path)
         assert np.isnan(read_measured(path).reflectance[0])
-        for reader in ("fit", "retrieve"):
-            with pytest.raises(ValueError, match=r"gap|nan"):
-                READERS[reader][1](path)
+        with pytest.raises(ValueError, match=r"gap|nan"):
+            READERS["retrieve"][1](path)
     path.write_text("wavelength_nm,reflectance\n400,\n500,\n", encoding="utf-8")
     with pytest.raises(ValueError, match="columns wavelength_nm and reflectance"):
         READERS["figure"][1](path)

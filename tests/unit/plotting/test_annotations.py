@@ -17,7 +17,7 @@ from test_figure_lines import make_dataset as make_spectra
 
 import splits
 from benchmarks.performance import draw_speed_against_error
-from splits.plotting import describe_conditions, draw, draw_fits, save_figure
+from splits.plotting import describe_conditions, draw, save_figure
 from splits.plotting.lines import find_coarse_nodes
 from splits.plotting.style import (
     ONE_COLUMN_INCHES,
@@ -82,15 +82,6 @@ def make_returns(grid):
 def make_many_bins_dataset():
     azimuth = np.arange(0.0, 360.0, 10.0)
     return make_directions(polar=BIN_CENTERS, estimator="bins", azimuth=azimuth)
-
-
-def make_surface_areas_table():
-    dataset = make_spectra({"refractive_index": ["as modelled", "other"]}).expand_dims(
-        sample=["a", "b"]
-    )
-    dataset["measured"] = dataset.reflectance + 0.01
-    dataset["rmse"] = dataset.reflectance.mean("wavelength")
-    return dataset
 
 
 def make_minerals_dataset():
@@ -196,7 +187,6 @@ FIGURES = {
     "range_bias": draw_kind(
         "range_bias", lambda: make_returns({"density_kg_m3": [100.0, 200.0, 300.0],
                                             "medium": ["dune", "beach"]})),
-    "fit": lambda: draw_fits(make_surface_areas_table()),
     "measured": lambda: draw_albedo(ALBEDO),
     "surface area": lambda: draw_fitted_spectra(make_surface_area_rows()),
     "law": lambda: draw_area_law(LAW),

@@ -176,3 +176,38 @@ def test_gauss_newton_converges_for_any_number_of_values():
         slopes = model.compute_jacobian(exact, 1)
         difference = slopes @ (fit.state - exact)
         assert np.sqrt(difference @ difference) < 0.5 * 0.02
+
+
+def evaluate_smooth_spectrum(x):
+    """Return a nonlinear spectrum of three coordinates, the last of which has no effect."""
+    t = np.linspace(0.0, 1.0, 12)
+    return np.exp(-(x[0] ** 2) * t) + 0.5 * x[1] * t**2
+
+
+@pytest.mark.parametrize("truth", [(0.4, 0.7), (0.9, 0.0), (1.0, 1.0)])
+def test_gauss_newton_finds_minima_at_bounds(truth):
+    target = evaluate_smooth_spectrum(np.array([*truth, 0.0]))
+    calls = []
+
+    class Smooth:
+        state_vector = make_unit_state("a", "b", "c")
+        bound_margin = 0.0
+
+        def evaluate(self, state, stage):
+            calls.append(state)
+            assert (state >= 0.0).all() and (state <= 1.0).all()
+            return evaluate_smooth_spectrum(state)
+
+        def compute_jacobian(self, state, stage):
+            columns = []
+            for shift in 0.1 * np.eye(3):
+                low, high = np.clip(state - shift, 0.0, 1.0), np.clip(state + shift, 0.0, 1.0)
+                difference = self.evaluate(high, stage) - self.evaluate(low, stage)
+                columns.append(difference / (high - low).sum())
+            return np.column_stack(columns)
+
+    objective = Objective.least_squares(target, Smooth.state_vector)
+    cost, state = minimize_gauss_newton(Smooth(), 1, np.full(3, 0.5), objective, 60, 0.3)
+    assert np.sqrt(cost / len(target)) < 1e-3
+    assert len(calls) < 100
+    np.testing.assert_allclose(state[:2], truth, atol=0.02)

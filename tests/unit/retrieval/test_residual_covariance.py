@@ -9,7 +9,6 @@ from splits.retrieval.least_squares import (
     estimate_fit_covariance,
     estimate_misfit_variances,
 )
-from splits.retrieval.sand_fit import UnitCube, estimate_parameter_errors
 from splits.retrieval.state_vector import ParameterRange, StateVector
 
 UNIFORM = np.sqrt(1.0 / 12.0)
@@ -163,28 +162,3 @@ def test_stated_errors_hold_at_a_bound(sd):
         ratio = np.sqrt(stated[subset].mean() / ((estimates - truth)[subset] ** 2).mean())
         # The truncated normal distribution is an approximation and too wide at a bound.
         assert 0.93 < ratio < 1.3
-
-
-def test_constrained_parameters_are_distinguished_from_others():
-    cube = UnitCube({})
-    sd = np.where(np.array(cube.names) == "iron_oxide", 0.02, 10.0)
-    best = np.full(7, 0.5)
-    estimates = estimate_parameter_errors(cube, best, sample_states(best, np.diag(sd**2)))
-    assert [name for name, p in estimates.items() if p.constrained] == ["iron_oxide"]
-    # The coordinate's 0.02 times ln 100, the logarithm of the range.
-    assert estimates["iron_oxide"].stderr == pytest.approx(0.005 * 0.02 * np.log(100.0), rel=0.1)
-    assert estimates["hematite_ratio"].value == 0.5
-
-
-@pytest.mark.parametrize(
-    ("edge", "constrained_sd", "unconstrained_sd"), [(0.5, 0.13, 0.16), (0.0, 0.26, 0.33)]
-)
-def test_constraint_threshold_is_larger_at_a_bound(edge, constrained_sd, unconstrained_sd):
-    cube = UnitCube({})
-    for sd, constrained in ((constrained_sd, True), (unconstrained_sd, False)):
-        best = np.where(np.array(cube.names) == "hematite_ratio", edge, 0.5)
-        samples = sample_states(best, np.eye(7) * sd**2)
-        assert (
-            estimate_parameter_errors(cube, best, samples)["hematite_ratio"].constrained
-            == constrained
-        )

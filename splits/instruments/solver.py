@@ -17,6 +17,7 @@ from splits.discrete_ordinates.applicability import (
     is_tabulated,
     make_granular_stack,
 )
+from splits.discrete_ordinates.derivatives import SpectrumDerivatives, solve_derivatives
 from splits.discrete_ordinates.granular_stack import (
     REVERSED,
     GranularStack,
@@ -25,11 +26,6 @@ from splits.discrete_ordinates.granular_stack import (
     solve_with_exponent_error,
 )
 from splits.discrete_ordinates.homogeneous_layer import TINY
-from splits.discrete_ordinates.parameter_derivatives import (
-    DryDerivatives,
-    WetDerivatives,
-    solve_derivatives,
-)
 from splits.discrete_ordinates.refraction import Geometry
 from splits.discrete_ordinates.stack_brdf import solve_bidirectional, solve_relative_spectrum
 from splits.instruments.angular_estimate import AngularEstimate, compute_anisotropy
@@ -123,9 +119,7 @@ def solve_estimate(
         estimate = make_estimate(solutions, -1 if is_diffuse else 0)
         if not parameters:
             return estimate
-        of_medium = (WetDerivatives if stacks[0].is_wet else DryDerivatives).from_medium(
-            media[0], parameters, wavelength_nm, incidence
-        )
+        of_medium = SpectrumDerivatives.from_medium(media[0], parameters, wavelength_nm, incidence)
         values, bound = solve_derivatives(of_medium, solutions[0])
     return replace(estimate, derivatives=Derivatives.from_solution(values, bound))
 
@@ -148,13 +142,6 @@ def make_estimate(solutions: Sequence[SpectrumSolution], column: int) -> Spectra
         "optics_error": float(max(one.optics_error.max() for one in solutions)),
     }
     return SpectralEstimate.from_solution(mean, stderr, attributes)
-
-
-def get_derivative_method(medium: Medium) -> str:
-    """Return the method of derivatives by discrete ordinates: analytic, or differences if wet."""
-    layers: Any = medium.scene_layers
-    is_wet = any(layer.wet_fraction > 0.0 for layer in layers)
-    return "finite_difference" if is_wet else "analytic"
 
 
 # --------------------------------------------------------------------------------------------------

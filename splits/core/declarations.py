@@ -109,8 +109,8 @@ class Quantity:
         Names of fractions that add up to 1.
     kinds : callable, optional
         Function that returns the known keys of a mapping of amounts by kind, an example first.
-    first_step : float
-        Smallest first step of finite differences.
+    scale : float
+        Size of the value by which steps of finite differences are chosen where it is smaller.
     root_at : float, optional
         End of the range near which reflectance depends on the square root of the distance.
     check : callable, optional
@@ -133,7 +133,7 @@ class Quantity:
     mean: int | None = None
     parts: tuple[str, ...] = ()
     kinds: Callable[[], Sequence[str]] | None = None
-    first_step: float = 0.0
+    scale: float = 0.0
     root_at: float | None = None
     check: Callable[[str, Any], Any] | None = None
     schema: Mapping[str, Any] | None = None

@@ -80,7 +80,7 @@ ResultDataset = Annotated[xr.Dataset, Quantity("result of an instrument", check=
 Facetness = Annotated[
     tuple[float, float, float, float],
     Quantity(
-        "facetness of the grains, mean", label="mean facetness", mean=2, first_step=0.04,
+        "facetness of the grains, mean", label="mean facetness", mean=2, scale=0.16,
         check=check_truncated_normal(0.0),
         schema=describe_numbers(*DISTRIBUTION, minimum=0.0, maximum=1.0),
     ),
@@ -88,7 +88,7 @@ Facetness = Annotated[
 Sphericity = Annotated[
     tuple[float, float, float, float],
     Quantity(
-        "sphericity of the grains, mean", label="mean sphericity", mean=2, first_step=0.04,
+        "sphericity of the grains, mean", label="mean sphericity", mean=2, scale=0.16,
         check=check_truncated_normal(0.1),
         schema=describe_numbers(*DISTRIBUTION, minimum=0.0, maximum=1.0),
     ),
@@ -97,7 +97,7 @@ Saturation = Annotated[
     float,
     Quantity(
         "volume of water per volume of pores", low=0.0, high=1.0, label="water saturation",
-        first_step=0.04, root_at=0.0,
+        scale=0.16, root_at=0.0,
     ),
 ]  # fmt: skip
 Depth = Annotated[
@@ -222,7 +222,7 @@ WAVELENGTH = Quantity(
     },
 )  # fmt: skip
 INCIDENCE_ANGLE = Quantity(
-    "angle of incidence", "degree", label="incidence", first_step=4.0, check=check_incidence,
+    "angle of incidence", "degree", label="incidence", scale=16.0, check=check_incidence,
     schema={"anyOf": [ANGLE_SCHEMA, {"const": DIFFUSE}]},
 )  # fmt: skip
 POLAR_ANGLE = Quantity(

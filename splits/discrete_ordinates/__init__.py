@@ -5,7 +5,6 @@ Modules, each importing only those above it:
 - `homogeneous_layer`: streams, modes, and their reflection and transmission
 - `adding`: layers on top of each other, over a ground, and the light at the levels between them
 - `refraction`: refraction at the boundaries and interfaces of wet layers, directions within layers
-- `derivatives`: derivatives with respect to the optics of dry layers
 - `radiance`: reflected and transmitted radiance of layers
 - `grains`: single scattering by the grains of natural snow, and by other grains, kept on disk
 - `granular_layers`: layers of grains and their optics, also without some of these paths, for errors
@@ -14,6 +13,6 @@ Modules, each importing only those above it:
 - `profiles`: fluxes, absorption by material and path lengths within layers, with errors
 - `stack_brdf`: reflected and transmitted radiance of layers, with errors
 - `applicability`: media for which all this applies
-- `parameter_derivatives`: derivatives with respect to the parameters of a medium, with errors
+- `derivatives`: derivatives with respect to the parameters of a medium, with errors
 - `snow_packs`: spectra of many snowpacks at once
 """

@@ -1,349 +1,280 @@
-"""Derivatives of the reflectance and the transmittance of dry layers, from two solutions.
+"""Derivatives of the spectra of snowpacks with respect to the parameters of the medium.
 
-Let F = aᵀ R u be a reflectance, with the light u that enters at the top and the vector a of its
-measurement: light in the direction of a beam, or isotropic light.  As reflection and transmission
-are symmetric (reciprocity), the sensitivity of F to light at any level is the light at this level
-if a enters instead of u ("adjoint" light).  With the light that enters a layer from above and from
-below, a change of its reflection and transmission changes F by
-
-    dF = ½ p_aᵀ d(R + T) p_u + ½ m_aᵀ d(R − T) m_u,    p = above + below,  m = above − below.
-
-The transmittance has light that rises from the ground for u.  The rest follows from the modes of
-the layer (`splits.discrete_ordinates.homogeneous_layer.Modes`).  From R ± T = 2 (1 + Z)⁻¹ − 1,
-
-    ½ p_aᵀ d(R ± T) p_u = −h_aᵀ dZ h_u,    h = (1 + Z)⁻¹ p,
-
-and the derivative of a function of two symmetric matrices (Daleckii & Krein 1965) is
-
-    dZ = d[Y g Yᵀ] = Y [Γ ∘ (½ (Â Λ + Λ Â) + B̂) − ½ (Â g + g Â)] Yᵀ,
-    Â = Yᵀ dA Y,    B̂ = Xᵀ dB X,    Λ = k²,
-
-with the divided differences Γ of g.  All parameters of all layers hence need one solution.
-
-A beam is a stream here, so that all matrices are symmetric.  Its weight `BEAM_WEIGHT`, and the
-relative rounding error divided by the root of the weight, change results by about 1e-10.
+They are differences of solutions, which have no noise.  All solutions of a difference have the same
+streams, so that the error of their number is that of the derivative and not of the difference.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.discrete_ordinates.adding import (
-    INCIDENT,
-    MEASUREMENT,
-    RISING,
-    trace_light,
+from splits.core.validation import InvalidValue, invalid
+from splits.discrete_ordinates.applicability import make_granular_stack
+from splits.discrete_ordinates.granular_stack import (
+    GranularStack,
+    SpectrumSolution,
+    add_neighbours,
+    choose_trial_wavelengths,
+    solve_snowpacks,
+    spread_truncation,
 )
-from splits.discrete_ordinates.homogeneous_layer import (
-    MIN_THICKNESS,
-    TINY,
-    LayerMatrices,
-    LayerOptics,
-    Modes,
-    Streams,
-    compute_impedances,
-    compute_legendre,
-    solve_layers,
-    solve_modes,
+from splits.discrete_ordinates.homogeneous_layer import TINY
+from splits.media.medium import Medium
+from splits.media.parameters import (
+    INCIDENCE_KEY,
+    choose_step,
+    get_parameter,
+    get_parameter_quantity,
+    replace_parameter,
 )
+from splits.simulation.derivatives import compute_difference_weights
 
-# --------------------------------------------------------------------------------------------------
-# Divided differences and derivatives of the impedances of a layer, as functions of k².
-#
-# The derivative of a function of a matrix has the divided differences of the function at all pairs
-# of eigenvalues (Daleckii & Krein 1965; Higham 2008, Functions of Matrices, theorem 3.11),
-#
-#     Γ_ij = (g_i − g_j)/(λ_i − λ_j),    λ = k²,    g = k tanh(kτ/2) or k coth(kτ/2),
-#
-# and the derivative dg/dλ where both eigenvalues are equal.
-
-MAX_SERIES_DEPTH = 0.1
-"""Largest kτ/2 for which the odd impedance is a series."""
-MIN_FAR_RATIO = 0.3
-"""Smallest relative difference of two k whose divided difference is the plain quotient."""
-
-
-def divide_impedances(k: np.ndarray, thickness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the divided differences of k tanh(kτ/2) and of k coth(kτ/2), without cancellation.
-
-    With t = tanh(kτ/2), and likewise for coth,
-
-        Γ_ij = ½ (t_i − t_j)/(k_i − k_j) + ½ (t_i + t_j)/(k_i + k_j),
-
-    where tanh a − tanh b = sinh(a − b)/(cosh a cosh b), coth a − coth b = −sinh(a − b)/(sinh a
-    sinh b).  Both terms cancel for the coth of small arguments: small k have the series of
-    x coth x = 1 + z/3 − z²/45 + …, z = x², there, and different k the plain quotient.
-
-    Parameters
-    ----------
-    k : float, shape (..., modes)
-        Positive.
-    thickness : float, shape (..., 1)
-        τ, positive or infinite.
-
-    Returns
-    -------
-    two arrays, shape (..., modes, modes)
-    """
-    first, second, half = k[..., :, np.newaxis], k[..., np.newaxis, :], 0.5 * thickness
-    low, high, total = np.minimum(first, second), np.maximum(first, second), first + second
-    gap, tau = high - low, thickness[..., np.newaxis]
-    tanh, decay = np.tanh(k * half), np.exp(-k * thickness)
-    tanh = np.maximum(tanh, TINY)
-    odd_decay = np.maximum(-np.expm1(-k * thickness), TINY)
-    falling = np.exp(-low * tau)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        # 2 sinh(a − b) / (k_i − k_j), times the exponentials of both hyperbolic functions.
-        slope = np.where(gap * tau > 0.0, -np.expm1(-gap * tau) / gap, tau)
-        sinh = np.where(falling > 0.0, 2.0 * falling * slope, 0.0)
-    even = 0.5 * (sinh / _multiply_pairs(1.0 + decay) + _add_pairs(tanh) / total)
-    near = 0.5 * (_add_pairs(1.0 / tanh) / total - sinh / _multiply_pairs(odd_decay))
-    impedance = k / tanh
-    is_far = gap > MIN_FAR_RATIO * high
-    difference = impedance[..., :, np.newaxis] - impedance[..., np.newaxis, :]
-    far = difference / np.where(is_far, (first - second) * total, 1.0)
-    small = high * half[..., np.newaxis] < MAX_SERIES_DEPTH
-    depth = np.minimum(k * half, MAX_SERIES_DEPTH)
-    # Divided differences of the series with respect to z.
-    a, b = (depth**2)[..., :, np.newaxis], (depth**2)[..., np.newaxis, :]
-    second, third = a + b, a**2 + a * b + b**2
-    fourth, fifth = (a + b) * (a**2 + b**2), a**4 + a * b * third + b**4
-    series = (
-        1.0 / 3.0 - second / 45.0 + third * 2.0 / 945.0 - fourth / 4725.0 + fifth * 2.0 / 93555.0
-    )
-    series = 0.5 * np.where(small, tau, 0.0) * series
-    return even, np.where(small, series, np.where(is_far, far, near))
+STEP_FRACTION = 1e-3
+"""Step relative to the parameter."""
+END_FRACTION = 0.01
+"""Largest step relative to the distance from an end where the derivative is singular: 90 degrees,
+and the end of a range near which reflectance depends on the square root of the distance."""
+STENCILS = (
+    ((-1.0, 1.0), (-2.0, 2.0)), ((0.0, 1.0, 2.0), (3.0, 4.0)), ((0.0, -1.0, -2.0), (-3.0, -4.0)),
+)  # fmt: skip
+"""Points of differences in steps, around the value or on one side where a range ends: those of a
+rule of the second order, and the further ones of that of the fourth order."""
+SOLUTION_ROUNDING = 1e-12
+"""Rounding error of a solution, relative to it."""
+SCALE_STEP = 1e-3
+UNCHANGED = (1.0, 1.0)
+SCALES = ((1.0, 1.0 + SCALE_STEP), (1.0 + SCALE_STEP, 1.0 / (1.0 + SCALE_STEP)))
+"""Factors of the collisions per length and of the absorption by a grain: more absorption, and less
+forward scattering, which both change the reflectance of a half-space."""
+MAX_OPTICS_CHANGE = 1.0
+"""Largest relative change of the optics due to their error."""
 
 
-def differentiate_impedances(k: np.ndarray, thickness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the derivatives of k tanh(kτ/2) and of k coth(kτ/2) with respect to τ."""
-    decay = np.exp(-k * thickness)
-    odd_decay = np.maximum(-np.expm1(-k * thickness), TINY)
-    return 2.0 * decay * (k / (1.0 + decay)) ** 2, -2.0 * decay * (k / odd_decay) ** 2
-
-
-def _multiply_pairs(values: np.ndarray) -> np.ndarray:
-    return values[..., :, np.newaxis] * values[..., np.newaxis, :]
-
-
-def _add_pairs(values: np.ndarray) -> np.ndarray:
-    return values[..., :, np.newaxis] + values[..., np.newaxis, :]
-
-
-# --------------------------------------------------------------------------------------------------
-# Derivatives of the reflectance and the transmittance of dry layers, from two solutions.
-
-BEAM_WEIGHT = 1e-13
-"""Weight of the stream of a beam."""
-MIN_RELATIVE_RATE = 1e-12
-"""Smallest k relative to the largest: derivatives are infinite in conservative half-spaces."""
-
-
-class Gradient(NamedTuple):
-    """Derivatives of the reflectance (first) and of the transmittance.
+class ParameterDifference(NamedTuple):
+    """Snowpacks of a difference over a parameter.
 
     Attributes
     ----------
-    thickness : float, shape (2, layers, ...)
-    absorption : float, shape (2, layers, ...)
-        With respect to the absorption coefficient (the extinction less the scattering of order 0).
-    scattering : float, shape (2, layers, ..., orders)
-        With respect to the scattering coefficients times the moments, at constant absorption.
-    ground : float, shape (2, ...)
-        With respect to the albedo of the ground.
-    cosine : float, shape (2, ...)
-        With respect to the cosine of the direction of the beam; 0 for diffuse light.
+    step : float
+    offsets : tuple of float
+        Points, in steps.
+    n_near : int
+        Number of the first points, which are those of the rule of the second order.
+    snowpacks : sequence of GranularStack
+        At the points.
+    angles : sequence of float
+        Angles of incidence (degrees) at the points; empty for diffuse light.
     """
 
-    thickness: np.ndarray
-    absorption: np.ndarray
-    scattering: np.ndarray
-    ground: np.ndarray
-    cosine: np.ndarray
+    step: float
+    offsets: tuple[float, ...]
+    n_near: int
+    snowpacks: Sequence[GranularStack]
+    angles: Sequence[float]
 
-    def differentiate(self, layer: int, tangent: LayerOptics) -> np.ndarray:
-        """Return the derivatives with respect to a parameter of one layer, shape (2, ...).
+    @classmethod
+    def from_parameter(
+        cls, medium: Medium, name: str, wavelength_nm: np.ndarray, incidence: float | str
+    ) -> ParameterDifference:
+        """Return the difference over a parameter of a medium."""
+        is_angle = name == INCIDENCE_KEY
+        value = float(incidence) if is_angle else get_parameter(medium, name)
+        step = choose_step(name, value, STEP_FRACTION)
+        end = 90.0 if is_angle else get_parameter_quantity(name).root_at
+        if end is not None:
+            step = min(step, END_FRACTION * abs(end - value))
+        wet, error = _find_wet_layers(medium), invalid(name, value, "inside its range")
+        for near, far in STENCILS:
+            offsets = near + far
+            points = [value + step * offset for offset in offsets]
+            if is_angle:
+                # The solution is an even function of the angle.
+                snowpacks = [make_granular_stack(medium, wavelength_nm)] * len(points)
+                return cls(step, offsets, len(near), snowpacks, points)
+            try:
+                media = [replace_parameter(medium, name, point) for point in points]
+            except InvalidValue as one:
+                error = one
+                continue
+            # Dry and wet snow have different tables, which a difference must not mix.
+            if all(_find_wet_layers(one) == wet for one in media):
+                angles = [] if isinstance(incidence, str) else [incidence] * len(points)
+                snowpacks = [make_granular_stack(one, wavelength_nm) for one in media]
+                return cls(step, offsets, len(near), snowpacks, angles)
+        raise error
+
+    def differentiate(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the derivative from values at the points, shape (points, ...), and its error.
+
+        The error is the change from the rule of the second order, and rounding.
+        """
+        points, changes = np.array(self.offsets), values - values[0]
+        derivative, coarse = (
+            np.tensordot(
+                compute_difference_weights(points[:number]) / self.step, changes[:number], 1
+            )
+            for number in (points.size, self.n_near)
+        )
+        return derivative, np.abs(derivative - coarse) + SOLUTION_ROUNDING * values[0] / self.step
+
+
+def _find_wet_layers(medium: Medium) -> list[bool]:
+    layers: Any = medium.scene_layers
+    return [layer.wet_fraction > 0.0 for layer in layers]
+
+
+class SpectrumDerivatives(NamedTuple):
+    """Derivatives of the spectrum of a snowpack with respect to parameters.
+
+    Where both sides of an interface have the same saturation, the derivative with respect to one of
+    the two is the mean of both sides.
+
+    Attributes
+    ----------
+    snowpack : GranularStack
+    differences : sequence of ParameterDifference
+        Over each of the parameters.
+    incidence : float or "diffuse"
+        Degrees, or isotropic light.
+    """
+
+    snowpack: GranularStack
+    differences: Sequence[ParameterDifference]
+    incidence: float | str
+
+    @classmethod
+    def from_medium(
+        cls, medium: Medium, names: Sequence[str], wavelength_nm: np.ndarray, incidence: float | str
+    ) -> SpectrumDerivatives:
+        """Return the derivatives of a medium with respect to parameters."""
+        differences = [
+            ParameterDifference.from_parameter(medium, name, wavelength_nm, incidence)
+            for name in names
+        ]
+        return cls(make_granular_stack(medium, wavelength_nm), differences, incidence)
+
+    def solve(
+        self, n_streams: int, wavelengths: Any = slice(None),
+        scale: tuple[float, float] = UNCHANGED, incidence: float | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+        """Return derivatives and their errors due to steps and rounding.
 
         Parameters
         ----------
-        layer : int
-        tangent : LayerOptics
-            Derivatives of the optics of this layer with respect to the parameter.
+        n_streams : int
+            Number of streams in both hemispheres.
+        wavelengths : int, shape (wavelengths,), or slice
+            Positions of the wavelengths.
+        scale : (float, float)
+            See `scale_optics`, for other optics of the grains.
+        incidence : float, optional
+            Another angle of incidence (degrees).
+
+        Returns
+        -------
+        two arrays, shape (2, parameters, wavelengths)
+            Of reflectance and transmittance.
         """
-        scattering = tangent.scattering[..., 0, 0, :]
-        absorption = tangent.extinction[..., 0] - scattering[..., 0]
-        derivative: np.ndarray = (
-            self.thickness[:, layer] * tangent.thickness
-            + self.absorption[:, layer] * absorption
-            + (self.scattering[:, layer] * scattering).sum(axis=-1)
+        shift = 0.0 if incidence is None else incidence - float(self.incidence)
+        snowpacks = [
+            scale_optics(snowpack.select(wavelengths), scale)
+            for one in self.differences
+            for snowpack in one.snowpacks
+        ]
+        angles = [angle + shift for one in self.differences for angle in one.angles]
+        cosines = np.cos(np.radians(angles)).reshape(len(snowpacks), -1)
+        ends = np.cumsum([len(one.snowpacks) for one in self.differences])
+        solutions = np.split(solve_snowpacks(snowpacks, cosines, n_streams), ends[:-1])
+        pairs = [
+            one.differentiate(values)
+            for one, values in zip(self.differences, solutions, strict=True)
+        ]
+        values, errors = (np.stack(part, axis=1) for part in zip(*pairs, strict=True))
+        return values, errors
+
+
+def scale_optics(snowpack: GranularStack, scale: tuple[float, float]) -> GranularStack:
+    """Return a snowpack with factors of the collisions and of the absorption of all grains."""
+    collisions, absorption = scale
+    layers = [
+        layer._replace(
+            collisions_per_m=collisions * layer.collisions_per_m,
+            grain_absorption=absorption * layer.grain_absorption,
         )
-        return derivative
+        for layer in snowpack.layers
+    ]
+    return snowpack._replace(layers=layers)
 
 
-def compute_gradient(
-    optics: LayerOptics, streams: Streams, ground: np.ndarray, cosine: float | None = None
-) -> tuple[np.ndarray, Gradient]:
-    """Return the reflectance and the transmittance, shape (2, ...), with their derivatives.
+def solve_derivatives(
+    derivatives: SpectrumDerivatives, solution: SpectrumSolution
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return derivatives and their errors, shape (2, parameters, wavelengths).
 
-    Parameters
-    ----------
-    optics : LayerOptics
-        Of dry layers, top first, with leading dimensions (layers, ...); with as many moments as
-        streams in both hemispheres (`LayerOptics.truncate`).
-    streams : Streams
-    ground : float, shape (...)
-        Albedo of the Lambertian ground, 0 for an open lower boundary.  The transmittance is that of
-        the latter, or the light that the ground absorbs.
-    cosine : float, optional
-        Cosine of the angle of incidence of a beam; without, light is diffuse.
-    """
-    if cosine is not None:
-        # The beam is the first stream; the sum of all weights is 1.
-        weights = np.append(BEAM_WEIGHT, (1.0 - BEAM_WEIGHT) * streams.weights)
-        streams = Streams(np.append(cosine, streams.cosines), weights)
-    modes = solve_modes(optics, streams, np.zeros((1, 0)), 0)
-    floor = MIN_RELATIVE_RATE * modes.rates[..., -1:]
-    modes = modes._replace(rates=np.maximum(modes.rates, floor))
-    thickness = np.maximum(optics.thickness, MIN_THICKNESS)[..., np.newaxis]
-    layers = solve_layers(modes, thickness)
-    measurement = 2.0 * streams.flux_vector
-    if cosine is not None:
-        measurement = np.eye(len(measurement))[0] / np.sqrt(BEAM_WEIGHT * cosine)
-    down, up = trace_light(layers, streams, ground, measurement)
-    values = np.moveaxis(measurement @ up[0][..., INCIDENT:], -1, 0)
-    entering = np.stack(down[:-1]), np.stack(up[1:])
-    by_a, by_b, by_thickness = _differentiate_layers(modes, thickness, layers, entering)
-    by_matrices = _expand(modes.differences, by_a), _expand(modes.sums, by_b)
-    absorption, scattering = _differentiate_optics(optics, streams, by_matrices, modes, by_b)
-    by_cosine = np.zeros_like(values)
-    if cosine is not None:
-        by_cosine = _differentiate_cosine(optics, streams, by_matrices)
-    # A ground reflects the light that falls on it, in place of absorbing it.
-    flux = np.moveaxis(streams.flux_vector @ down[-1], -1, 0)
-    by_ground = 2.0 * flux[MEASUREMENT] * flux[INCIDENT:]
-    by_ground[RISING - INCIDENT] -= flux[MEASUREMENT]
-    return values, Gradient(by_thickness, absorption, scattering, by_ground, by_cosine)
-
-
-def _differentiate_layers(
-    modes: Modes,
-    thickness: np.ndarray,
-    layers: LayerMatrices,
-    entering: tuple[np.ndarray, np.ndarray],
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the derivatives with respect to A and to B, between modes, and to the thickness.
-
-    The first is M with dF = tr(M Â), and the second M with dF = tr(M B̂), see the module; both are
-    of shape (2, layers, ..., modes, modes).
+    The errors combine that of the number of streams, which is measured as that of the spectrum
+    (`splits.discrete_ordinates.granular_stack.solve_spectrum`), those of differences, and those of
+    the optics: the changes of the derivatives for changes of the absorption and of the scattering
+    by the grains that change the reflectance of half-spaces by its error.
 
     Parameters
     ----------
-    modes : Modes
-    thickness : float, shape (layers, ..., 1)
-    layers : LayerMatrices
-    entering : two arrays, shape (layers, ..., streams, 3)
-        Light that enters the layers from above and from below.
+    derivatives : SpectrumDerivatives
+    solution : SpectrumSolution
+        Of the snowpack.
     """
-    k = modes.rates
-    y_t, values = np.swapaxes(modes.differences, -1, -2), k**2
-    mean_value = 0.5 * (values[..., :, np.newaxis] + values[..., np.newaxis, :])
-    above, below = entering
-    impedances = compute_impedances(k, thickness)[:2]
-    parities = zip(
-        (above + below, above - below),
-        (layers.even_inverse, layers.odd_inverse),
-        impedances,
-        divide_impedances(k, thickness),
-        differentiate_impedances(k, thickness),
-        strict=True,
+    n_streams, n_wavelengths = solution.n_streams, solution.optics_error.size
+    values, step_error = derivatives.solve(n_streams)
+    trial = choose_trial_wavelengths(n_wavelengths)
+    coarse = values[..., trial]
+    errors = [np.abs(coarse - derivatives.solve(2 * n_streams, trial)[0])]
+    if not isinstance(derivatives.incidence, str):
+        # Beside a grazing beam, where the change by more streams is not small by chance.
+        cosine = np.cos(np.radians([derivatives.incidence]))
+        for neighbour in add_neighbours(cosine)[1:]:
+            angle = float(np.degrees(np.arccos(neighbour)))
+            one, other = (
+                derivatives.solve(number, trial, incidence=angle)[0]
+                for number in (n_streams, 2 * n_streams)
+            )
+            errors[0] = np.maximum(errors[0], np.abs(one - other))
+    change = _compute_optics_change(
+        derivatives.snowpack.select(trial), solution.optics_error[trial]
     )
-    by_a, by_b = np.zeros((2, 2, *mean_value.shape))
-    by_thickness = np.zeros((2, *k.shape[:-1]))
-    for light, inverse, impedance, divided, slope in parities:
-        amplitude = np.moveaxis(y_t @ (inverse @ light), -1, 0)
-        measured, others = amplitude[MEASUREMENT], amplitude[INCIDENT:]
-        products = measured[..., :, np.newaxis] * others[..., np.newaxis, :]
-        products = -0.5 * (products + np.swapaxes(products, -1, -2))
-        mean = 0.5 * (impedance[..., :, np.newaxis] + impedance[..., np.newaxis, :])
-        by_b += divided * products
-        by_a += (divided * mean_value - mean) * products
-        by_thickness -= (measured * others * slope).sum(axis=-1)
-    return by_a, by_b, by_thickness
+    for scale in SCALES:
+        scaled, _ = derivatives.solve(n_streams, trial, scale)
+        errors.append((scaled - coarse) * change / SCALE_STEP)
+    # Squares of small errors would be 0.
+    error = spread_truncation(np.hypot.reduce(errors), trial, n_wavelengths)
+    # The derivative of a small transmittance has its relative error.
+    totals = np.stack([solution.budget.reflectance[..., 0], solution.budget.transmittance[..., 0]])
+    relative = solution.bound_errors(totals)[1] / np.maximum(totals[1], TINY)
+    error[1] = np.hypot(error[1], values[1] * relative)
+    return values, np.hypot(step_error, error)
 
 
-def _differentiate_optics(
-    optics: LayerOptics, streams: Streams, by_matrices: tuple[np.ndarray, np.ndarray],
-    modes: Modes, by_b: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Return the derivatives with respect to absorption and to scattering, see `Gradient`.
+def _compute_optics_change(snowpack: GranularStack, error: np.ndarray) -> np.ndarray:
+    """Return the relative change of the optics that changes reflectances by their error.
 
-    A change of scattering leaves isotropic radiance in equilibrium, and its part of the modes is
-    therefore left out there: this is exact also where absorption is weak.
+    Of the half-spaces of the layers, the one whose reflectance changes most counts: that of grains
+    that absorb nearly all light hardly depends on them.
 
     Parameters
     ----------
-    optics, streams
-        As in `compute_gradient`, with the beam.
-    by_matrices : two arrays, shape (2, layers, ..., streams, streams)
-        Derivatives with respect to A and to B.
-    modes : Modes
-    by_b : float, shape (2, layers, ..., modes, modes)
-        See `_differentiate_layers`.
+    snowpack : GranularStack
+    error : float, shape (wavelengths,)
     """
-    flux, n_orders = streams.flux_vector, optics.scattering.shape[-1]
-    isotropic = (flux @ modes.sums)[..., np.newaxis, :] / (flux @ flux)
-    anisotropic = modes.sums - flux[:, np.newaxis] * isotropic
-    matrices = (*by_matrices, _expand(anisotropic, by_b))
-    full_a, full_b, scattered_b = (one.reshape(*one.shape[:-2], -1) for one in matrices)
-    diagonal = np.diag(1.0 / streams.cosines).ravel()
-    functions = compute_legendre(streams.cosines, 0, n_orders)
-    functions = functions * np.sqrt(streams.weights / streams.cosines)
-    pairs = -(2.0 * np.arange(n_orders) + 1.0) * np.einsum("li,lj->ijl", functions, functions)
-    pairs = pairs.reshape(-1, n_orders)
-    scattering = np.empty((*full_a.shape[:-1], n_orders))
-    scattering[..., ::2] = scattered_b @ pairs[:, ::2]
-    scattering[..., 1::2] = full_a @ pairs[:, 1::2]
-    scattering[..., 0] += (full_a + scattered_b) @ diagonal
-    return (full_a + full_b) @ diagonal, scattering
-
-
-def _differentiate_cosine(
-    optics: LayerOptics, streams: Streams, by_matrices: tuple[np.ndarray, ...]
-) -> np.ndarray:
-    """Return the derivatives with respect to the cosine of the beam.
-
-    The product of weight and cosine is constant, and so is the vector of the measurement.
-
-    Parameters
-    ----------
-    optics : LayerOptics
-    streams : Streams
-        With the beam first.
-    by_matrices : two arrays, shape (2, layers, ..., streams, streams)
-        Derivatives with respect to A and to B.
-    """
-    cosine, n_orders = streams.cosines[0], optics.scattering.shape[-1]
-    functions = compute_legendre(streams.cosines, 0, n_orders)
-    slopes = np.zeros(n_orders)
-    for order in range(1, n_orders):
-        before = slopes[order - 2] if order > 1 else 0.0
-        slopes[order] = before + (2.0 * order - 1.0) * functions[order - 1, 0]
-    slopes = (slopes - functions[:, 0] / cosine) * np.sqrt(BEAM_WEIGHT / cosine)
-    functions = functions * np.sqrt(streams.weights / streams.cosines)
-    factors = (2.0 * np.arange(n_orders) + 1.0) * slopes
-    extinction = optics.extinction[..., 0] / cosine**2
-    derivative = np.zeros(by_matrices[0].shape[:-2])
-    for parity, matrix in zip((1, 0), by_matrices, strict=True):
-        coupling = (matrix[..., 0, :] @ functions[parity::2].T) * factors[parity::2]
-        scattered = (coupling * optics.scattering[..., 0, 0, parity::2]).sum(axis=-1)
-        derivative -= 2.0 * scattered + extinction * matrix[..., 0, 0]
-    total: np.ndarray = derivative.sum(axis=1)
-    return total
-
-
-def _expand(vectors: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Return a matrix between modes as one between streams."""
-    expanded: np.ndarray = vectors @ matrix @ np.swapaxes(vectors, -1, -2)
-    return expanded
+    slopes, diffuse = [], np.zeros(0)
+    for layer in snowpack.layers:
+        half_space = GranularStack([layer._replace(depth_m=np.asarray(np.inf))], 0.0 * error)
+        before, after = (
+            scale_optics(half_space, scale).solve(diffuse, 8).reflectance[..., 0]
+            for scale in (UNCHANGED, SCALES[0])
+        )
+        slopes.append(np.abs(after - before) / SCALE_STEP)
+    change: np.ndarray = np.minimum(
+        error / np.maximum(np.max(slopes, axis=0), TINY), MAX_OPTICS_CHANGE
+    )
+    return change

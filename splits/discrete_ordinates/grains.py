@@ -168,7 +168,7 @@ class GrainTable(NamedTuple):
         by_value = np.tensordot(by_contrast, slopes, 1)
         by_value = (by_absorption[..., np.newaxis, :] @ by_value)[..., 0, :]
         known = by_contrast @ without.reshape(len(without), -1) - q[..., np.newaxis] * by_value
-        moments = np.zeros((*q.shape, n_pores, n_pores, orders), dtype=known.dtype)
+        moments = np.zeros((*q.shape, n_pores, n_pores, orders))
         moments[..., :n_known] = known.reshape(*q.shape, n_pores, n_pores, n_known)
         return moments
 

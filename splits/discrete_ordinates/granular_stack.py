@@ -35,6 +35,14 @@ WET_ERROR = 5e-4
 """Error of the balance between dry and wet pores, for any saturation above 0."""
 
 
+VARIABLE_FIELDS = (
+    "depth_m", "collisions_per_m", "wet_fraction", "grain_absorption", "pore_absorption",
+)  # fmt: skip
+"""Properties of a layer that depend on its parameters; the others are those of its materials."""
+MAX_JOINED_ROWS = 512
+"""Number of snowpacks times wavelengths above which a common solution saves no time."""
+
+
 GRAINS, AIR, REVERSED = "grains", "air", "reversed"
 GRAZING_COSINE = 0.035
 """Cosine of a beam below which the change by more streams oscillates with the angle."""
@@ -114,6 +122,19 @@ class GranularStack(NamedTuple):
         layers = [layer.select(snowpacks, wavelengths) for layer in self.layers]
         return self._replace(layers=layers, ground=self.ground[snowpacks][..., wavelengths])
 
+    @classmethod
+    def join(cls, snowpacks: Sequence[GranularStack]) -> GranularStack:
+        """Return dry snowpacks of the same materials along a leading dimension."""
+        layers = [
+            parts[0]._replace(**{
+                name: np.stack([getattr(one, name) for one in parts]) for name in VARIABLE_FIELDS
+            })
+            for parts in zip(*(one.layers for one in snowpacks), strict=True)
+        ]  # fmt: skip
+        return snowpacks[0]._replace(
+            layers=layers, ground=np.stack([one.ground for one in snowpacks])
+        )
+
     def divide(self, edges_m: np.ndarray) -> tuple[GranularStack, np.ndarray]:
         """Return the snowpack with its layers divided at depths, and the layer of each part.
 
@@ -182,6 +203,36 @@ class GranularStack(NamedTuple):
     def solve(self, cosines: np.ndarray, n_streams: int) -> Budget:
         """Return the budget of light for beams, and for diffuse light (last); see `build`."""
         return self.build(cosines, n_streams).compute_budget()
+
+
+def solve_snowpacks(
+    snowpacks: Sequence[GranularStack], cosines: np.ndarray, n_streams: int
+) -> np.ndarray:
+    """Return reflectances and transmittances of snowpacks that differ in values of parameters.
+
+    Dry ones are solved together, as many as there is a gain in time.
+
+    Parameters
+    ----------
+    snowpacks : sequence of GranularStack
+    cosines : float, shape (snowpacks, 1), or (snowpacks, 0) for diffuse light
+    n_streams : int
+
+    Returns
+    -------
+    float, shape (snowpacks, 2, wavelengths)
+    """
+    size = 1 if snowpacks[0].is_wet else max(1, MAX_JOINED_ROWS // snowpacks[0].ground.size)
+    solutions = []
+    for start in range(0, len(snowpacks), size):
+        part, beams = snowpacks[start : start + size], cosines[start : start + size]
+        if size > 1:
+            budget = GranularStack.join(part).solve(beams[:, np.newaxis], n_streams)
+        else:
+            budget = part[0].solve(beams[0], n_streams)
+        values = np.stack([budget.reflectance[..., 0], budget.transmittance[..., 0]], axis=-2)
+        solutions.append(values.reshape(len(part), *values.shape[-2:]))
+    return np.concatenate(solutions)
 
 
 class Truncation(NamedTuple):

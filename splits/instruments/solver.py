@@ -17,6 +17,7 @@ from splits.discrete_ordinates.applicability import (
     is_tabulated,
     make_granular_stack,
 )
+from splits.discrete_ordinates.derivatives import SpectrumDerivatives, solve_derivatives
 from splits.discrete_ordinates.granular_stack import (
     REVERSED,
     GranularStack,
@@ -25,11 +26,6 @@ from splits.discrete_ordinates.granular_stack import (
     solve_with_exponent_error,
 )
 from splits.discrete_ordinates.homogeneous_layer import TINY
-from splits.discrete_ordinates.parameter_derivatives import (
-    DryDerivatives,
-    WetDerivatives,
-    solve_derivatives,
-)
 from splits.discrete_ordinates.refraction import Geometry
 from splits.discrete_ordinates.stack_brdf import solve_bidirectional, solve_relative_spectrum
 from splits.instruments.angular_estimate import AngularEstimate, compute_anisotropy
@@ -177,11 +173,7 @@ def solve_parameter_derivatives(
     incidence : float or "diffuse"
     parameters : sequence of str
     """
-    layers: Any = medium.scene_layers
-    is_wet = any(layer.wet_fraction > 0.0 for layer in layers)
-    of_medium = (WetDerivatives if is_wet else DryDerivatives).from_medium(
-        medium, parameters, wavelength_nm, incidence
-    )
+    of_medium = SpectrumDerivatives.from_medium(medium, parameters, wavelength_nm, incidence)
     with limit_blas_threads():
         return Derivatives.from_solution(*solve_derivatives(of_medium, solution))
 

@@ -162,9 +162,9 @@ def spectrophotometer(
         these in a layer of a stack (``layers.0.depth_m``); and ``incidence_deg``.  The other
         keywords are held constant.  Parameters that leave the paths unchanged have a negligible
         cost.  Each of the others needs four to a dozen additional runs
-        (`splits.simulation.derivatives`).  By discrete ordinates, derivatives of dry snow
-        are analytic (`splits.discrete_ordinates.derivatives`), and those of wet snow are
-        differences of solutions.  ``parameter_method`` gives the method.
+        (`splits.simulation.derivatives`).  By discrete ordinates, derivatives are differences of
+        solutions, without noise (`splits.discrete_ordinates.derivatives`).  ``parameter_method``
+        gives the method.
     stokes : bool or array_like
         Whether light is polarized on its path, which changes how much of it is reflected, or the
         Stokes vector (I, Q, U, V) of the incident light; see `splits.goniophotometer`.
@@ -294,15 +294,11 @@ def spectrophotometer(
     dataset.attrs |= {**choice.attributes, "estimator": estimator}
     if is_mapping:
         return _label_media(dataset, media)
-    if choice.stacks:
-        method = "finite_difference" if choice.stacks[0].is_wet else "analytic"
-        methods = [method] * len(parameters)
-    else:
-        methods = perturbations.list_methods(parameters)
-        if "finite_difference" in methods:
-            derivatives, dataset.attrs["finite_difference_rays"] = _simulate_differences(
-                request, derivatives, perturbations, first, parameters
-            )
+    methods = perturbations.list_methods(parameters)
+    if not choice.stacks and "finite_difference" in methods:
+        derivatives, dataset.attrs["finite_difference_rays"] = _simulate_differences(
+            request, derivatives, perturbations, first, parameters
+        )
     if not parameters:
         return dataset
     return add_jacobian(dataset, derivatives, parameters, methods)

@@ -39,6 +39,7 @@ Impurities = Annotated[
         "mass of impurities per mass of ice", "1e-9",
         check=check_mapping("a mapping of amounts by kind, such as {'black_carbon': 100}"),
         schema={"type": "object"}, label="impurities", kinds=lambda: list_impurities(),
+        scale=1.0,
     ),
 ]  # fmt: skip
 AlgaeCells = Annotated[
@@ -47,7 +48,7 @@ AlgaeCells = Annotated[
         "number of algae cells per volume of meltwater", "ml-1",
         check=check_mapping("a mapping of amounts by kind, such as {'snow_algae': 100}"),
         schema={"type": "object", "additionalProperties": {"type": "number"}},
-        label="algae", kinds=lambda: ALGAE_NAMES,
+        label="algae", kinds=lambda: ALGAE_NAMES, scale=1000.0,
     ),
 ]  # fmt: skip
 

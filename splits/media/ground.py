@@ -192,7 +192,7 @@ def check_ground_reached(
 GroundInput = Annotated[
     Any,
     Quantity(
-        "ground below", first_step=0.04, check=lambda _, value: Ground.from_input(value),
+        "ground below", scale=0.16, check=lambda _, value: Ground.from_input(value),
         schema={
             "anyOf": [
                 {"type": "number", "minimum": 0.0, "maximum": 1.0}, {"type": "string"},

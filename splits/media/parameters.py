@@ -43,6 +43,8 @@ DERIVED_QUANTITIES = {
     "extinction_per_m": Quantity("extinction coefficient", "m-1"),
     "mean_grain_distance_m": Quantity("mean distance between grains along a ray", "m"),
 }
+DEFAULT_SCALE = 0.04
+"""Scale of a parameter without one where its value is 0."""
 _LAYER_PATTERN = re.compile(r"layers\.(\d+)\.(.+)")
 
 
@@ -112,6 +114,21 @@ def describe_parameter(parameter: str) -> tuple[str, str]:
     quantity = get_quantity(key)
     suffix = f": {kind.replace('_', ' ')}" if kind else ""
     return quantity.long_name + suffix, quantity.unit
+
+
+def get_parameter_quantity(parameter: str) -> Quantity:
+    """Return the meaning of the keyword of a parameter, also in a layer."""
+    match = _LAYER_PATTERN.fullmatch(parameter)
+    return get_quantity((match[2] if match else parameter).partition(".")[0])
+
+
+def choose_step(parameter: str, value: float, fraction: float) -> float:
+    """Return the step of a finite difference over a parameter.
+
+    It is a fraction of the value, or of the scale that the parameter declares if this is larger.
+    """
+    scale = get_parameter_quantity(parameter).scale
+    return fraction * (max(abs(value), scale) or DEFAULT_SCALE)
 
 
 def get_derivative_unit(name: str) -> str:

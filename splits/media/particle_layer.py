@@ -382,11 +382,11 @@ OpticalThickness = Annotated[
 ]
 SingleScatteringAlbedo = Annotated[
     float,
-    Quantity("single-scattering albedo", low=0.0, high=1.0, first_step=0.004, root_at=1.0),
+    Quantity("single-scattering albedo", low=0.0, high=1.0, scale=0.016, root_at=1.0),
 ]
 Asymmetry = Annotated[
     float,
-    Quantity("mean cosine of the scattering angle", low=-0.999, high=0.999, first_step=0.04),
+    Quantity("mean cosine of the scattering angle", low=-0.999, high=0.999, scale=0.16),
 ]
 MatrixIndex = Annotated[float, Quantity("refractive index", low=1.0, high=10.0)]
 Surface = Annotated[

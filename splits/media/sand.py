@@ -68,7 +68,7 @@ HematiteRatio = Annotated[
     float,
     Quantity(
         "mass of hematite per mass of iron oxide", low=0.0, high=1.0,
-        label="hematite / iron oxide", first_step=0.04,
+        label="hematite / iron oxide", scale=0.16,
     ),
 ]  # fmt: skip
 Magnetite = Annotated[
@@ -97,7 +97,7 @@ Porosity = Annotated[
 Roundness = Annotated[
     tuple[float, float],
     Quantity(
-        "roundness of the particles, mean and standard deviation", mean=0, first_step=0.04,
+        "roundness of the particles, mean and standard deviation", mean=0, scale=0.16,
         label="roundness (mean, sd)",
         check=_check_roundness,
         schema=describe_numbers("mean", "sd", minimum=0.0, maximum=1.0),

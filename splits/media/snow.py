@@ -112,7 +112,7 @@ LiquidWater = Annotated[
     float,
     Quantity(
         "volume of water per volume of snow", label="liquid water content",
-        first_step=0.04, root_at=0.0, check=defer_check,
+        scale=0.16, root_at=0.0, check=defer_check,
     ),
 ]  # fmt: skip
 SnowDensity = Annotated[

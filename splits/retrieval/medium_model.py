@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from itertools import product
 from types import MappingProxyType
@@ -34,6 +34,7 @@ from splits.discrete_ordinates.applicability import (
 from splits.discrete_ordinates.granular_stack import (
     choose_trial_wavelengths,
     compute_optics_error,
+    solve_snowpacks,
     solve_spectrum,
 )
 from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO, choose_solver
@@ -290,18 +291,19 @@ class OrdinatesForwardModel(MediumForwardModel):
         """Return the modelled measurement, shape (n,)."""
         key = (state.tobytes(), stage)
         if key not in self._solutions:
-            self._solutions[key] = self._solve(state, stage)
+            self._solutions[key] = self._solve([state], stage)[0]
         return self._solutions[key]
 
-    def _solve(self, state: np.ndarray, stage: int) -> np.ndarray:
-        medium, incidence, scale = self.make_inputs(state)
+    def _solve(self, states: Sequence[np.ndarray], stage: int) -> np.ndarray:
+        """Return the modelled measurements of states, shape (states, n)."""
         operator = self.operator[self.select_values(stage)]
         used = np.flatnonzero(operator.any(axis=0))
-        snowpack = make_granular_stack(medium, self.wavelengths[used])
+        media, incidences, scales = zip(*map(self.make_inputs, states), strict=True)
+        snowpacks = [make_granular_stack(medium, self.wavelengths[used]) for medium in media]
+        cosines = np.array([_compute_cosines(incidence) for incidence in incidences])
         with limit_blas_threads():
-            budget = snowpack.solve(_compute_cosines(incidence), self.n_streams)
-        # The beam is first, and diffuse light alone where there is none.
-        values: np.ndarray = scale * (operator[:, used] @ budget.reflectance[:, 0])
+            reflectance = solve_snowpacks(snowpacks, cosines, self.n_streams)[:, 0]
+        values: np.ndarray = np.array(scales)[:, np.newaxis] * (reflectance @ operator[:, used].T)
         return values
 
     def evaluate_with_covariance(
@@ -321,13 +323,10 @@ class OrdinatesForwardModel(MediumForwardModel):
 
     def compute_jacobian(self, state: np.ndarray, stage: int) -> np.ndarray:
         """Return the Jacobian with respect to the coordinates, shape (n, parameters)."""
-        values, columns = self.evaluate(state, stage), []
-        for row in range(len(state)):
-            step = -DIFFERENCE_STEP if state[row] > 0.5 else DIFFERENCE_STEP
-            shifted = state.copy()
-            shifted[row] += step
-            columns.append((self._solve(shifted, stage) - values) / step)
-        return np.stack(columns, axis=1)
+        steps = np.where(state > 0.5, -DIFFERENCE_STEP, DIFFERENCE_STEP)
+        shifted = self._solve(state + np.diag(steps), stage)
+        jacobian: np.ndarray = (shifted - self.evaluate(state, stage)).T / steps
+        return jacobian
 
     def compute_final_jacobians(
         self, state: np.ndarray, model_covariance: np.ndarray

@@ -20,9 +20,10 @@ from splits.core.validation import InvalidValue, invalid
 from splits.media.medium import Medium
 from splits.media.parameters import (
     INCIDENCE_KEY,
+    choose_step,
     get_derivative_unit,
     get_parameter,
-    get_quantity,
+    get_parameter_quantity,
     list_amounts,
     replace_parameter,
     shift_parameter,
@@ -183,8 +184,6 @@ def add_jacobian(
 
 FIRST_STEP_FRACTION = 0.25
 """First step relative to the value: larger steps have less noise, but more truncation error."""
-FIRST_STEP_AT_ZERO = 0.01
-"""First step where the value is 0, of a parameter that does not declare a smallest step."""
 MAX_HALVINGS = 10
 MIN_CONVERGENCE_RATIO = 1.2
 """Smallest ratio of successive changes, as the step is halved, of a derivative that converges."""
@@ -287,19 +286,15 @@ class _Coordinate(NamedTuple):
     @classmethod
     def for_parameter(cls, parameter: str, value: float) -> _Coordinate:
         """Return the coordinate for a parameter; at the endpoint it is the value itself."""
-        endpoint = get_quantity(parameter.rpartition(".")[2]).root_at
+        endpoint = get_parameter_quantity(parameter).root_at
         if endpoint is None or value == endpoint:
             return cls(value, 0.0, 0.0)
         return cls(abs(value - endpoint) ** 0.5, endpoint, 1.0 if endpoint == 0.0 else -1.0)
 
     def choose_first_step(self, parameter: str) -> float:
         """Return the first step of the coordinate."""
-        smallest = get_quantity(parameter.rpartition(".")[2]).first_step
         size = self.start**2 if self.sign else abs(self.start)
-        step = max(
-            FIRST_STEP_FRACTION * size,
-            smallest or (0.0 if size else FIRST_STEP_AT_ZERO),
-        )
+        step = choose_step(parameter, size, FIRST_STEP_FRACTION)
         return float((size + step) ** 0.5 - self.start if self.sign else step)
 
     def to_value(self, coordinate: float) -> float:

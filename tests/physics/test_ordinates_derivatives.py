@@ -1,4 +1,4 @@
-"""Derivatives by discrete ordinates: optics of layers, and parameters of snow."""
+"""Derivatives by discrete ordinates with respect to the parameters of snow."""
 
 from collections.abc import Callable
 
@@ -8,35 +8,12 @@ from chi2 import NEEDS_JIT, compare_results
 
 import splits
 from splits.core.validation import InvalidValue
-from splits.discrete_ordinates.adding import Boundary, Element, compute_budget, make_isotropic
 from splits.discrete_ordinates.applicability import make_granular_stack
-from splits.discrete_ordinates.derivatives import (
-    Gradient,
-    compute_gradient,
-    differentiate_impedances,
-    divide_impedances,
-)
-from splits.discrete_ordinates.homogeneous_layer import (
-    LayerOptics,
-    Streams,
-    compute_impedances,
-    solve_slab,
-)
-from splits.discrete_ordinates.parameter_derivatives import DryDerivatives
+from splits.discrete_ordinates.derivatives import SpectrumDerivatives
 from splits.media.parameters import get_parameter, list_parameters, replace_parameter
 
 N = 8
-STREAMS = Streams.from_number(N)
-COSINES = {
-    "normal": 1.0,
-    "oblique": 0.6,
-    "stream": float(STREAMS.cosines[1]),
-    "89 degrees": np.cos(np.radians(89.0)),
-    "diffuse": None,
-}
-CONSERVATIVE = (-30.0, -20.0)
-"""Exponents of an absorption that is lost by rounding."""
-KINDS = ("thickness", "extinction", "absorption", *range(N))
+WAVELENGTHS = np.array([350.0, 500.0, 800.0, 1030.0, 1300.0, 1800.0, 2250.0])
 
 
 def extrapolate(function: Callable[[float], np.ndarray], step: float) -> np.ndarray:
@@ -46,172 +23,6 @@ def extrapolate(function: Callable[[float], np.ndarray], step: float) -> np.ndar
     )
     fine, finer = (4.0 * second - first) / 3.0, (4.0 * third - second) / 3.0
     return (16.0 * finer - fine) / 15.0
-
-
-def solve(optics: LayerOptics, ground: np.ndarray, cosine: float | None) -> np.ndarray:
-    """Return the reflectance and the transmittance of layers."""
-    cosines = np.array([] if cosine is None else [cosine])
-    layers = [LayerOptics(*(field[i] for field in optics)) for i in range(len(optics.thickness))]
-    isotropic = [make_isotropic(layer, STREAMS, cosines.size) for layer in layers]
-    elements = [
-        Element.from_slab(solve_slab(layer, STREAMS, cosines[np.newaxis]), vector)
-        for layer, vector in zip(layers, isotropic, strict=True)
-    ]
-    faces = (Boundary.make_transparent(N // 2, cosines.size),) * 2
-    budget = compute_budget(elements, (isotropic[0], isotropic[-1]), faces, ground, N // 2)
-    return np.stack([budget.reflectance[..., 0], budget.transmittance[..., 0]])
-
-
-def make_random_layers(seed: int, absorption: tuple[float, float]) -> LayerOptics:
-    """Return one to four layers, thin or thick, or conservative, at six wavelengths."""
-    generator = np.random.default_rng(seed)
-    shape = (int(generator.integers(1, 5)), 6)
-    thickness = 10.0 ** generator.uniform(-3.0, 2.5, shape)
-    albedo = 1.0 - 10.0 ** generator.uniform(*absorption, shape)
-    asymmetry = generator.uniform(0.3, 0.85, (*shape, 1))
-    return LayerOptics.from_albedo(thickness, albedo, asymmetry ** np.arange(N + 1)).truncate(N)
-
-
-def scale(optics: LayerOptics, layer: int, kind: str | int, factor: float) -> LayerOptics:
-    """Return optics with one property of a layer times a factor.
-
-    Scattering of order 0 changes at constant absorption.
-    """
-    thickness, extinction, scattering, equilibrium = (field.copy() for field in optics)
-    change = factor - 1.0
-    order0 = optics.scattering[layer, :, 0, 0, 0]
-    if kind == "thickness":
-        thickness[layer] *= factor
-    elif kind == "extinction":
-        extinction[layer] *= factor
-        scattering[layer] *= factor
-    elif kind == "absorption":
-        extinction[layer, :, 0] += change * (optics.extinction[layer, :, 0] - order0)
-    else:
-        scattering[layer, :, 0, 0, kind] *= factor
-        extinction[layer, :, 0] += change * order0 * (kind == 0)
-    return LayerOptics(thickness, extinction, scattering, equilibrium)
-
-
-def differentiate(gradient: Gradient, optics: LayerOptics, layer: int, kind) -> np.ndarray:
-    """Return the derivative with respect to the logarithm of a property of a layer."""
-    doubled = scale(optics, layer, kind, 2.0)
-    tangent = LayerOptics(
-        *(np.where(new == old, 0.0, new - np.where(np.isinf(old), 0.0, old))[layer]
-          for new, old in zip(doubled, optics, strict=True))
-    )  # fmt: skip
-    return gradient.differentiate(layer, tangent)
-
-
-def check_gradient(optics: LayerOptics, cosine: float | None, kinds=KINDS) -> None:
-    """Compare all derivatives of layers over a ground with differences."""
-    ground = np.linspace(0.0, 0.9, optics.thickness.shape[1])
-    values, gradient = compute_gradient(optics, STREAMS, ground, cosine)
-    np.testing.assert_allclose(values, solve(optics, ground, cosine), atol=1e-9)
-    for layer in range(len(optics.thickness)):
-        for kind in kinds:
-            if kind == "thickness" and np.isinf(optics.thickness[layer]).any():
-                continue
-            expected = extrapolate(
-                lambda x, layer=layer, kind=kind: solve(
-                    scale(optics, layer, kind, np.exp(x)), ground, cosine
-                ),
-                0.02,
-            )
-            derivative = differentiate(gradient, optics, layer, kind)
-            tolerance = 1e-6 * max(np.abs(expected).max(), 1e-4)
-            np.testing.assert_allclose(derivative, expected, rtol=0.0, atol=tolerance)
-    expected = extrapolate(lambda x: solve(optics, ground + x, cosine), 0.01)
-    tolerance = 1e-6 * max(np.abs(expected).max(), 1e-4)
-    np.testing.assert_allclose(gradient.ground, expected, rtol=0.0, atol=tolerance)
-    if cosine is None:
-        assert not gradient.cosine.any()
-    elif cosine < 1.0:
-        expected = extrapolate(lambda x: solve(optics, ground, cosine * (1.0 + x)), 0.01)
-        tolerance = 1e-6 * np.abs(expected).max()
-        np.testing.assert_allclose(cosine * gradient.cosine, expected, rtol=0.0, atol=tolerance)
-
-
-@pytest.mark.parametrize("light", COSINES)
-@pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(n, marks=pytest.mark.long) for n in range(1, 4))]
-)
-def test_gradient_of_random_layers(light, seed):
-    check_gradient(make_random_layers(seed, (-7.0, -0.3)), COSINES[light])
-
-
-@pytest.mark.parametrize("light", COSINES)
-def test_gradient_above_a_half_space(light):
-    optics = make_random_layers(5, (-4.0, -0.3))
-    optics.thickness[-1] = np.inf
-    check_gradient(optics, COSINES[light])
-
-
-@pytest.mark.parametrize("light", COSINES)
-def test_gradient_of_conservative_layers(light):
-    optics = make_random_layers(6, CONSERVATIVE)
-    kinds = tuple(kind for kind in KINDS if kind != "absorption")
-    check_gradient(optics, COSINES[light], kinds)
-
-
-def test_conservative_half_space_has_no_derivative_with_respect_to_scattering():
-    optics = make_random_layers(7, CONSERVATIVE)
-    optics.thickness[-1] = np.inf
-    _, gradient = compute_gradient(optics, STREAMS, np.zeros(6), 0.6)
-    for layer in range(len(optics.thickness)):
-        for kind in ("extinction", *range(N)):
-            derivative = differentiate(gradient, optics, layer, kind)
-            np.testing.assert_allclose(derivative, 0.0, atol=1e-9)
-
-
-@pytest.mark.parametrize("order", [0, 1])
-def test_gradient_with_degenerate_eigenvalues(order):
-    """Scattering of few orders leaves most modes at the rates of the streams, as a beam may be."""
-    albedo = np.full((2, 6), 1e-9) if order == 0 else np.full((2, 6), 0.7)
-    moments = np.zeros((2, 6, N + 1))
-    moments[..., 0] = 1.0
-    thickness = np.stack([np.logspace(-2.0, 1.5, 6)] * 2)
-    optics = LayerOptics.from_albedo(thickness, albedo, moments).truncate(N)
-    kinds = ("thickness", "extinction", "absorption", 0)
-    for cosine in (COSINES["stream"], COSINES["stream"] * (1.0 + 1e-9)):
-        check_gradient(optics, cosine, kinds)
-
-
-def test_divided_differences_are_accurate():
-    """Against the quotient in extended precision, for near, equal and distant pairs."""
-    if np.finfo(np.longdouble).eps > 1e-18:
-        pytest.skip("without extended precision")
-    base = np.array([1e-8, 1e-3, 0.05, 0.2, 0.21, 1.0, 5.0, 40.0])
-    k = np.sort(np.concatenate([base, base * (1.0 + 1e-3)]))
-    for thickness in (1e-6, 0.1, 1.0, 30.0):
-        exact = k.astype(np.longdouble)
-        tanh = np.tanh(0.5 * exact * thickness)
-        for kind, found in enumerate(divide_impedances(k, np.array([thickness]))):
-            g = exact * tanh if kind == 0 else exact / tanh
-            off = ~np.eye(k.size, dtype=bool)
-            quotient = ((g[:, None] - g) / np.where(off, exact[:, None] ** 2 - exact**2, 1.0))[off]
-            # Rounding of the quotient itself.
-            noise = 1e-18 * (g[:, None] + g)[off] / np.abs(exact[:, None] ** 2 - exact**2)[off]
-            assert (np.abs(found[off] - quotient) <= 1e-11 * np.abs(quotient) + noise).all()
-
-
-def test_divided_differences_of_equal_rates_are_derivatives():
-    k, thickness = np.array([0.01, 0.3, 2.0]), np.array([1.5])
-    found = divide_impedances(k, thickness)
-    for kind in (0, 1):
-        expected = extrapolate(
-            lambda x, kind=kind: compute_impedances(np.sqrt(k**2 * (1.0 + x)), thickness)[kind],
-            0.02,
-        )
-        np.testing.assert_allclose(np.diag(found[kind]) * k**2, expected, rtol=1e-8, atol=1e-13)
-        expected = extrapolate(
-            lambda x, kind=kind: compute_impedances(k, thickness * (1.0 + x))[kind], 0.02
-        )
-        slope = differentiate_impedances(k, thickness)[kind] * thickness
-        np.testing.assert_allclose(slope, expected, rtol=1e-8)
-
-
-WAVELENGTHS = np.array([350.0, 500.0, 800.0, 1030.0, 1300.0, 1800.0, 2250.0])
 
 
 def make_random_snowpack(seed: int, is_wet: bool = False) -> splits.Stack:
@@ -281,7 +92,7 @@ def test_every_parameter_of_dry_snow(seed, incidence):
     medium = make_random_snowpack(seed)
     names = list_smooth_parameters(medium)
     names += [] if incidence in ("diffuse", 0.0) else ["incidence_deg"]
-    found, _ = DryDerivatives.from_medium(medium, names, WAVELENGTHS, incidence).solve(N)
+    found, _ = SpectrumDerivatives.from_medium(medium, names, WAVELENGTHS, incidence).solve(N)
     for number, name in enumerate(names):
         expected = extrapolate_parameter(medium, name, incidence, N)
         value = 1.0 if name == "incidence_deg" else abs(get_parameter(medium, name))
@@ -304,7 +115,7 @@ def test_wet_snow_has_differences(seed):
         np.testing.assert_allclose(found, expected[0], rtol=0.0, atol=tolerance)
 
 
-def test_spectrophotometer_returns_analytic_derivatives():
+def test_spectrophotometer_returns_derivatives():
     medium = make_random_snowpack(2)
     names = ["layers.0.impurities_ng_g.dust_sahara", "incidence_deg", "ground", "layers.0.depth_m"]
     runs = [
@@ -313,7 +124,7 @@ def test_spectrophotometer_returns_analytic_derivatives():
     ]
     for run in runs:
         assert run.parameter.values.tolist() == names
-        assert run.parameter_method.values.tolist() == ["analytic"] * len(names)
+        assert run.parameter_method.values.tolist() == ["finite_difference"] * len(names)
         assert run.reflectance_jacobian.dims == ("parameter", "wavelength")
         assert (run.reflectance_jacobian_stderr > 0.0).any()
     assert runs[0].transmittance_jacobian.equals(runs[1].transmittance_jacobian)
@@ -334,7 +145,7 @@ def test_error_covers_other_numbers_of_streams():
     run = splits.spectrophotometer(
         medium, WAVELENGTHS, 60, solver="discrete_ordinates", jacobian=names
     )
-    exact, _ = DryDerivatives.from_medium(medium, names, WAVELENGTHS, 60.0).solve(64)
+    exact, _ = SpectrumDerivatives.from_medium(medium, names, WAVELENGTHS, 60.0).solve(64)
     for side, quantity in enumerate(("reflectance", "transmittance")):
         difference = np.abs(run[f"{quantity}_jacobian"].values - exact[side])
         # Derivatives of a millionth of the largest ones decide nothing.

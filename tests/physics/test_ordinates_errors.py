@@ -7,6 +7,7 @@ from chi2 import NEEDS_JIT, compare_results, judge_z
 import splits
 from splits.core.uncertainty import compute_difference
 from splits.discrete_ordinates.applicability import make_granular_stack
+from splits.discrete_ordinates.derivatives import SpectrumDerivatives, solve_derivatives
 from splits.discrete_ordinates.grain_tabulation import N_RAYS, TableAxes, tabulate_grains
 from splits.discrete_ordinates.grains import Axis
 from splits.discrete_ordinates.granular_stack import (
@@ -14,11 +15,6 @@ from splits.discrete_ordinates.granular_stack import (
     compute_optics_error,
     load_natural_grains,
     solve_spectrum,
-)
-from splits.discrete_ordinates.parameter_derivatives import (
-    DryDerivatives,
-    WetDerivatives,
-    solve_derivatives,
 )
 from splits.discrete_ordinates.snow_packs import solve_spectra
 from splits.simulation.grain_optics import GRAIN_RAYS_PER_CHUNK
@@ -186,7 +182,7 @@ def test_derivatives_of_very_wet_snow(depth_m):
     for angle in (20.0, 53.0, 75.0):
         cosine = np.cos(np.radians([angle]))
         names = ["incidence_deg", "liquid_water_content"]
-        derivatives = WetDerivatives.from_medium(snow, names, wavelengths, angle)
+        derivatives = SpectrumDerivatives.from_medium(snow, names, wavelengths, angle)
         fine, _ = derivatives.solve(96)
         for max_error in (0.002, 0.0002):
             values, errors = solve_derivatives(
@@ -198,11 +194,12 @@ def test_derivatives_of_very_wet_snow(depth_m):
 @pytest.mark.parametrize("water", [0.0, 0.1])
 def test_derivatives_at_grazing_incidence(water):
     snow, names = make_snow(liquid_water_content=water), ["specific_surface_area_m2_kg"]
-    kind = WetDerivatives if water else DryDerivatives
     for wavelength in (900.0, 1271.0):
         snowpack = make_granular_stack(snow, np.array([wavelength]))
         for angle in GRAZING[2::2]:
-            derivatives = kind.from_medium(snow, names, np.array([wavelength]), angle)
+            derivatives = SpectrumDerivatives.from_medium(
+                snow, names, np.array([wavelength]), angle
+            )
             fine, _ = derivatives.solve(96)
             for max_error in (0.01, 0.001):
                 solution = solve_spectrum(snowpack, np.cos(np.radians([angle])), max_error)

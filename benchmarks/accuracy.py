@@ -8,6 +8,7 @@ square of the relative distances from the nodes.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,8 +24,9 @@ from splits.simulation.spectral_nodes import (
     MAX_LOG_SLOPE,
     IndexNodes,
     choose_nodes,
+    make_separate_nodes,
 )
-from splits.simulation.spectral_tally import SpectralTally, estimate_fixed_budget
+from splits.simulation.spectral_tally import SINGLE_STRATUM, SpectralEstimate, SpectralTally
 from splits.simulation.strata import STRATUM_BOUNDS, StoppingRule
 
 WAVELENGTHS_NM = np.arange(400, 2501, 10)
@@ -96,6 +98,19 @@ TOLERANCE = 0.0008
 RAYS = 40_000
 
 
+def trace(
+    sand: splits.Sand, wavelengths: np.ndarray, nodes: IndexNodes, seed: int
+) -> SpectralEstimate:
+    """Return an estimate from the rays of some nodes, with statistical errors only."""
+    rows = SpectralRows.from_media(PathSharingMedia.from_media([sand]), wavelengths)
+    scene = build_scene(sand, 0.0, False)
+    nodes = replace(nodes, interpolation_bound=np.zeros(wavelengths.size))
+    tally = SpectralTally(rows, nodes, scene, SINGLE_STRATUM)
+    stop = StoppingRule(0.0, RAYS * len(tally.strata), fixed=True)
+    estimate: SpectralEstimate = simulate(scene, tally, stop, RunOptions.start(seed)).estimate
+    return estimate
+
+
 def sands() -> Iterator[dict[str, Any]]:
     """Deviations of interpolated reflectances of sands from those traced at every wavelength."""
     wavelengths = np.arange(400.0, 1001.0, 50.0)
@@ -103,11 +118,10 @@ def sands() -> Iterator[dict[str, Any]]:
         index = sand.compute_refractive_indices(wavelengths)
         nodes = choose_nodes(index, sand.list_interfaces(), TOLERANCE)
         rows = [int(np.flatnonzero((index == node).all(axis=1))[0]) for node in nodes.index]
-        few, few_error, _ = estimate_fixed_budget(sand, wavelengths, 0.0, rows, RAYS, 1)
-        traced, traced_error, _ = estimate_fixed_budget(
-            sand, wavelengths, 0.0, range(len(wavelengths)), RAYS, 2
-        )
-        deviation, noise = few[0] - traced[0], np.hypot(few_error[0], traced_error[0])
+        few = trace(sand, wavelengths, nodes, 1)
+        traced = trace(sand, wavelengths, make_separate_nodes(index), 2)
+        deviation = few.mean[0] - traced.mean[0]
+        noise = np.hypot(few.stderr[0], traced.stderr[0])
         off_nodes = np.setdiff1d(np.arange(len(wavelengths)), rows)
         z = deviation[off_nodes] / noise[off_nodes]
         yield {

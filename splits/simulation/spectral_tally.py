@@ -14,8 +14,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.core.inputs import check_incidence, check_wavelengths
-from splits.core.validation import check_integer, invalid
 from splits.kernels.scene import Scene
 from splits.kernels.tallies.exits import (
     BLOCK_SIZE,
@@ -24,17 +22,11 @@ from splits.kernels.tallies.exits import (
     tally_derivatives,
     tally_weights,
 )
-from splits.media.kinds import check_medium
-from splits.media.medium import Medium
-from splits.simulation.engine import simulate
-from splits.simulation.run_options import RunOptions
-from splits.simulation.scene import build_scene
-from splits.simulation.shared_paths import PathSharingMedia, SpectralRows
+from splits.simulation.shared_paths import SpectralRows
 from splits.simulation.spectral_nodes import (
     IndexNodes,
     bound_derivative_error,
     bound_fraction_error,
-    make_nodes,
 )
 from splits.simulation.strata import (
     LARGE_PROBLEM_ROWS,
@@ -355,83 +347,3 @@ def rescale_deviations(deviations: np.ndarray, variance: np.ndarray) -> np.ndarr
     return deviations * np.sqrt(
         np.divide(variance, sum_of_squares, out=np.zeros_like(sum_of_squares), where=nonzero)
     )
-
-
-# --------------------------------------------------------------------------------------------------
-# Spectra from a fixed number of rays: fast, smooth in the medium's parameters, not adaptive.
-#
-# The rays, the streams of random numbers and the wavelengths at which paths are traced do not
-# depend on the medium.  Two media that differ a little are then sampled by almost the same paths,
-# so that their difference has a much smaller error than either spectrum, as fits and derivatives
-# need (common random numbers; Glasserman & Yao 1992, Management Science 38, 884-908).
-
-
-def estimate_fixed_budget(
-    medium: Medium,
-    wavelength_nm: Any,
-    incidence_deg: float | str,
-    node_rows: Sequence[int],
-    rays_per_node: int,
-    seed: int,
-    threads: int | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Estimate reflectance, transmittance and absorptance with a fixed number of rays.
-
-    Parameters
-    ----------
-    medium : GranularMedium
-    wavelength_nm : array_like
-        Strictly increasing vacuum wavelengths (nm).
-    incidence_deg : float or "diffuse"
-        Polar angle of a beam, 0 to 89.9999 degrees, or isotropic radiance.
-    node_rows : sequence of int
-        Positions of the wavelengths whose refractive indices paths are traced with: different,
-        at least one.  Each wavelength uses the one or two nodes with the smallest error bound.
-    rays_per_node : int
-        At least 1; rounded up to whole chunks.
-    seed : int
-        Non-negative.
-    threads : int, optional
-        Default: every CPU that this process may use; results do not depend on it.
-
-    Returns
-    -------
-    mean, stderr : float, shape (3, wavelengths)
-        Reflected, transmitted and absorbed.  The standard error is statistical only, without the
-        error of interpolation between nodes.
-    batch_deviations : float, shape (N_BATCHES, 2, wavelengths)
-        Contributions of batches to the deviations of the reflected and transmitted means, see
-        `SpectralEstimate`.
-
-    Raises
-    ------
-    ValueError
-        For a value outside its range.
-    """
-    check_medium(medium)
-    wavelengths = check_wavelengths("wavelength_nm", wavelength_nm)
-    node_list, last = [int(row) for row in node_rows], len(wavelengths) - 1
-    is_distinct = node_list and len(set(node_list)) == len(node_list)
-    if not is_distinct or min(node_list) < 0 or max(node_list) > last:
-        allowed = f"different positions from 0 to {last}, at least one"
-        raise invalid("node_rows", list(node_rows), allowed)
-    check_integer("rays_per_node", rays_per_node, 1)
-    run = RunOptions.start(seed, threads)
-    rows = SpectralRows.from_media(PathSharingMedia.from_media([medium]), wavelengths)
-    nodes = make_nodes(rows.index, rows.interfaces, node_list)
-    nodes = replace(nodes, interpolation_bound=np.zeros(len(wavelengths)))
-    scene = build_scene(medium, check_incidence("incidence_deg", incidence_deg), False)
-    # A node keeps its streams if no wavelength uses its neighbour.
-    tally = SpectralTally(rows, nodes, scene, SINGLE_STRATUM)
-    stop = StoppingRule(0.0, rays_per_node * len(tally.strata), fixed=True)
-    estimate = simulate(scene, tally, stop, run).estimate
-    return estimate.mean, estimate.stderr, estimate.batch_deviations
-
-
-def choose_node_rows(n_wavelengths: int) -> tuple[int, ...]:
-    """Return the rows of the first, an early and the last of `n_wavelengths` wavelengths.
-
-    With three nodes the interpolation error for iron oxides from 400 to 1000 nm, whose index curve
-    bends in the first third, is at most about 0.01.
-    """
-    return tuple(sorted({0, round(0.3 * (n_wavelengths - 1)), n_wavelengths - 1}))

@@ -24,7 +24,6 @@ from splits.instruments.delay_record import (
 from splits.instruments.solver import AUTO, DISCRETE_ORDINATES, MONTE_CARLO, choose_solver
 from splits.kernels.scene import NO_MAX_ORDER
 from splits.simulation.scene import build_scene
-from splits.simulation.spectral_tally import estimate_fixed_budget
 
 WAVES = {"rms_height_m": 0.1, "wave_number_per_m": 1.0, "correlation": "gaussian"}
 ROUGH = splits.ParticleLayer(surface=WAVES, depth_m=10.0)
@@ -32,7 +31,6 @@ INSTRUMENT_CALLS = {
     "spectrophotometer": lambda medium: splits.spectrophotometer(medium, [600]),
     "goniophotometer": lambda medium: splits.goniophotometer(medium, [600]),
     "beam_spread": lambda medium: splits.beam_spread(medium, [600]),
-    "fixed_spectrum": lambda medium: estimate_fixed_budget(medium, [600], 0.0, [0], 1, 1),
     "single_scattering": lambda medium: splits.single_scattering(medium, [600]),
     "lens": lambda medium: splits.lens(
         medium, screen_depth_m=[1.0], radius_m=0.1, half_width_m=1.0

@@ -385,8 +385,8 @@ def _add_section(location: str, error: Exception) -> ValueError:
         return ValueError(str(error))
     section, _, field = location.rpartition(".")
     first = re.split(r"\W", error.key, maxsplit=1)[0]
-    if location.startswith(error.key):
-        # That of a number in a list, for example.
+    if location.removeprefix(error.key).startswith("["):
+        # A number in a list that has this key.
         return type(error)(location, error.value, error.allowed, error.hint)
     if first == location.partition(".")[0]:
         return error

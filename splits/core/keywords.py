@@ -120,7 +120,9 @@ def declare_function(function: Callable[Given, Result]) -> Callable[Given, Resul
         except FileNotFoundError as error:
             raise error.with_traceback(None) from None
         if requests_error and is_outermost:
-            warn_about_missed_error(function.__name__, result, stacklevel=2)
+            message = describe_missed_error(getattr(result, "attrs", {}))
+            if message:
+                warnings.warn(f"{function.__name__}: {message}", stacklevel=2)
         return result
 
     return checked
@@ -191,22 +193,6 @@ def describe_missed_error(attributes: Mapping[Any, Any]) -> str:
         f"the largest {ERROR_NAMES[key]} is {reached:.3g}, more than the requested "
         f"{key} = {requested:g}; {advice}"
     )
-
-
-def warn_about_missed_error(name: str, result: object, stacklevel: int) -> None:
-    """Warn if the result of a public function, a dataset, has a larger error than requested.
-
-    Parameters
-    ----------
-    name : str
-        Name of the function.
-    result : object
-    stacklevel : int
-        As for `warnings.warn`, counted from the caller.
-    """
-    message = describe_missed_error(getattr(result, "attrs", {}))
-    if message:
-        warnings.warn(f"{name}: {message}", stacklevel=stacklevel + 1)
 
 
 def log_missed_error(log: LogCallback, name: str, dataset: xr.Dataset) -> None:

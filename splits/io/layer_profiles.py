@@ -72,8 +72,6 @@ def average_over_layers(
         value of the nearest one; otherwise NaN.
     """
     profile = profile.drop_gaps()
-    if not profile.values.size:
-        return np.full(top_m.shape, np.nan)
     averages = interpolate_to_layers(profile, top_m, thickness_m, extend=extend)
     # Intervals in the order of their tops, before points at the same depth.
     order = np.lexsort((profile.thickness_m == 0.0, profile.top_m))

@@ -248,17 +248,17 @@ def find_name_collision(names: Iterable[str]) -> str:
 def _find_kind_problem(info: zipfile.ZipInfo) -> str:
     """Return the type of a member that is not a regular file, or an empty text."""
     mode = info.external_attr >> 16
-    if stat.S_ISLNK(mode):
-        return "a symbolic link"
-    if stat.S_IFMT(mode) not in (0, stat.S_IFREG) or info.external_attr & 0x10:
-        return "no plain file"
-    if mode & (stat.S_ISUID | stat.S_ISGID | stat.S_IXUSR | stat.S_IXGRP | stat.S_IXOTH):
-        return "an executable file"
-    if info.flag_bits & 0x1:
-        return "encrypted"
-    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        return "compressed in an unusual way"
-    return ""
+    executable = stat.S_ISUID | stat.S_ISGID | stat.S_IXUSR | stat.S_IXGRP | stat.S_IXOTH
+    problems = {
+        "a symbolic link": stat.S_ISLNK(mode),
+        "no plain file": (stat.S_IFMT(mode) not in (0, stat.S_IFREG) or info.external_attr & 0x10),
+        "an executable file": mode & executable,
+        "encrypted": info.flag_bits & 0x1,
+        "compressed in an unusual way": (
+            info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+        ),
+    }
+    return next((problem for problem, is_found in problems.items() if is_found), "")
 
 
 def _read_metadata(file: zipfile.ZipFile) -> tuple[list[str], dict[str, str]]:

@@ -32,16 +32,13 @@ class RefractiveIndex(Protocol):
     @property
     def name(self) -> str:
         """Name of the table or constant."""
-        ...
 
     @property
     def source(self) -> str:
         """Source of the values."""
-        ...
 
     def __call__(self, wavelength_nm: Any) -> np.ndarray:
         """Return complex n + i k at the vacuum wavelengths `wavelength_nm` (nm)."""
-        ...
 
 
 def check_wavelength_range(wavelength_nm: Any, low: float, high: float, name: str) -> np.ndarray:

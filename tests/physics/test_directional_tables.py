@@ -173,7 +173,7 @@ def test_errors_of_interpolation_agree_with_nodes_left_out():
     z: dict[str, list[np.ndarray]] = {name: [] for name in DIRECTIONAL}
     for axis in ("incidence_deg", "polar_deg", "azimuth_deg"):
         table = splits.Table(build(grid | {axis: grid[axis][::2]}))
-        for _ in range(50):
+        for _ in range(100):
             position = {name: int(random.integers(full.sizes[name])) for name in grid}
             position[axis] = 2 * int(random.integers((full.sizes[axis] - 1) // 2)) + 1
             exact = full.isel(position)

@@ -106,7 +106,7 @@ def test_reflectance_is_that_of_the_goniophotometer():
 
 @NEEDS_JIT
 def test_errors_of_the_degree_of_polarization_are_those_of_independent_runs():
-    rays, n_runs = scale_sample_size(25_000), 60
+    rays, n_runs = scale_sample_size(50_000), 40
     runs = [
         splits.goniophotometer(
             SNOW, [1590.0], 60.0, seed=seed, stokes=True, estimator="bins", n_bins=(3, 4), rays=rays

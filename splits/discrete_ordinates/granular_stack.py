@@ -226,7 +226,7 @@ def solve_snowpacks(
     solutions = []
     for start in range(0, len(snowpacks), size):
         part, beams = snowpacks[start : start + size], cosines[start : start + size]
-        if size > 1:
+        if len(part) > 1:
             budget = GranularStack.join(part).solve(beams[:, np.newaxis], n_streams)
         else:
             budget = part[0].solve(beams[0], n_streams)

@@ -10,6 +10,7 @@ import splits
 from splits.core.validation import InvalidValue
 from splits.discrete_ordinates.applicability import make_granular_stack
 from splits.discrete_ordinates.derivatives import SpectrumDerivatives
+from splits.discrete_ordinates.granular_stack import solve_snowpacks
 from splits.media.parameters import get_parameter, list_parameters, replace_parameter
 
 N = 8
@@ -130,6 +131,29 @@ def test_spectrophotometer_returns_derivatives():
     assert runs[0].transmittance_jacobian.equals(runs[1].transmittance_jacobian)
     plain = splits.spectrophotometer(medium, WAVELENGTHS, 30, solver="auto")
     assert plain.reflectance.equals(runs[0].reflectance)
+
+
+@pytest.mark.parametrize("name", ["black_carbon", "dust_sahara"])
+def test_amounts_of_clean_snow_have_one_sided_differences(name):
+    """Reflectance is nearly linear in small amounts; the step follows from the declared scale."""
+    parameter = f"impurities_ng_g.{name}"
+    snow = splits.Snow.natural(optical_radius_um=150)
+    found, error = SpectrumDerivatives.from_medium(snow, [parameter], WAVELENGTHS, 30.0).solve(N)
+    changed = replace_parameter(snow, parameter, 1e-3)
+    expected = (solve_medium(changed, 30.0, N) - solve_medium(snow, 30.0, N)) / 1e-3
+    np.testing.assert_allclose(found[0, 0], expected[0], rtol=0.02, atol=1e-9)
+    assert (error[0, 0] < 0.01 * np.abs(found[0, 0]).max()).all()
+
+
+def test_snowpacks_that_are_solved_together_have_the_same_spectra():
+    base = make_random_snowpack(1)
+    media = [replace_parameter(base, "ground", value) for value in (0.1, 0.5, 0.9)]
+    for incidence in (60.0, "diffuse"):
+        cosines = np.full((3, 0 if incidence == "diffuse" else 1), 0.5)
+        snowpacks = [make_granular_stack(medium, WAVELENGTHS) for medium in media]
+        together = solve_snowpacks(snowpacks, cosines, N)
+        for medium, found in zip(media, together, strict=True):
+            np.testing.assert_allclose(found, solve_medium(medium, incidence, N), rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["facetness", "liquid_water_content"])

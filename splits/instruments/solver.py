@@ -118,7 +118,7 @@ def choose_solver(
         reason = obstacle or find_obstacle(medium) or find_further_obstacle(medium)
         has_table, stack = is_tabulated(medium), None
         if not reason and solver == AUTO and not has_table:
-            return Choice.of_paths("they are faster for grains other than natural snow")
+            return Choice.of_paths("paths are faster for grains other than natural snow")
         if not reason and (has_table or max_error is not None):
             error = DEFAULT_ERROR if max_error is None else max_error
             stack = make_granular_stack(medium, wavelength_nm, error, threads)
@@ -134,7 +134,7 @@ def choose_solver(
                 return Choice.of_missed_error(optics_error)
         if stack is not None and max_error is not None:
             stacks.append(stack)
-    reason = "natural snow, without noise" if solver == AUTO else REQUESTED
+    reason = "solutions of natural snow have no noise" if solver == AUTO else REQUESTED
     return Choice(DISCRETE_ORDINATES, reason, stacks)
 
 

@@ -74,12 +74,12 @@ def test_thick_conservative_layer_follows_diffusion_theory(error):
     # scattering with K0(1) = √3/4 H(1) = 1.2591; for other phase functions 1.26 to 1.28
     # (van de Hulst 1980), hence 2 %.
     layer = splits.ParticleLayer(
-        optical_thickness=2e3, single_scattering_albedo=1.0, asymmetry=0.99,
+        optical_thickness=1e4, single_scattering_albedo=1.0, asymmetry=0.99,
         refractive_index=1.0, ground=None,
     )  # fmt: skip
     ds = splits.spectrophotometer(layer, NM, 0.0, max_stderr=error)
     value, stderr = get_value(ds, "transmittance")
-    expected = 4.0 / 3.0 * 1.2591 / (20.0 + 2.0 * 0.7104)
+    expected = 4.0 / 3.0 * 1.2591 / (100.0 + 2.0 * 0.7104)
     assert abs(value - expected) < 0.02 * expected + compute_z_bound(1) * stderr
     assert float(ds.reflectance[0]) + value == pytest.approx(1.0, abs=1e-12)
 

@@ -113,6 +113,22 @@ def test_auto_chooses_discrete_ordinates_where_they_are_accurate_enough(media, m
     assert choice.solver == solver
 
 
+def test_results_state_why_their_solver_was_chosen():
+    shallow = splits.Snow(depth_m=0.001)
+    view = {"polar_deg": [0.0], "azimuth_deg": [0.0], "relative_stderr": 0.1}
+    for medium, keywords, reason in (
+        (NATURAL, {}, "natural snow"),
+        (NATURAL, {"solver": DISCRETE_ORDINATES}, "requested"),
+        (shallow, {}, "overlap_with_boundary"),
+    ):
+        results = [
+            splits.spectrophotometer(medium, [900.0], max_stderr=0.05, **keywords),
+            splits.goniophotometer(medium, [900.0], **view, **keywords),
+            splits.irradiance_profile(medium, [900.0], depth_m=[5e-4], max_stderr=0.05, **keywords),
+        ]
+        assert all(reason in one.attrs["solver_reason"] for one in results)
+
+
 def test_discrete_ordinates_by_name_state_the_error_that_they_reach():
     spectrum = splits.spectrophotometer(
         NATURAL, SOLVER_WAVELENGTHS, max_stderr=1e-6, solver=DISCRETE_ORDINATES

@@ -27,7 +27,9 @@ contribute less than 1e-3 of Y."""
 
 
 def _import_colour() -> ModuleType:
-    return import_optional("colour", "figures", "colours need")
+    # Its import sets the options with which NumPy prints to those of an old version.
+    with np.printoptions():
+        return import_optional("colour", "figures", "colours need")
 
 
 def covers_visible(wavelength_nm: np.ndarray) -> bool:

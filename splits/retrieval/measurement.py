@@ -146,7 +146,7 @@ def check_modelled_quantity(
     check_conditions(key, measured, conditions)
     name = str(getattr(measured, "name", "")).removeprefix("band_")
     if name in {*ALL_QUANTITIES, "absorptance"} - {"reflectance", quantity}:
-        hint = f"for measurements of this quantity, {key}.rename({quantity!r})"
+        hint = f"the model gives the {quantity}, with which no other quantity is compared"
         raise invalid(f"{key}.name", name, quantity, hint)
     coordinates = measured.coords if isinstance(measured, xr.DataArray) else {}
     modelled = {*conditions, *(["sky"] if "diffuse_fraction" in conditions else ())}

@@ -98,3 +98,8 @@ def test_slope_errors_follow_student_t():
     # The slope takes one of twelve degrees of freedom.
     assert kstest(scores, student_t(11).cdf).pvalue > 0.01
     assert np.mean([line.scatter**2 for line in lines]) == pytest.approx(0.01, rel=0.1)
+
+
+def test_colours_do_not_change_how_numbers_are_printed():
+    make_colour_table(make_dataset([0.5]))
+    assert np.get_printoptions()["legacy"] is False

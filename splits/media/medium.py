@@ -82,9 +82,15 @@ class Medium(ABC):
     ----------
     kind : str
         Type of the medium, as in configuration files.
+    ground : Ground or None
+        Ground below, or None for an open lower boundary.
+    opaque : bool
+        Whether all light that enters is absorbed.
     """
 
     kind: str
+    ground: Ground | None = None
+    opaque: bool = False
 
     def __dir__(self) -> list[str]:
         """Return the names of inputs and derived quantities, without `PROTOCOL`."""
@@ -107,11 +113,6 @@ class Medium(ABC):
         return self.scene_layers[-1]
 
     @property
-    def ground(self) -> Ground | None:
-        """Ground below, or None for an open lower boundary."""
-        return None
-
-    @property
     def reflecting_ground(self) -> Ground | None:
         """Ground that light reaches, None where it does not reflect."""
         is_reached = not (self.is_semi_infinite or self.opaque)
@@ -121,11 +122,6 @@ class Medium(ABC):
     @property
     def polarized(self) -> bool:
         """Whether the Stokes vector is traced."""
-        return False
-
-    @property
-    def opaque(self) -> bool:
-        """Whether all light that enters is absorbed."""
         return False
 
     @property
@@ -171,9 +167,12 @@ class HomogeneousLayer(Medium):
     ----------
     pores : mapping
         Fractions of the pore space filled with other fluids, by name.
+    single_scattering_albedo : float
+        Fraction of the light that collisions do not absorb; paths through grains do.
     """
 
     pores: Mapping[str, float] = MappingProxyType({})
+    single_scattering_albedo: float = 1.0
 
     @property
     def scene_layers(self) -> tuple[Any]:
@@ -201,11 +200,6 @@ class HomogeneousLayer(Medium):
     @property
     def pore_fraction(self) -> float:
         """Fraction of a path segment that absorbs as pore space."""
-        return 1.0
-
-    @property
-    def single_scattering_albedo(self) -> float:
-        """Fraction of the light that collisions do not absorb; paths through grains do."""
         return 1.0
 
     @property
@@ -242,8 +236,11 @@ class GranularMedium(HomogeneousLayer):
         Refractive indices of grains and pores, by material.
     interpretation : TransportInterpretation
         Interpretation of the papers.
+    has_grains : bool
+        Whether the layer consists of grains.
     """
 
+    has_grains: Literal[True] = True
     saturation: float
     sphericity: tuple[float, float, float, float]
     refractive_index: Mapping[str, Any]
@@ -288,11 +285,6 @@ class GranularMedium(HomogeneousLayer):
         """Set inputs in their final form."""
         for name, value in values.items():
             object.__setattr__(self, name, value)
-
-    @property
-    def has_grains(self) -> Literal[True]:
-        """Whether the layer consists of grains."""
-        return True
 
     @property
     def extinction_per_m(self) -> float:
@@ -393,19 +385,15 @@ class ParticleMedium(HomogeneousLayer):
     ----------
     refractive_index : float
         Refractive index of the matrix.
+    kernel_phase_function : PhaseFunction
+        Phase function in the form the kernels take.
+    has_grains : bool
+        Whether the layer consists of grains.
     """
 
+    has_grains: Literal[False] = False
     refractive_index: float
-
-    @property
-    def has_grains(self) -> Literal[False]:
-        """Whether the layer consists of grains."""
-        return False
-
-    @property
-    @abstractmethod
-    def kernel_phase_function(self) -> PhaseFunction:
-        """Phase function in the form the kernels take."""
+    kernel_phase_function: PhaseFunction
 
     @abstractmethod
     def compute_truncation_depth(self, undisturbed_depth_m: float) -> float:

@@ -189,26 +189,6 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
     if path.suffix not in NETCDF_SUFFIXES:
         hint = "this writes netCDF; use dataset.to_dataframe().to_csv(…) for CSV"
         raise invalid("path", str(path), "a name that ends in " + ", ".join(NETCDF_SUFFIXES), hint)
-    dataset = _check_dataset(dataset, path.name)
-    encoded = encode_for_netcdf(dataset)
-    encoded.attrs = {**make_provenance("dataset saved"), **encoded.attrs}
-    # HDF5 supports checksums of numeric arrays only.
-    encoding = {
-        name: {
-            "_FillValue": np.nan if v.dtype.kind == "f" and v.isnull().any() else None,
-            "fletcher32": bool(v.size and v.ndim and v.dtype.kind in "biuf"),
-        }
-        for name, v in encoded.variables.items()
-    }
-    with atomic_netcdf(path, encoded.nbytes) as temporary:
-        encoded.to_netcdf(temporary, engine="netcdf4", encoding=encoding)
-        append_checksum(temporary)
-        if not _read_file(temporary)[0].equals(dataset):
-            raise OSError(f"{path}: the file written does not hold the dataset")
-
-
-def _check_dataset(dataset: Any, name: str) -> xr.Dataset:
-    """Return a dataset in memory after checking its type and values."""
     if not isinstance(dataset, xr.Dataset):
         hint = "write its dataset: save(….dataset, path)" if hasattr(dataset, "dataset") else ""
         if isinstance(dataset, xr.DataArray):
@@ -224,8 +204,22 @@ def _check_dataset(dataset: Any, name: str) -> xr.Dataset:
             if flag_name in dataset and "flag_meanings" in dataset[flag_name].attrs:
                 invalid_values &= ~((dataset[flag_name] != 0) & np.isnan(variable))
         if invalid_values.any():
-            raise ValueError(f"{name}: {key} holds values that are not finite")
-    return dataset
+            raise ValueError(f"{path.name}: {key} holds values that are not finite")
+    encoded = encode_for_netcdf(dataset)
+    encoded.attrs = {**make_provenance("dataset saved"), **encoded.attrs}
+    # HDF5 supports checksums of numeric arrays only.
+    encoding = {
+        name: {
+            "_FillValue": np.nan if v.dtype.kind == "f" and v.isnull().any() else None,
+            "fletcher32": bool(v.size and v.ndim and v.dtype.kind in "biuf"),
+        }
+        for name, v in encoded.variables.items()
+    }
+    with atomic_netcdf(path, encoded.nbytes) as temporary:
+        encoded.to_netcdf(temporary, engine="netcdf4", encoding=encoding)
+        append_checksum(temporary)
+        if not _read_file(temporary)[0].equals(dataset):
+            raise OSError(f"{path}: the file written does not hold the dataset")
 
 
 @declare_function

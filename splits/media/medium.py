@@ -84,12 +84,15 @@ class Medium(ABC):
         Type of the medium, as in configuration files.
     ground : Ground or None
         Ground below, or None for an open lower boundary.
+    polarized : bool
+        Whether the Stokes vector is traced.
     opaque : bool
         Whether all light that enters is absorbed.
     """
 
     kind: str
     ground: Ground | None = None
+    polarized: bool = False
     opaque: bool = False
 
     def __dir__(self) -> list[str]:
@@ -118,11 +121,6 @@ class Medium(ABC):
         is_reached = not (self.is_semi_infinite or self.opaque)
         ground = self.lowest_layer.scene_bottom.ground or (self.ground if is_reached else None)
         return ground if ground is not None and ground.is_reflecting else None
-
-    @property
-    def polarized(self) -> bool:
-        """Whether the Stokes vector is traced."""
-        return False
 
     @property
     def is_semi_infinite(self) -> bool:

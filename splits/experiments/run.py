@@ -344,11 +344,11 @@ def _log_progress(prefix: str, log: LogCallback, progress: Progress) -> None:
     """Log the progress of a simulation."""
     if math.isinf(progress.stderr):
         log(f"{prefix}: first round, {progress.rays} rays")
-        return
-    log(
-        f"{prefix}: {progress.rays} rays this round, error {progress.stderr:.4f} so far "
-        f"(target {progress.target:g}), about {progress.seconds_left:.0f} s left here"
-    )
+    else:
+        log(
+            f"{prefix}: {progress.rays} rays this round, error {progress.stderr:.4f} so far "
+            f"(target {progress.target:g}), about {progress.seconds_left:.0f} s left here"
+        )
 
 
 def _log_result(prefix: str, datasets: Sequence[xr.Dataset], log: LogCallback) -> None:

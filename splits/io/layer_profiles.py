@@ -430,12 +430,10 @@ def _insert_gaps(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return tops and thicknesses with layers that fill gaps, and whether each is such a layer."""
     bottom_m = np.concatenate([[0.0], top_m + thickness_m])[: top_m.size]
-    has_gap = top_m - bottom_m > TOLERANCE_M
-    positions = np.flatnonzero(has_gap)
-    is_gap = np.insert(np.zeros(top_m.size, dtype=bool), positions, True)
-    gap_m = (top_m - bottom_m)[positions]
+    gap_m = top_m - bottom_m
+    positions = np.flatnonzero(gap_m > TOLERANCE_M)
     return (
         np.insert(top_m, positions, bottom_m[positions]),
-        np.insert(thickness_m, positions, gap_m),
-        is_gap,
+        np.insert(thickness_m, positions, gap_m[positions]),
+        np.insert(np.zeros(top_m.size, dtype=bool), positions, True),
     )

@@ -336,8 +336,13 @@ class GranularMedium(HomogeneousLayer):
 
     @cached_property
     def pore_fluids(self) -> PoreFluids:
-        """Fluids in the pore space, weighted by the probability of path segments in each."""
-        return PoreFluids.from_saturation(self.wet_fraction, self.pores)
+        """Fluids in the pore space, weighted by the probability of path segments in each.
+
+        Air fills what the others leave.
+        """
+        wet, others = self.wet_fraction, self.pores.values()
+        dry = max(1.0 - wet - sum(others), 0.0)
+        return PoreFluids((AIR, WATER, *self.pores), (dry, wet, *others))
 
     @abstractmethod
     def make_grain_population(self) -> GrainPopulation:
@@ -425,12 +430,6 @@ class PoreFluids(NamedTuple):
 
     names: tuple[str, ...]
     fractions: tuple[float, ...]
-
-    @classmethod
-    def from_saturation(cls, saturation: float, other_fluids: Mapping[str, float]) -> PoreFluids:
-        """Return the pore fluids for a saturation and other fluids; the rest is air."""
-        dry = max(1.0 - saturation - sum(other_fluids.values()), 0.0)
-        return cls((AIR, WATER, *other_fluids), (dry, saturation, *other_fluids.values()))
 
     def list_grain_interfaces(
         self, grain_material: int, probability: float = 1.0

@@ -152,8 +152,8 @@ class Study(ConfigSection):
                     known = [name for name in parameters if name != "**"]
                     raise unknown_key(f"{key}.{parameter}", known)
                 given[parameter] = key
-        known = {*given, *RUN_PARAMETERS}
-        if missing := [one for one, needed in parameters.items() if needed and one not in known]:
+        present = {*given, *RUN_PARAMETERS}
+        if missing := [one for one, needed in parameters.items() if needed and one not in present]:
             allowed = f"with {join_names(missing)}, which the function needs"
             raise invalid("inputs", self.inputs, allowed, "or in published, measured, options")
         for kind, read in TABLE_READERS.items():

@@ -377,8 +377,7 @@ class GranularMedium(HomogeneousLayer):
     def truncate(self, depth_m: float, ground: Ground | None) -> GranularMedium:
         """Return a layer of another depth (m), over a ground."""
         layer: Any = self
-        truncated: GranularMedium = replace(layer, depth_m=depth_m, ground=ground)
-        return truncated
+        return replace(layer, depth_m=depth_m, ground=ground)
 
 
 class ParticleMedium(HomogeneousLayer):

@@ -300,8 +300,7 @@ class Instrument:
 
     def get_incidence(self) -> float | str:
         """Return the incidence angle (°) or "diffuse"."""
-        incidence: float | str = self.get("incidence_deg") or 0.0
-        return incidence
+        return self.get("incidence_deg") or 0.0
 
     def get_seed(self, default: int) -> int:
         """Return the seed of the experiment, by default that of the main file."""

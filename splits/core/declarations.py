@@ -508,7 +508,7 @@ def declare_class(declared: Class) -> Class:
     __init__.__signature__ = inspect.Signature([receiver, *signature])  # type: ignore[attr-defined]
     cls.__init__, cls.__signature__ = __init__, inspect.Signature(signature)
     cls.__replace__ = __replace__
-    return cls  # type: ignore[no-any-return]
+    return cls
 
 
 class other_constructor:

@@ -66,7 +66,7 @@ def drop_priors(model: Model) -> Model:
     """Return a forward model whose state vector has no priors; it shares all else."""
     changed: Any = copy.copy(model)
     changed.state_vector = changed.state_vector.without_priors()
-    return changed  # type: ignore[no-any-return]
+    return changed
 
 
 def make_measurement_operator(

@@ -280,13 +280,12 @@ def place_legend_beside(figure: Figure, handles: Sequence[Artist], title: str | 
     title : str or None
     """
     figure.set_figwidth(TWO_COLUMNS_INCHES)
-    if handles:
-        rows = max(1, int(figure.get_figheight() / _LEGEND_ENTRY_INCHES) - 2)
-        height = _place_legend(
-            figure, handles, title, "outside right upper", -(-len(handles) // rows),
-            _MAX_LEGEND_FRACTION * figure.bbox.width,
-        )  # fmt: skip
-        figure.set_figheight(max(figure.get_figheight(), height + 0.1))
+    rows = max(1, int(figure.get_figheight() / _LEGEND_ENTRY_INCHES) - 2)
+    height = _place_legend(
+        figure, handles, title, "outside right upper", -(-len(handles) // rows),
+        _MAX_LEGEND_FRACTION * figure.bbox.width,
+    )  # fmt: skip
+    figure.set_figheight(max(figure.get_figheight(), height + 0.1))
 
 
 COARSE_STEP_RATIO = 2.0

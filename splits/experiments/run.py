@@ -127,10 +127,10 @@ def write_run(
     check_writable(path)
     if experiment.is_in_parts:
         write_table(experiment, accuracy, seed, folder, path, threads, log)
-        return
-    cache = Cache(folder, "point")
-    save(run(experiment, accuracy, seed, threads, log, cache), path)
-    cache.delete()
+    else:
+        cache = Cache(folder, "point")
+        save(run(experiment, accuracy, seed, threads, log, cache), path)
+        cache.delete()
 
 
 def _stack_points(

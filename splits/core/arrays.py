@@ -367,5 +367,4 @@ def _to_hashable(value: Any) -> Hashable:
         value = np.asarray(value).tolist()
     if isinstance(value, list | tuple):
         return tuple(map(_to_hashable, value))
-    hashable: Hashable = value
-    return hashable
+    return value

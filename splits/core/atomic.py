@@ -57,9 +57,15 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
 
 @contextmanager
 def _reserve_temporary_path(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path`, and remove what is there afterwards."""
+    """Yield a temporary path beside `path`, and remove what is there afterwards.
+
+    The temporary files of killed processes in the folder are removed, too.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    _remove_abandoned(path.parent)
+    for abandoned in path.parent.glob(_ABANDONED_PATTERN):
+        with suppress(FileNotFoundError):
+            if time.time() - abandoned.lstat().st_mtime > ABANDONED_AFTER_S:
+                _remove(abandoned)
     # File names are limited to 255 bytes.
     temporary = path.with_name(f".aside.{secrets.token_hex(8)}.{path.name[-40:]}")
     try:
@@ -72,14 +78,6 @@ def _reserve_temporary_path(path: Path) -> Iterator[Path]:
         raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
         _remove(temporary)
-
-
-def _remove_abandoned(folder: Path) -> None:
-    """Remove the temporary files and folders of killed processes."""
-    for path in folder.glob(_ABANDONED_PATTERN):
-        with suppress(FileNotFoundError):
-            if time.time() - path.lstat().st_mtime > ABANDONED_AFTER_S:
-                _remove(path)
 
 
 def _remove(path: Path) -> None:

@@ -203,8 +203,7 @@ class Quantity:
         check, described = any_kind if len(kinds) > 1 else by_kind.get(kinds[0], any_kind)
         check = self.check or check
         if check is None:
-            schema: CoreSchema = handler(source)
-            return schema
+            return handler(source)
         plain = core_schema.with_info_plain_validator_function(
             lambda value, info: check(info.field_name or info.context or "", value),
             json_schema_input_schema=described,
@@ -509,7 +508,7 @@ def declare_class(declared: Class) -> Class:
     __init__.__signature__ = inspect.Signature([receiver, *signature])  # type: ignore[attr-defined]
     cls.__init__, cls.__signature__ = __init__, inspect.Signature(signature)
     cls.__replace__ = __replace__
-    return cls  # type: ignore[no-any-return]
+    return cls
 
 
 class other_constructor:
@@ -538,8 +537,7 @@ class other_constructor:
         """Return the constructor, the same at each access."""
         if owner not in self.constructors:
             self.constructors[owner] = self._make(owner)
-        constructor: Callable[Given, Result] = self.constructors[owner]
-        return constructor
+        return self.constructors[owner]
 
     def _make(self, owner: Callable[Given, Result]) -> Callable[Given, Result]:
         signature = inspect.signature(owner)

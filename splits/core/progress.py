@@ -16,7 +16,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,6 +24,7 @@ from types import TracebackType
 from typing import Any, TextIO
 
 from tqdm import tqdm
+from tqdm.utils import ObjectWrapper
 
 from splits.core.validation import ConfigError, InvalidValue, invalid
 
@@ -74,7 +75,7 @@ ProgressCallback = Callable[[Progress], None] | bool | None
 _BAR_FORMAT = "{desc}{percentage:3.0f}%|{bar}|"
 
 
-class ProgressBar:
+class ProgressBar(AbstractContextManager["ProgressBar"]):
     """A bar in the terminal, or in a notebook, for the `progress` of an instrument.
 
     Parameters
@@ -124,9 +125,6 @@ class ProgressBar:
         self._bar.bar_format = f"{_BAR_FORMAT} {text}"
         self._bar.refresh()
 
-    def __enter__(self) -> ProgressBar:
-        return self
-
     def __exit__(
         self,
         kind: type[BaseException] | None,
@@ -136,29 +134,18 @@ class ProgressBar:
         self.close(done=kind is None)
 
 
-class _SafeStream:
-    """Text stream that ignores write errors, so that a failing progress bar ends no run.
-
-    Parameters
-    ----------
-    stream : text file
-    """
-
-    def __init__(self, stream: Any) -> None:
-        self._stream = stream
+class _SafeStream(ObjectWrapper):
+    """Text stream that ignores write errors, so that a failing progress bar ends no run."""
 
     def write(self, text: str) -> None:
         """Write a text, ignoring errors."""
         with suppress(OSError, ValueError):
-            self._stream.write(text)
+            self._wrapped.write(text)
 
     def flush(self) -> None:
         """Flush the stream, ignoring errors."""
         with suppress(OSError, ValueError):
-            self._stream.flush()
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
+            self._wrapped.flush()
 
 
 @contextmanager
@@ -266,11 +253,10 @@ def open_progress_log(path: str | Path) -> Iterator[Callable[[str], None]]:
         try:
             yield log_line
         # Values of the user, for whom a traceback explains nothing.
-        except InvalidValue as error:
-            log_line(f"{Path(path).stem}: {error}")
-            raise SystemExit(1) from None
-        except ConfigError as error:
-            log_line(str(error))
+        except (InvalidValue, ConfigError) as error:
+            # The other one names the file.
+            name = f"{Path(path).stem}: " if isinstance(error, InvalidValue) else ""
+            log_line(f"{name}{error}")
             raise SystemExit(1) from None
 
 
@@ -306,7 +292,6 @@ class _NoticeSession:
         self.activity = ""
         self.start_time = self.last_end_time = time.monotonic()
         self._last_message = ""
-        self._notebook_output: Any = None
         threading.Thread(target=self._run, daemon=True).start()
 
     @property
@@ -329,23 +314,21 @@ class _NoticeSession:
             with suppress(Exception):
                 listener(text)
         if message != self._last_message and not listeners:
-            if _is_notebook():
-                self._show_in_notebook("" if message == DONE_MESSAGE else f"splits: {message}")
-            else:
-                _write_line(text if message == DONE_MESSAGE else message)
+            with suppress(Exception):
+                if _is_notebook():
+                    from IPython.display import display
+
+                    # An empty line at the end, so that only results stay in the cell's output.
+                    line = "" if message == DONE_MESSAGE else f"splits: {message}"
+                    display(
+                        {"text/plain": line, "text/html": line}, raw=True,
+                        display_id=f"splits {self.start_time}", update=bool(self._last_message),
+                    )  # fmt: skip
+                else:
+                    line = text if message == DONE_MESSAGE else message
+                    # Bypasses Python's buffer, where a failed write would fail again at exit.
+                    os.write(sys.stderr.fileno(), f"splits: {line}\n".encode())
         self._last_message = message
-
-    def _show_in_notebook(self, line: str) -> None:
-        """Show a line in the cell's output; an empty one at the end, so that only results stay."""
-        with suppress(Exception):
-            from IPython.display import DisplayHandle
-
-            content = {"text/plain": line, "text/html": line}
-            if self._notebook_output is None:
-                self._notebook_output = DisplayHandle()
-                self._notebook_output.display(content, raw=True)
-            else:
-                self._notebook_output.update(content, raw=True)
 
 
 _session: _NoticeSession | None = None
@@ -379,9 +362,3 @@ def _is_terminal() -> bool:
 def _is_notebook() -> bool:
     """Return whether standard error is the output of a notebook's cell."""
     return type(sys.stderr).__module__.startswith("ipykernel.")
-
-
-def _write_line(line: str) -> None:
-    # Bypasses Python's buffer, where a failed write would fail again at exit.
-    with suppress(Exception):
-        os.write(sys.stderr.fileno(), f"splits: {line}\n".encode())

@@ -61,8 +61,17 @@ def hash_physics_sources() -> str:
 
 
 def hash_sources(names: Iterable[str]) -> str:
-    """Return the digest of files and folders of the package; names may be patterns."""
-    return hash_files(PACKAGE_FOLDER, _list_files(names))
+    """Return the digest of files, and of the sources in folders, of the package.
+
+    Names may be patterns.
+    """
+    files = []
+    for name in names:
+        folder = PACKAGE_FOLDER / name
+        sources = [path for end in ("*.py", "*.csv", "*.nc") for path in folder.rglob(end)]
+        found = sources if folder.is_dir() else list(PACKAGE_FOLDER.glob(name))
+        files += sorted(path.relative_to(PACKAGE_FOLDER).as_posix() for path in found)
+    return hash_files(PACKAGE_FOLDER, files)
 
 
 def hash_files(folder: Path, names: Iterable[str]) -> str:
@@ -76,17 +85,6 @@ def hash_files(folder: Path, names: Iterable[str]) -> str:
         content = (folder / name).read_bytes().replace(b"\r\n", b"\n")
         digest.update(f"{name}\0{len(content)}\0".encode() + content)
     return digest.hexdigest()[:16]
-
-
-def _list_files(names: Iterable[str]) -> list[str]:
-    """Return files and the sources in folders, relative to the package."""
-    files = []
-    for name in names:
-        folder = PACKAGE_FOLDER / name
-        sources = [path for end in ("*.py", "*.csv", "*.nc") for path in folder.rglob(end)]
-        found = sources if folder.is_dir() else list(PACKAGE_FOLDER.glob(name))
-        files += sorted(path.relative_to(PACKAGE_FOLDER).as_posix() for path in found)
-    return files
 
 
 @cache

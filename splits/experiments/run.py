@@ -38,7 +38,6 @@ from splits.instruments.spectrophotometer import SpectralRequest, simulate_spect
 from splits.io.cache import NO_CACHE, Cache
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
 from splits.media.kinds import check_medium
-from splits.media.medium import Medium
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import check_stokes
 from splits.simulation.shared_paths import MediaGroup, group_by_shared_paths
@@ -128,10 +127,10 @@ def write_run(
     check_writable(path)
     if experiment.is_in_parts:
         write_table(experiment, accuracy, seed, folder, path, threads, log)
-        return
-    cache = Cache(folder, "point")
-    save(run(experiment, accuracy, seed, threads, log, cache), path)
-    cache.delete()
+    else:
+        cache = Cache(folder, "point")
+        save(run(experiment, accuracy, seed, threads, log, cache), path)
+        cache.delete()
 
 
 def _stack_points(
@@ -317,18 +316,16 @@ def _simulate_group(
     stokes = inputs["stokes"].check("stokes", instrument.get("stokes"))
     request = request._replace(polarization=check_stokes(stokes, medium, beam))
     spectra = simulate_spectra(group.path_sharing, request)
-    pairs = zip(group.media_indices, points, strict=True)
-    return [_relabel_spectrum(spectra[index], medium) for index, (_, medium, _) in pairs]
-
-
-def _relabel_spectrum(spectrum: xr.Dataset, medium: Medium) -> xr.Dataset:
-    """Return a spectrum with the attributes of an optically equivalent medium."""
-    prefix = f"{medium.kind}_"
-    attributes = {f"{prefix}{key}": value for key, value in medium.describe().items()}
-    others = {key: value for key, value in spectrum.attrs.items() if not key.startswith(prefix)}
-    return xr.Dataset(
-        spectrum.data_vars, spectrum.coords, to_netcdf_attributes(others | attributes)
-    )
+    relabelled = []
+    for index, (_, medium, _) in zip(group.media_indices, points, strict=True):
+        # The spectrum may be that of an optically equivalent medium.
+        spectrum, prefix = spectra[index], f"{medium.kind}_"
+        attributes = {key: v for key, v in spectrum.attrs.items() if not key.startswith(prefix)}
+        attributes |= {f"{prefix}{key}": value for key, value in medium.describe().items()}
+        relabelled.append(
+            xr.Dataset(spectrum.data_vars, spectrum.coords, to_netcdf_attributes(attributes))
+        )
+    return relabelled
 
 
 def _format_prefix(name: str, points: Sequence[Point], indices: Sequence[int]) -> str:
@@ -344,11 +341,11 @@ def _log_progress(prefix: str, log: LogCallback, progress: Progress) -> None:
     """Log the progress of a simulation."""
     if math.isinf(progress.stderr):
         log(f"{prefix}: first round, {progress.rays} rays")
-        return
-    log(
-        f"{prefix}: {progress.rays} rays this round, error {progress.stderr:.4f} so far "
-        f"(target {progress.target:g}), about {progress.seconds_left:.0f} s left here"
-    )
+    else:
+        log(
+            f"{prefix}: {progress.rays} rays this round, error {progress.stderr:.4f} so far "
+            f"(target {progress.target:g}), about {progress.seconds_left:.0f} s left here"
+        )
 
 
 def _log_result(prefix: str, datasets: Sequence[xr.Dataset], log: LogCallback) -> None:

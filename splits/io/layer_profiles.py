@@ -48,11 +48,6 @@ class DepthProfile(NamedTuple):
             self.top_m[kept][order], thickness_m[kept][order], self.values[kept][order]
         )
 
-    @property
-    def middle_m(self) -> np.ndarray:
-        """Depth of the middle of each interval (m)."""
-        return self.top_m + self.thickness_m / 2.0
-
 
 def average_over_layers(
     profile: DepthProfile, top_m: np.ndarray, thickness_m: np.ndarray, *, extend: bool
@@ -107,10 +102,10 @@ def interpolate_to_layers(
     if not profile.values.size:
         return np.full(top_m.shape, np.nan)
     beyond = {} if extend else {"left": np.nan, "right": np.nan}
-    middle_m = top_m + thickness_m / 2.0
-    for end_m in profile.middle_m[[0, -1]]:
+    middle_m, measured_m = top_m + thickness_m / 2.0, profile.top_m + profile.thickness_m / 2.0
+    for end_m in measured_m[[0, -1]]:
         middle_m = np.where(np.abs(middle_m - end_m) <= MIN_OVERLAP_M, end_m, middle_m)
-    return np.asarray(np.interp(middle_m, profile.middle_m, profile.values, **beyond))
+    return np.asarray(np.interp(middle_m, measured_m, profile.values, **beyond))
 
 
 MAX_BYTES = 50_000_000
@@ -430,12 +425,10 @@ def _insert_gaps(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return tops and thicknesses with layers that fill gaps, and whether each is such a layer."""
     bottom_m = np.concatenate([[0.0], top_m + thickness_m])[: top_m.size]
-    has_gap = top_m - bottom_m > TOLERANCE_M
-    positions = np.flatnonzero(has_gap)
-    is_gap = np.insert(np.zeros(top_m.size, dtype=bool), positions, True)
-    gap_m = (top_m - bottom_m)[positions]
+    gap_m = top_m - bottom_m
+    positions = np.flatnonzero(gap_m > TOLERANCE_M)
     return (
         np.insert(top_m, positions, bottom_m[positions]),
-        np.insert(thickness_m, positions, gap_m),
-        is_gap,
+        np.insert(thickness_m, positions, gap_m[positions]),
+        np.insert(np.zeros(top_m.size, dtype=bool), positions, True),
     )

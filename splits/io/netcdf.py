@@ -54,8 +54,6 @@ SCHEMA_ATTRIBUTE = "splits_schema"
 """Attribute of the schema version; files without it are of version 0."""
 SCHEMA_VERSION = 3
 CF_CONVENTIONS = "CF-1.11"
-RUN_SPECIFIC_ATTRIBUTES = ("date_created", "history", "wall_time_s", "threads", "host_cpu")
-"""Attributes that differ between runs of the same simulation."""
 NETCDF_SUFFIXES = (".nc", ".nc4", ".netcdf")
 """Suffixes of netCDF files."""
 ANCILLARY_ATTRIBUTE = "ancillary_variables"
@@ -160,13 +158,6 @@ def to_netcdf_attributes(values: Mapping[str, Any]) -> dict[str, Any]:
     return {key: plain(value) for key, value in values.items()}
 
 
-def drop_run_specific_attributes(dataset: xr.Dataset) -> xr.Dataset:
-    """Return a copy of a dataset without `RUN_SPECIFIC_ATTRIBUTES`."""
-    copy = dataset.copy()
-    copy.attrs = {k: v for k, v in dataset.attrs.items() if k not in RUN_SPECIFIC_ATTRIBUTES}
-    return copy
-
-
 @declare_function
 def save(dataset: xr.Dataset, path: str | Path) -> None:
     """Write a dataset to a netCDF file atomically.
@@ -198,26 +189,6 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
     if path.suffix not in NETCDF_SUFFIXES:
         hint = "this writes netCDF; use dataset.to_dataframe().to_csv(…) for CSV"
         raise invalid("path", str(path), "a name that ends in " + ", ".join(NETCDF_SUFFIXES), hint)
-    dataset = _check_dataset(dataset, path.name)
-    encoded = encode_for_netcdf(dataset)
-    encoded.attrs = {**make_provenance("dataset saved"), **encoded.attrs}
-    # HDF5 supports checksums of numeric arrays only.
-    encoding = {
-        name: {
-            "_FillValue": np.nan if v.dtype.kind == "f" and v.isnull().any() else None,
-            "fletcher32": bool(v.size and v.ndim and v.dtype.kind in "biuf"),
-        }
-        for name, v in encoded.variables.items()
-    }
-    with atomic_netcdf(path, encoded.nbytes) as temporary:
-        encoded.to_netcdf(temporary, engine="netcdf4", encoding=encoding)
-        append_checksum(temporary)
-        if not _read_file(temporary)[0].equals(dataset):
-            raise OSError(f"{path}: the file written does not hold the dataset")
-
-
-def _check_dataset(dataset: Any, name: str) -> xr.Dataset:
-    """Return a dataset in memory after checking its type and values."""
     if not isinstance(dataset, xr.Dataset):
         hint = "write its dataset: save(….dataset, path)" if hasattr(dataset, "dataset") else ""
         if isinstance(dataset, xr.DataArray):
@@ -233,8 +204,22 @@ def _check_dataset(dataset: Any, name: str) -> xr.Dataset:
             if flag_name in dataset and "flag_meanings" in dataset[flag_name].attrs:
                 invalid_values &= ~((dataset[flag_name] != 0) & np.isnan(variable))
         if invalid_values.any():
-            raise ValueError(f"{name}: {key} holds values that are not finite")
-    return dataset
+            raise ValueError(f"{path.name}: {key} holds values that are not finite")
+    encoded = encode_for_netcdf(dataset)
+    encoded.attrs = {**make_provenance("dataset saved"), **encoded.attrs}
+    # HDF5 supports checksums of numeric arrays only.
+    encoding = {
+        name: {
+            "_FillValue": np.nan if v.dtype.kind == "f" and v.isnull().any() else None,
+            "fletcher32": bool(v.size and v.ndim and v.dtype.kind in "biuf"),
+        }
+        for name, v in encoded.variables.items()
+    }
+    with atomic_netcdf(path, encoded.nbytes) as temporary:
+        encoded.to_netcdf(temporary, engine="netcdf4", encoding=encoding)
+        append_checksum(temporary)
+        if not _read_file(temporary)[0].equals(dataset):
+            raise OSError(f"{path}: the file written does not hold the dataset")
 
 
 @declare_function
@@ -291,8 +276,11 @@ def _read_file(path: str | Path, *, lazy: bool = False) -> tuple[xr.Dataset, boo
             raise
         # Damaged bytes cause errors of almost any type in the HDF5 and netCDF libraries.
         except Exception as error:
-            if not _has_netcdf_signature(path):
-                raise invalid("path", str(path), "a netCDF file") from None
+            with path.open("rb") as opened:
+                is_named = path.suffix in NETCDF_SUFFIXES
+                # A damaged file may not begin as netCDF files do.
+                if not (is_named or opened.read(4).startswith((b"\x89HDF", b"CDF"))):
+                    raise invalid("path", str(path), "a netCDF file") from None
             raise DamagedFileError(path, _describe_read_error(path, error)) from None
     for variable in dataset.variables.values():
         # Otherwise a later write would repeat it, even after coordinates have changed.
@@ -326,12 +314,6 @@ def open_foreign(key: str, path: str | Path) -> Iterator[xr.Dataset]:
         except Exception as error:
             hint = _describe_read_error(path, error)
             raise invalid(key, str(path), "a netCDF file that can be read", hint) from None
-
-
-def _has_netcdf_signature(path: Path) -> bool:
-    """Return whether a file begins as netCDF files do; a damaged one may not."""
-    with path.open("rb") as file:
-        return path.suffix in NETCDF_SUFFIXES or file.read(4).startswith((b"\x89HDF", b"CDF"))
 
 
 def _describe_read_error(path: Path, error: Exception) -> str:
@@ -484,7 +466,13 @@ def encode_for_netcdf(dataset: xr.Dataset) -> xr.Dataset:
                 LABEL_SUFFIX if text else VALUE_SUFFIX
             )
             reserved.add(auxiliary_names[dimension])
-    names = _choose_file_names(dataset, reserved)
+    names = {}
+    for own in sorted(map(str, {*dataset.variables, *dataset.dims})):
+        name = _to_identifier(own)
+        while name in reserved:
+            name += "_"
+        reserved.add(name)
+        names[own] = name
     encoded = dataset.rename({own: name for own, name in names.items() if own != name})
     for own, auxiliary in auxiliary_names.items():
         coordinate_variable = encoded[names[own]]
@@ -520,18 +508,6 @@ def decode_from_netcdf(dataset: xr.Dataset) -> xr.Dataset:
         {name: original for name, original in original_names.items() if name in present}
     )
     return dataset.set_index(json.loads(dataset.attrs.pop(INDEX_LEVELS_ATTRIBUTE, "{}")))
-
-
-def _choose_file_names(dataset: xr.Dataset, reserved_names: set[str]) -> dict[str, str]:
-    """Return file names of variables and dimensions by name, avoiding reserved names."""
-    file_names = {}
-    for own in sorted(map(str, {*dataset.variables, *dataset.dims})):
-        name = _to_identifier(own)
-        while name in reserved_names:
-            name += "_"
-        reserved_names.add(name)
-        file_names[own] = name
-    return file_names
 
 
 def _to_identifier(name: str) -> str:

@@ -227,12 +227,13 @@ def make_metadata(
     root["datePublished"] = date
     root["license"] = add_licence(licence)
     root["author"] = [add_author(author) for author in authors]
-    commit = {"name": "git commit", "value": software.commit}
     program = add("#splits", "SoftwareApplication", {
         "name": "splits, its Snakemake workflow (Snakefile)",
         "version": software.version,
         "softwareVersion": f"{software.version}, commit {software.commit}",
-        "identifier": add("#commit", "PropertyValue", commit),
+        "identifier": add(
+            "#commit", "PropertyValue", {"name": "git commit", "value": software.commit}
+        ),
         "license": add_licence(software.licence),
         "author": [add_author(author) for author in software.authors],
     })  # fmt: skip
@@ -240,9 +241,9 @@ def make_metadata(
         [file for name, file in files.items() if folders[name] in kinds]
         for kinds in (("data", "figures", "tables"), ("config", "requirements.txt"))
     )
-    name = "Run of the workflow with this configuration"
     root["mentions"] = crate.add_action(
-        program, "#run", object=inputs, result=results, properties={"name": name}
-    )
+        program, "#run", object=inputs, result=results,
+        properties={"name": "Run of the workflow with this configuration"},
+    )  # fmt: skip
     text = json.dumps(crate.metadata.generate(), indent=2, sort_keys=True, ensure_ascii=False)
     return (text + "\n").encode()

@@ -156,16 +156,6 @@ def _make_hematite_mean() -> TabulatedIndex:
     return TabulatedIndex("querry_1985", source, w, index.real, index.imag)
 
 
-def _make_kaolinite() -> ConstantIndex:
-    """Return a constant index; no public table was found for the visible."""
-    source = (
-        "a constant, the same at every wavelength: n and the order of magnitude of k near 620 nm "
-        "after W. G. Egan, T. W. Hilgeman. Optical Properties of Inhomogeneous Materials, "
-        "Academic Press (1979)"
-    )
-    return ConstantIndex(1.56 + 5e-4j, "egan_hilgeman_1979 (constant)", source)
-
-
 _DATASET_LOADERS: dict[str, dict[str, Callable[[], RefractiveIndex]]] = {
     "ice": {
         "warren_brandt_2008": partial(_load_table, "ice", "warren_brandt_2008"),
@@ -194,7 +184,17 @@ _DATASET_LOADERS: dict[str, dict[str, Callable[[], RefractiveIndex]]] = {
     },
     "goethite": {"oscillators": make_goethite},
     "magnetite": {"querry_1985": partial(_load_table, "magnetite", "querry_1985")},
-    "kaolinite": {"egan_hilgeman_1979": _make_kaolinite},
+    "kaolinite": {
+        # No public table was found for the visible.
+        "egan_hilgeman_1979": partial(
+            ConstantIndex,
+            1.56 + 5e-4j,
+            "egan_hilgeman_1979 (constant)",
+            "a constant, the same at every wavelength: n and the order of magnitude of k near "
+            "620 nm after W. G. Egan, T. W. Hilgeman. Optical Properties of Inhomogeneous "
+            "Materials, Academic Press (1979)",
+        ),
+    },
 }
 
 MATERIALS = tuple(_DATASET_LOADERS)

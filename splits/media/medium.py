@@ -82,9 +82,18 @@ class Medium(ABC):
     ----------
     kind : str
         Type of the medium, as in configuration files.
+    ground : Ground or None
+        Ground below, or None for an open lower boundary.
+    polarized : bool
+        Whether the Stokes vector is traced.
+    opaque : bool
+        Whether all light that enters is absorbed.
     """
 
     kind: str
+    ground: Ground | None = None
+    polarized: bool = False
+    opaque: bool = False
 
     def __dir__(self) -> list[str]:
         """Return the names of inputs and derived quantities, without `PROTOCOL`."""
@@ -107,26 +116,11 @@ class Medium(ABC):
         return self.scene_layers[-1]
 
     @property
-    def ground(self) -> Ground | None:
-        """Ground below, or None for an open lower boundary."""
-        return None
-
-    @property
     def reflecting_ground(self) -> Ground | None:
         """Ground that light reaches, None where it does not reflect."""
         is_reached = not (self.is_semi_infinite or self.opaque)
         ground = self.lowest_layer.scene_bottom.ground or (self.ground if is_reached else None)
         return ground if ground is not None and ground.is_reflecting else None
-
-    @property
-    def polarized(self) -> bool:
-        """Whether the Stokes vector is traced."""
-        return False
-
-    @property
-    def opaque(self) -> bool:
-        """Whether all light that enters is absorbed."""
-        return False
 
     @property
     def is_semi_infinite(self) -> bool:
@@ -171,9 +165,12 @@ class HomogeneousLayer(Medium):
     ----------
     pores : mapping
         Fractions of the pore space filled with other fluids, by name.
+    single_scattering_albedo : float
+        Fraction of the light that collisions do not absorb; paths through grains do.
     """
 
     pores: Mapping[str, float] = MappingProxyType({})
+    single_scattering_albedo: float = 1.0
 
     @property
     def scene_layers(self) -> tuple[Any]:
@@ -201,11 +198,6 @@ class HomogeneousLayer(Medium):
     @property
     def pore_fraction(self) -> float:
         """Fraction of a path segment that absorbs as pore space."""
-        return 1.0
-
-    @property
-    def single_scattering_albedo(self) -> float:
-        """Fraction of the light that collisions do not absorb; paths through grains do."""
         return 1.0
 
     @property
@@ -242,8 +234,11 @@ class GranularMedium(HomogeneousLayer):
         Refractive indices of grains and pores, by material.
     interpretation : TransportInterpretation
         Interpretation of the papers.
+    has_grains : bool
+        Whether the layer consists of grains.
     """
 
+    has_grains: Literal[True] = True
     saturation: float
     sphericity: tuple[float, float, float, float]
     refractive_index: Mapping[str, Any]
@@ -288,11 +283,6 @@ class GranularMedium(HomogeneousLayer):
         """Set inputs in their final form."""
         for name, value in values.items():
             object.__setattr__(self, name, value)
-
-    @property
-    def has_grains(self) -> Literal[True]:
-        """Whether the layer consists of grains."""
-        return True
 
     @property
     def extinction_per_m(self) -> float:
@@ -346,8 +336,13 @@ class GranularMedium(HomogeneousLayer):
 
     @cached_property
     def pore_fluids(self) -> PoreFluids:
-        """Fluids in the pore space, weighted by the probability of path segments in each."""
-        return PoreFluids.from_saturation(self.wet_fraction, self.pores)
+        """Fluids in the pore space, weighted by the probability of path segments in each.
+
+        Air fills what the others leave.
+        """
+        wet, others = self.wet_fraction, self.pores.values()
+        dry = max(1.0 - wet - sum(others), 0.0)
+        return PoreFluids((AIR, WATER, *self.pores), (dry, wet, *others))
 
     @abstractmethod
     def make_grain_population(self) -> GrainPopulation:
@@ -382,8 +377,7 @@ class GranularMedium(HomogeneousLayer):
     def truncate(self, depth_m: float, ground: Ground | None) -> GranularMedium:
         """Return a layer of another depth (m), over a ground."""
         layer: Any = self
-        truncated: GranularMedium = replace(layer, depth_m=depth_m, ground=ground)
-        return truncated
+        return replace(layer, depth_m=depth_m, ground=ground)
 
 
 class ParticleMedium(HomogeneousLayer):
@@ -393,19 +387,15 @@ class ParticleMedium(HomogeneousLayer):
     ----------
     refractive_index : float
         Refractive index of the matrix.
+    kernel_phase_function : PhaseFunction
+        Phase function in the form the kernels take.
+    has_grains : bool
+        Whether the layer consists of grains.
     """
 
+    has_grains: Literal[False] = False
     refractive_index: float
-
-    @property
-    def has_grains(self) -> Literal[False]:
-        """Whether the layer consists of grains."""
-        return False
-
-    @property
-    @abstractmethod
-    def kernel_phase_function(self) -> PhaseFunction:
-        """Phase function in the form the kernels take."""
+    kernel_phase_function: PhaseFunction
 
     @abstractmethod
     def compute_truncation_depth(self, undisturbed_depth_m: float) -> float:
@@ -439,12 +429,6 @@ class PoreFluids(NamedTuple):
 
     names: tuple[str, ...]
     fractions: tuple[float, ...]
-
-    @classmethod
-    def from_saturation(cls, saturation: float, other_fluids: Mapping[str, float]) -> PoreFluids:
-        """Return the pore fluids for a saturation and other fluids; the rest is air."""
-        dry = max(1.0 - saturation - sum(other_fluids.values()), 0.0)
-        return cls((AIR, WATER, *other_fluids), (dry, saturation, *other_fluids.values()))
 
     def list_grain_interfaces(
         self, grain_material: int, probability: float = 1.0

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import cache
 from numbers import Real
-from typing import Any, NamedTuple
+from typing import Any
 
 from splits.core.declarations import Quantity, find_quantity, invert_unit, list_inputs
 from splits.core.inputs import Incidence
@@ -147,14 +147,6 @@ def override_keywords(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> 
 # Values of parameters.
 
 
-class _ParameterLocation(NamedTuple):
-    """Location of a parameter: layer (None for the medium itself), keyword and component."""
-
-    layer: int | None
-    key: str
-    component: str
-
-
 def list_parameters(medium: Any) -> list[str]:
     """Return the names of the parameters of a medium, with one example for each amount."""
     if isinstance(medium, Stack):
@@ -185,14 +177,15 @@ def get_parameter(medium: Any, name: str, other_names: Sequence[str] = ()) -> fl
     ValueError
         For a parameter that the medium does not have.
     """
-    location = _locate_parameter(medium, name, other_names)
-    owner = medium if location.layer is None else medium.layers[location.layer]
-    key, value = location.key, getattr(owner, location.key)
-    quantity = get_quantity(key)
+    layer, key, component = _locate_parameter(medium, name, other_names)
+    value, quantity = (
+        getattr(medium if layer is None else medium.layers[layer], key),
+        get_quantity(key),
+    )
     if quantity.parts:
-        value = value[quantity.parts.index(location.component)]
-    elif location.component:
-        amount = value.get(location.component, 0.0)
+        value = value[quantity.parts.index(component)]
+    elif component:
+        amount = value.get(component, 0.0)
         value = amount["ng_g"] if isinstance(amount, Mapping) else amount
     elif key == "ground":
         value = value.albedo_values[0]
@@ -229,8 +222,7 @@ def replace_parameters(medium: Any, values: Mapping[str, float]) -> Any:
     layers = {None: medium} | dict(enumerate(getattr(medium, "layers", ())))
     pending: dict[int | None, dict[str, Any]] = {}
     for name, value in values.items():
-        location = _locate_parameter(medium, name)
-        layer, key = location.layer, location.key
+        layer, key, component = _locate_parameter(medium, name)
         changes = pending.setdefault(layer, {})
         # A value of a fraction, or of an alternative, depends on other ones that have changed.
         replaced = ALTERNATIVES.get(key)
@@ -239,7 +231,7 @@ def replace_parameters(medium: Any, values: Mapping[str, float]) -> Any:
         if changes and (is_related or get_quantity(key).parts):
             layers[layer] = replace(layers[layer], **changes)
             changes.clear()
-        changes |= _compute_change(layers[layer], location, float(value), changes)
+        changes |= _compute_change(layers[layer], key, component, float(value), changes)
     for layer, changes in pending.items():
         layers[layer] = replace(layers[layer], **changes)
     if len(layers) == 1:
@@ -254,14 +246,13 @@ def shift_parameter(medium: Any, name: str, shift: float) -> Any:
 
 
 def _compute_change(
-    owner: Any, location: _ParameterLocation, value: float, changes: Mapping[str, Any]
+    owner: Any, key: str, component: str, value: float, changes: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Return new keywords of a medium for a value of a parameter, after other changes."""
-    key = location.key
     quantity = get_quantity(key)
     if quantity.parts:
-        name, fractions = f"{key}.{location.component}", getattr(owner, key)
-        index = quantity.parts.index(location.component)
+        name, fractions = f"{key}.{component}", getattr(owner, key)
+        index = quantity.parts.index(component)
         value = check_range(name, value, 0.0, 1.0)
         # The other fractions keep their ratios.
         remainder = sum(fraction for i, fraction in enumerate(fractions) if i != index)
@@ -270,12 +261,10 @@ def _compute_change(
             raise invalid(name, value, "below 1 to begin with", hint)
         factor = (1.0 - value) / remainder
         return {key: tuple(value if i == index else factor * x for i, x in enumerate(fractions))}
-    if location.component:
+    if component:
         amounts = dict(changes.get(key, getattr(owner, key)))
-        amount = amounts.get(location.component)
-        amounts[location.component] = (
-            {**amount, "ng_g": value} if isinstance(amount, Mapping) else value
-        )
+        amount = amounts.get(component)
+        amounts[component] = {**amount, "ng_g": value} if isinstance(amount, Mapping) else value
         return {key: amounts}
     if quantity.mean is not None and quantity.is_distribution:
         # The last value is a standard deviation.
@@ -300,15 +289,18 @@ def _compute_change(
 
 def _locate_parameter(
     medium: Any, name: Any, other_names: Sequence[str] = ()
-) -> _ParameterLocation:
-    """Return the location of a parameter; raise ValueError if the medium does not have it."""
+) -> tuple[int | None, str, str]:
+    """Return layer (None for the medium itself), keyword and component of a parameter.
+
+    A parameter that the medium does not have raises ValueError.
+    """
     if not isinstance(name, str):
         raise invalid("parameter", name, "a name, such as depth_m")
     match = _LAYER_PATTERN.fullmatch(name)
     owner, own_name, layer = medium, name, None
     if isinstance(medium, Stack):
         if name == "ground" and _has_constant_albedo(medium):
-            return _ParameterLocation(None, "ground", "")
+            return None, "ground", ""
         if not match or int(match[1]) >= len(medium.layers):
             last = len(medium.layers) - 1
             hint = suggest_name(name, [*list_parameters(medium), *other_names])
@@ -324,14 +316,14 @@ def _locate_parameter(
             raise invalid("parameter", name, "of a medium with impurities: snow")
         if component not in getattr(owner, key):
             check_choice(f"parameter {key}", component, quantity.kinds())
-        return _ParameterLocation(layer, key, component)
+        return layer, key, component
     if quantity.parts and component and hasattr(owner, key):
         check_choice(f"parameter {key}", component, quantity.parts)
-        return _ParameterLocation(layer, key, component)
+        return layer, key, component
     known = list_parameters(owner)
     if own_name not in known:
         raise unknown_key(f"parameter {name}", [*known, *other_names])
-    return _ParameterLocation(layer, own_name, "")
+    return layer, own_name, ""
 
 
 def _has_constant_albedo(medium: Any) -> bool:

@@ -533,7 +533,7 @@ class ParticleLayer(ContentEquality, ParticleMedium):
             phase = make_rayleigh(self.depolarization)
         else:
             phase = make_henyey_greenstein(self.asymmetry)
-        object.__setattr__(self, "_phase", phase)
+        object.__setattr__(self, "kernel_phase_function", phase)
         if self.surface is not None:
             min_depth_m = CLEARANCE_SIGMA * self.surface.rms_height_m
             is_reached = not (self.is_semi_infinite or self.opaque)
@@ -564,12 +564,6 @@ class ParticleLayer(ContentEquality, ParticleMedium):
         if self.opaque:
             return math.inf
         return (1.0 if self.is_semi_infinite else self.optical_thickness) / self.depth_m
-
-    @property
-    def kernel_phase_function(self) -> PhaseFunction:
-        """Phase function in the form the kernels take."""
-        phase: PhaseFunction = self._phase  # type: ignore[attr-defined]
-        return phase
 
     @property
     def scene_bottom(self) -> LayerBottom:

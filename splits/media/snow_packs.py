@@ -139,15 +139,11 @@ def complete_layers(given: SnowPackInput) -> tuple[dict[str, np.ndarray], np.nda
     A layer is absent if its thickness is 0, or if its thickness and all other variables given for
     each layer are NaN.  Absent layers follow the others, and all of their variables are NaN.
     """
-    values = dict(given.values)
-    thickness = values[THICKNESS_KEY]
-    described = np.zeros(thickness.shape, dtype=bool)
-    for name in given.layered - {THICKNESS_KEY}:
-        described |= ~np.isnan(values[name])
-    is_absent = (thickness == 0.0) | (np.isnan(thickness) & ~described)
-    for name, default in DEFAULTS.items():
-        if name not in values:
-            values[name] = np.full(thickness.shape, default)
+    thickness = given.values[THICKNESS_KEY]
+    described = [~np.isnan(given.values[name]) for name in given.layered - {THICKNESS_KEY}]
+    is_absent = (thickness == 0.0) | (np.isnan(thickness) & ~np.any(described, axis=0))
+    defaults = {name: np.full(thickness.shape, default) for name, default in DEFAULTS.items()}
+    values = given.values | {n: one for n, one in defaults.items() if n not in given.values}
     order = np.argsort(is_absent, axis=1, kind="stable")
     is_absent = np.take_along_axis(is_absent, order, axis=1)
     for name, numbers in values.items():

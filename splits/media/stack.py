@@ -153,6 +153,7 @@ class Stack(ContentEquality, Medium):
                     "one set applies to all: Stack(..., interpretation='radiative_transfer')",
                 )  # fmt: skip
         object.__setattr__(self, "layers", layers)
+        object.__setattr__(self, "polarized", bool(polarized))
         check_ground_reached(self.ground, self.is_semi_infinite, f"the infinite layers[{last}]")
 
     def __repr__(self) -> str:
@@ -168,11 +169,6 @@ class Stack(ContentEquality, Medium):
     def scene_layers(self) -> tuple[Layer, ...]:
         """Layers, top first."""
         return self.layers
-
-    @property
-    def polarized(self) -> bool:
-        """Whether the Stokes vector is traced."""
-        return any(layer.polarized for layer in self.layers)
 
     def truncate(self, depth_m: float, ground: Ground | None) -> Stack:
         """Return the stack with a lowest layer of another depth (m), over a ground."""

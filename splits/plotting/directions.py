@@ -195,9 +195,12 @@ def draw_hemispheres(
 
 def make_maps_note(quantity: Sequence[str]) -> str:
     """Return the note that explains the maps."""
-    largest = f"{_MAX_ANGLE_STDERR_DEG:g}°"
-    lines = f"; lines: direction of polarization at some angles, errors below {largest}"
-    lines = lines if "brdf_dolp" in quantity else ""
+    lines = (
+        "; lines: direction of polarization at some angles, errors below "
+        f"{_MAX_ANGLE_STDERR_DEG:g}°"
+        if "brdf_dolp" in quantity
+        else ""
+    )
     transmitted = "diamond: straight on" if "btdf" in quantity else ""
     reflected = ["circle: towards the source", "diamond: mirror direction"]
     circles = " and ".join(f"{angle:g}°" for angle in RING_ANGLES_DEG)

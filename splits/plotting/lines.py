@@ -19,7 +19,8 @@ from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 
-from splits.materials import TabulatedIndex, list_datasets, make_refractive_index
+from splits.materials import TabulatedIndex
+from splits.materials.library import MATERIALS, list_datasets, make_refractive_index
 from splits.plotting.panels import DEFAULT_LABEL, MAX_LINES, MAX_PANELS, check_count
 from splits.plotting.style import (
     BAND_SIGMA,
@@ -279,13 +280,12 @@ def place_legend_beside(figure: Figure, handles: Sequence[Artist], title: str | 
     title : str or None
     """
     figure.set_figwidth(TWO_COLUMNS_INCHES)
-    if handles:
-        rows = max(1, int(figure.get_figheight() / _LEGEND_ENTRY_INCHES) - 2)
-        height = _place_legend(
-            figure, handles, title, "outside right upper", -(-len(handles) // rows),
-            _MAX_LEGEND_FRACTION * figure.bbox.width,
-        )  # fmt: skip
-        figure.set_figheight(max(figure.get_figheight(), height + 0.1))
+    rows = max(1, int(figure.get_figheight() / _LEGEND_ENTRY_INCHES) - 2)
+    height = _place_legend(
+        figure, handles, title, "outside right upper", -(-len(handles) // rows),
+        _MAX_LEGEND_FRACTION * figure.bbox.width,
+    )  # fmt: skip
+    figure.set_figheight(max(figure.get_figheight(), height + 0.1))
 
 
 COARSE_STEP_RATIO = 2.0
@@ -324,13 +324,17 @@ def find_coarse_nodes(dataset: xr.Dataset) -> dict[str, np.ndarray]:
     nodes: dict[str, tuple[float, np.ndarray]] = {}
     for key, name in dataset.attrs.items():
         match = _INDEX_ATTRIBUTE.fullmatch(str(key))
-        if match is None:
+        if match is None or match["material"] not in MATERIALS:
             continue
         medium, material = match.groups()
         needed = (f"{medium}_{one}" for one in _FRACTION_PARAMETERS.get(material, ()))
         is_in_use = all(float(dataset.attrs.get(one, 1.0)) > 0.0 for one in needed)
-        table = _find_table(material, str(name)) if is_in_use else None
-        if table is None:
+        # Without the factor of k.
+        base_name = str(name).partition(", k x")[0]
+        if not is_in_use or base_name not in list_datasets(material):
+            continue
+        table = make_refractive_index(material, base_name)
+        if not isinstance(table, TabulatedIndex):
             continue
         rows = table.wavelength_nm
         is_wide = np.diff(rows) > COARSE_STEP_RATIO * step
@@ -346,17 +350,6 @@ def find_coarse_nodes(dataset: xr.Dataset) -> dict[str, np.ndarray]:
             nodes[label] = (float(largest_gap), rows)
     order = sorted(nodes, key=lambda label: -nodes[label][0])
     return {label: nodes[label][1] for label in order}
-
-
-def _find_table(material: str, name: str) -> TabulatedIndex | None:
-    """Return a table of the datasets by its name, without its factor of k."""
-    base_name = name.partition(", k x")[0]
-    try:
-        available = list_datasets(material)
-    except ValueError:
-        return None
-    index = make_refractive_index(material, base_name) if base_name in available else None
-    return index if isinstance(index, TabulatedIndex) else None
 
 
 def draw_node_ticks(axes: Axes, nodes: dict[str, np.ndarray]) -> None:
@@ -448,7 +441,7 @@ def draw_shifts(
     """
     dataset = dataset.squeeze([d for d, n in dataset.sizes.items() if n == 1 and d in
                                dataset[quantity[0]].dims and d not in (dim, axis_dim)])  # fmt: skip
-    others = [str(v) for v in dataset[dim].values if str(v) != DEFAULT_LABEL]
+    others = [v for v in dataset[dim].values if str(v) != DEFAULT_LABEL]
     columns = min(MAX_SHIFT_COLUMNS, 1 + len(others))
     rows_per_quantity = -(-(1 + len(others)) // columns)
     nodes = find_coarse_nodes(dataset) if axis_dim == "wavelength" else {}
@@ -462,11 +455,29 @@ def draw_shifts(
     )
     for number, (name, label) in enumerate(zip(quantity, labels[1], strict=True)):
         part = panels[number * rows_per_quantity : (number + 1) * rows_per_quantity].ravel()
-        _draw_block(part, dataset, name, dim, axis_dim)
+        x, default = dataset[axis_dim].values, dataset.sel({dim: DEFAULT_LABEL})
+        errors = default[f"{name}_stderr"].values
+        draw_curve(part[0], x, default[name].values, errors, color="black")
+        part[0].set_title("default")
+        shift, error = compute_shift(dataset, name, dim)
+        limit = 1.05 * float((np.abs(shift) + BAND_SIGMA * error).max()) or 1.0
+        for axes, other in zip(part[1:], others, strict=False):
+            selection = {dim: other}
+            values, errors = shift.sel(selection).values, error.sel(selection).values
+            draw_curve(axes, x, values, errors, color=SHIFT_COLOUR)
+            axes.axhline(0.0, color="black", lw=0.6, zorder=1.5)
+            axes.set_ylim(-limit, limit)
+            # A line break may separate a dollar sign from its escape.
+            value = format_value(other, dim)
+            text = value if dim in NOMINAL_PARAMETERS else f"{format_parameter(dim)}: {value}"
+            axes.set_title(fill(text, _MAX_TITLE_CHARS).replace("\\\n$", "\n\\$"))
+        for axes in part[: 1 + len(others)]:
+            axes.margins(x=0.01)
+            draw_node_ticks(axes, nodes)
+        for axes in part[1 + len(others) :]:
+            axes.set_visible(False)
         part[0].set_ylabel(label)
         start_at_zero(part[0], name, ylim)
-        for axes in part:
-            draw_node_ticks(axes, nodes)
         for row in (
             part.reshape(rows_per_quantity, columns)[:, 0] if rows_per_quantity > 1 else part[1:2]
         ):
@@ -478,32 +489,3 @@ def draw_shifts(
         shown[-1].set_xlabel(labels[0])
     shift_note = f"Shifts: value minus that of the default in panel (a); {INDEPENDENCE_NOTE}."
     return annotate_figure(figure, panels.flat, note, shift_note, make_nodes_note(nodes))
-
-
-def _draw_block(
-    panels: np.ndarray, dataset: xr.Dataset, name: str, dim: str, axis_dim: str
-) -> None:
-    """Draw the default in the first panel, and the shifts of the others in the following ones."""
-    x = dataset[axis_dim].values
-    default = dataset.sel({dim: DEFAULT_LABEL})
-    errors = default[f"{name}_stderr"].values
-    draw_curve(panels[0], x, default[name].values, errors, color="black")
-    panels[0].set_title("default")
-    shift, error = compute_shift(dataset, name, dim)
-    others = [v for v in dataset[dim].values if str(v) != DEFAULT_LABEL]
-    limit = 1.05 * float((np.abs(shift) + BAND_SIGMA * error).max()) or 1.0
-    for axes, other in zip(panels[1:], others, strict=False):
-        selection = {dim: other}
-        values, errors = shift.sel(selection).values, error.sel(selection).values
-        draw_curve(axes, x, values, errors, color=SHIFT_COLOUR)
-        axes.axhline(0.0, color="black", lw=0.6, zorder=1.5)
-        axes.set_ylim(-limit, limit)
-        # A line break may separate a dollar sign from its escape.
-        value = format_value(other, dim)
-        text = value if dim in NOMINAL_PARAMETERS else f"{format_parameter(dim)}: {value}"
-        title = fill(text, _MAX_TITLE_CHARS).replace("\\\n$", "\n\\$")
-        axes.set_title(title)
-    for axes in panels[: 1 + len(others)]:
-        axes.margins(x=0.01)
-    for axes in panels[1 + len(others) :]:
-        axes.set_visible(False)

@@ -230,29 +230,24 @@ def _draw_corner(
                 axes.plot([x], [y], "x", color=KNOWN_COLOUR, ms=5, mew=1.2)
             elif x is not None and axes.get_xlim()[0] <= x <= axes.get_xlim()[1]:
                 axes.axvline(x, color=KNOWN_COLOUR, lw=1.2, ls=":")
-            _label_corner_axes(axes, names, (i, j))
-
-
-def _label_corner_axes(axes: Axes, names: list[str], indices: tuple[int, int]) -> None:
-    """Label a panel of the corner plot at its outer edges only."""
-    i, j = indices
-    axes.locator_params(nbins=3, axis="x")
-    if i != j:
-        axes.locator_params(nbins=3, axis="y")
-        axes.ticklabel_format(axis="y", style="plain")
-    for axis in (axes.xaxis, axes.yaxis):
-        if max(axis.get_view_interval()) >= ENGINEERING_TICKS_FROM:
-            axis.set_major_formatter(EngFormatter(sep=""))
-    axes.tick_params(labelsize=SMALL_FONT_PT)
-    if i == len(names) - 1:
-        axes.set_xlabel(_get_short_label(names[j]), fontsize=SMALL_FONT_PT)
-        axes.tick_params(axis="x", labelrotation=45)
-    else:
-        axes.tick_params(labelbottom=False)
-    if j == 0 and i > 0:
-        axes.set_ylabel(_get_short_label(names[i]), fontsize=SMALL_FONT_PT)
-    elif i != j:
-        axes.tick_params(labelleft=False)
+            axes.locator_params(nbins=3, axis="x")
+            if i != j:
+                axes.locator_params(nbins=3, axis="y")
+                axes.ticklabel_format(axis="y", style="plain")
+            for axis in (axes.xaxis, axes.yaxis):
+                if max(axis.get_view_interval()) >= ENGINEERING_TICKS_FROM:
+                    axis.set_major_formatter(EngFormatter(sep=""))
+            axes.tick_params(labelsize=SMALL_FONT_PT)
+            # Labels at the outer edges only.
+            if i == len(names) - 1:
+                axes.set_xlabel(_get_short_label(names[j]), fontsize=SMALL_FONT_PT)
+                axes.tick_params(axis="x", labelrotation=45)
+            else:
+                axes.tick_params(labelbottom=False)
+            if j == 0 and i > 0:
+                axes.set_ylabel(_get_short_label(names[i]), fontsize=SMALL_FONT_PT)
+            elif i != j:
+                axes.tick_params(labelleft=False)
 
 
 def _get_short_label(name: str) -> str:
@@ -344,13 +339,8 @@ def select_referenced_samples(
 def get_model_colours(dataset: xr.Dataset) -> list[tuple[str, Any]]:
     """Return the names of the models, with their colours."""
     names = list(map(str, dataset.model.values))
-    return list(
-        zip(
-            names,
-            pick_colours(len(names), "medium") if len(names) > 1 else pick_colours(1),
-            strict=True,
-        )
-    )
+    colours = pick_colours(len(names), "medium" if len(names) > 1 else None)
+    return list(zip(names, colours, strict=True))
 
 
 RETURN_NOTE = (

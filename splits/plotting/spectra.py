@@ -298,7 +298,19 @@ def draw_small_multiples(
             panels_of_quantity.flat, panel_points, titles, strict=False
         ):
             part = dataset.sel(dict(zip(panel_dims, panel_point, strict=True)))
-            _draw_panel(axes, part, name, lines)
+            axes.set_rasterization_zorder(0.0)
+            x, points = part.wavelength.values, part.transpose(*lines.dims, "wavelength")
+            values, errors = (
+                points[one].values.reshape(-1, x.size) for one in (name, f"{name}_stderr")
+            )
+            for line, y, error in zip(lines.lines, values, errors, strict=True):
+                zorder = _RASTERIZED_ZORDER + line.zorder
+                axes.plot(x, y, **line.to_plot_style() | {"lw": 0.7, "zorder": zorder})
+                draw_band(
+                    axes, x, y, error, 0.0, color=line.colour, alpha=0.25, zorder=_RASTERIZED_ZORDER
+                )
+            axes.margins(x=0.01)
+            axes.tick_params(labelsize=SMALL_FONT_PT)
             draw_node_ticks(axes, nodes)
             axes.set(title=title, ylim=top)
             axes.label_outer()
@@ -313,19 +325,6 @@ def draw_small_multiples(
         shown[-1].set_xlabel("wavelength (nm)")
     lines.add_legend(figure, list(panels.flat), legend, max_inset_entries=0)
     return annotate_figure(figure, panels.flat, note, make_nodes_note(nodes))
-
-
-def _draw_panel(axes: Axes, part: xr.Dataset, name: str, lines: PlotLines) -> None:
-    axes.set_rasterization_zorder(0.0)
-    x = part.wavelength.values
-    rows = part.transpose(*lines.dims, "wavelength")
-    values, errors = (rows[one].values.reshape(-1, x.size) for one in (name, f"{name}_stderr"))
-    for line, y, error in zip(lines.lines, values, errors, strict=True):
-        style = line.to_plot_style() | {"lw": 0.7, "zorder": _RASTERIZED_ZORDER + line.zorder}
-        axes.plot(x, y, **style)
-        draw_band(axes, x, y, error, 0.0, color=line.colour, alpha=0.25, zorder=_RASTERIZED_ZORDER)
-    axes.margins(x=0.01)
-    axes.tick_params(labelsize=SMALL_FONT_PT)
 
 
 # --------------------------------------------------------------------------------------------------

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import matplotlib.style
 import numpy as np
 import xarray as xr
@@ -327,61 +326,47 @@ def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
 Attributes = Mapping[str, Any]
 
 
-def _make_formatter(label: str, unit: str = "") -> Callable[[Any], str]:
-    """Return a function that formats a value with a label and a unit."""
-
-    def format_quantity(value: Any) -> str:
-        values = np.atleast_1d(value)
-        if values.dtype.kind in "if":
-            text = "–".join(format_value(float(f"{x:.4g}")) for x in values)
-        else:
-            text = format_value(str(value))
-        return f"{label} {text} {'' if text == '∞' else unit}".strip()
-
-    return format_quantity
-
-
-def _format_saturation(value: Any) -> str:
-    return "dry" if str(value) in ("0", "0.0") else _make_formatter("water saturation")(value)
-
-
-def _format_ground(value: Any) -> str:
-    return "" if str(value) in ("open", "none") else _make_formatter("ground:")(value)
-
-
-_COMMON_FORMATTERS: dict[str, Callable[[Any], str]] = {
-    "depth_m": _make_formatter("depth", "m"),
-    "ground": _format_ground,
-}
-FORMATTERS: dict[str, dict[str, Callable[[Any], str]]] = {
+_COMMON_CONDITIONS = {"depth_m": "depth", "ground": "ground:"}
+CONDITIONS: dict[str, dict[str, str]] = {
     "snow": {
-        "specific_surface_area_m2_kg": _make_formatter("specific surface area", "m²/kg"),
-        "optical_radius_um": _make_formatter("optical radius", "µm"),
-        "grain_size_um": _make_formatter("grains", "µm"),
-        "density_kg_m3": _make_formatter("density", "kg m⁻³"),
-        "saturation": _format_saturation,
-        "liquid_water_content": _make_formatter("liquid water content"),
-        **_COMMON_FORMATTERS,
+        "specific_surface_area_m2_kg": "specific surface area",
+        "optical_radius_um": "optical radius",
+        "grain_size_um": "grains",
+        "density_kg_m3": "density",
+        "saturation": "water saturation",
+        "liquid_water_content": "liquid water content",
+        **_COMMON_CONDITIONS,
     },
-    "sand": {
-        "porosity": _make_formatter("porosity"),
-        "saturation": _format_saturation,
-        **_COMMON_FORMATTERS,
-    },
+    "sand": {"porosity": "porosity", "saturation": "water saturation", **_COMMON_CONDITIONS},
     "particle_layer": {
-        "refractive_index": _make_formatter("index"),
-        "optical_thickness": _make_formatter("optical thickness"),
-        "single_scattering_albedo": _make_formatter("single-scattering albedo"),
-        "ground": _format_ground,
-        "surface_rms_slope": lambda value: (
-            "slopes without finite rms"
-            if str(value) == "inf"
-            else _make_formatter("rms slope")(value)
-        ),
+        "refractive_index": "index",
+        "optical_thickness": "optical thickness",
+        "single_scattering_albedo": "single-scattering albedo",
+        "ground": "ground:",
+        "surface_rms_slope": "rms slope",
     },
-    "stack": {**_COMMON_FORMATTERS},
+    "stack": _COMMON_CONDITIONS,
 }
-"""Formatters of the keywords that figures show, by kind of medium."""
+"""Labels of the keywords that figures show, by kind of medium."""
+_CONDITION_WORDS = {
+    "saturation": {"0": "dry", "0.0": "dry"},
+    "ground": {"open": "", "none": ""},
+    "surface_rms_slope": {"inf": "slopes without finite rms"},
+}
+"""Texts in place of a label and a value."""
+
+
+def _format_condition(key: str, label: str, value: Any) -> str:
+    """Return the value of a keyword with its label and its unit."""
+    values, unit = np.atleast_1d(value), get_quantity(key).unit
+    if values.dtype.kind in "if":
+        text = "–".join(format_value(float(f"{x:.4g}")) for x in values)
+    else:
+        text = format_value(str(value))
+    shown = f"{label} {text} {'' if text == '∞' else AXIS_UNITS.get(unit, unit)}".strip()
+    return _CONDITION_WORDS.get(key, {}).get(str(value), shown)
+
+
 _EQUIVALENT_KEYS = (
     ("specific_surface_area_m2_kg", "optical_radius_um", "grain_size_um"),
     ("saturation", "liquid_water_content"),
@@ -427,11 +412,11 @@ def describe_conditions(
 def _describe_medium(attributes: Attributes, select: dict[str, Any]) -> list[str]:
     """Return the descriptions of the medium and of the fixed labels."""
     kind = str(attributes.get("medium", ""))
-    if kind not in FORMATTERS:
+    if kind not in CONDITIONS:
         return []
     values = {
         key: attributes[f"{kind}_{key}"]
-        for key in FORMATTERS[kind]
+        for key in CONDITIONS[kind]
         if f"{kind}_{key}" in attributes
     } | select
     for keys in _EQUIVALENT_KEYS:
@@ -444,9 +429,9 @@ def _describe_medium(attributes: Attributes, select: dict[str, Any]) -> list[str
     opaque = attributes.get(f"{kind}_opaque") == "true"
     has_no_interior = opaque or attributes.get("instrument") in _SURFACE_INSTRUMENTS
     items = [kind.replace("_", " ")]
-    for key, formatter in FORMATTERS[kind].items():
+    for key, label in CONDITIONS[kind].items():
         if key in values and not (has_no_interior and key in _INTERIOR_KEYS):
-            items.append(formatter(values.pop(key)))
+            items.append(_format_condition(key, label, values.pop(key)))
     if opaque:
         items.append("nothing below the surface")
     for unit, symbol in (("_ng_g", "ng/g"), ("_cells_ml", "cells/ml")):
@@ -454,11 +439,11 @@ def _describe_medium(attributes: Attributes, select: dict[str, Any]) -> list[str
             name = str(key).removeprefix(f"{kind}_").removesuffix(unit)
             if key == f"{kind}_{name}{unit}" and float(amount) > 0.0:
                 items.append(f"{name.replace('_', ' ')} {format_value(amount)} {symbol}")
-    values = {
-        key: value for key, value in values.items() if key in select and key != "incidence_deg"
-    }
-    items += [f"{format_parameter(key)}: {format_value(v, key)}" for key, v in values.items()]
-    return items
+    return items + [
+        f"{format_parameter(key)}: {format_value(value, key)}"
+        for key, value in values.items()
+        if key in select and key != "incidence_deg"
+    ]
 
 
 def _describe_light(dataset: xr.Dataset, select: Mapping[str, Any]) -> str:

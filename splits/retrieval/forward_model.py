@@ -66,7 +66,7 @@ def drop_priors(model: Model) -> Model:
     """Return a forward model whose state vector has no priors; it shares all else."""
     changed: Any = copy.copy(model)
     changed.state_vector = changed.state_vector.without_priors()
-    return changed  # type: ignore[no-any-return]
+    return changed
 
 
 def make_measurement_operator(
@@ -154,8 +154,7 @@ class TableForwardModel:
     def _compute_scale(self, states: np.ndarray) -> np.ndarray:
         if self._scale_index is None:
             return np.ones(states.shape[:-1])
-        scale: np.ndarray = self.state_vector.to_physical(states)[..., self._scale_index]
-        return scale
+        return self.state_vector.to_physical(states)[..., self._scale_index]
 
     def evaluate(self, states: np.ndarray) -> np.ndarray:
         """Return modelled measurements, shape (states, n)."""
@@ -166,8 +165,7 @@ class TableForwardModel:
 
     def evaluate_state(self, state: np.ndarray) -> np.ndarray:
         """Return the modelled measurement of one state, shape (n,)."""
-        values: np.ndarray = self.evaluate(state[np.newaxis])[0]
-        return values
+        return self.evaluate(state[np.newaxis])[0]
 
     def evaluate_with_jacobian(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the modelled measurement, shape (n,), and its Jacobian, shape (n, parameters)."""

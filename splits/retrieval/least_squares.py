@@ -94,8 +94,7 @@ def make_autoregressive_covariance(variances: np.ndarray, n_wavelengths: int) ->
     autocovariance = (variances[:, np.newaxis] * NEIGHBOUR_CORRELATIONS[:, np.newaxis] ** lags).sum(
         axis=0
     )
-    covariance: np.ndarray = autocovariance[np.abs(lags[:, np.newaxis] - lags)]
-    return covariance
+    return autocovariance[np.abs(lags[:, np.newaxis] - lags)]
 
 
 def estimate_fit_covariance(

@@ -57,11 +57,10 @@ class LinearizedModel:
 
     def evaluate(self, states: np.ndarray) -> np.ndarray:
         """Return modelled measurements, shape (states, n)."""
-        modelled: np.ndarray = (
+        return (
             self.linearization.modelled
             + (states - self.linearization.state) @ self.linearization.jacobian.T
         )
-        return modelled
 
     def evaluate_with_jacobian(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the modelled measurement, shape (n,), and its Jacobian, shape (n, parameters)."""
@@ -130,8 +129,7 @@ def remove_jacobian_noise(
     eigenvalues, axes = np.linalg.eigh(mean.T @ np.linalg.solve(error_covariance, mean))
     is_positive = eigenvalues > 1e-12 * max(eigenvalues[-1], 1e-300)
     inverse = (axes[:, is_positive] / np.sqrt(eigenvalues[is_positive])) @ axes[:, is_positive].T
-    jacobian: np.ndarray = mean @ inverse @ root
-    return jacobian
+    return mean @ inverse @ root
 
 
 def is_jacobian_noisy(jacobians: Sequence[np.ndarray], error_covariance: np.ndarray) -> bool:
@@ -277,5 +275,4 @@ def _compute_whitening(states: np.ndarray) -> np.ndarray:
     """Return the matrix that makes the coordinates of states independent, with variances of 1."""
     covariance = np.cov(states, rowvar=False).reshape(states.shape[1], -1)
     floor = MIN_SPREAD**2 * np.eye(len(covariance))
-    whitening: np.ndarray = np.linalg.inv(np.linalg.cholesky(covariance + floor)).T
-    return whitening
+    return np.linalg.inv(np.linalg.cholesky(covariance + floor)).T

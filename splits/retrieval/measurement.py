@@ -269,8 +269,7 @@ def _make_correlated_covariance(
         )
     distance = np.abs(wavelength_nm[:, np.newaxis] - wavelength_nm)
     error = np.sqrt(np.diag(stderr))
-    covariance: np.ndarray = np.exp(-distance / length) * error[:, np.newaxis] * error + independent
-    return covariance
+    return np.exp(-distance / length) * error[:, np.newaxis] * error + independent
 
 
 def _compute_mean_wavelength(band: SpectralBand) -> float:

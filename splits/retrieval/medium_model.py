@@ -303,8 +303,7 @@ class OrdinatesForwardModel(MediumForwardModel):
         cosines = np.array([_compute_cosines(incidence) for incidence in incidences])
         with limit_blas_threads():
             reflectance = solve_snowpacks(snowpacks, cosines, self.n_streams)[:, 0]
-        values: np.ndarray = np.array(scales)[:, np.newaxis] * (reflectance @ operator[:, used].T)
-        return values
+        return np.array(scales)[:, np.newaxis] * (reflectance @ operator[:, used].T)
 
     def evaluate_with_covariance(
         self, state: np.ndarray, stage: int
@@ -325,8 +324,7 @@ class OrdinatesForwardModel(MediumForwardModel):
         """Return the Jacobian with respect to the coordinates, shape (n, parameters)."""
         steps = np.where(state > 0.5, -DIFFERENCE_STEP, DIFFERENCE_STEP)
         shifted = self._solve(state + np.diag(steps), stage)
-        jacobian: np.ndarray = (shifted - self.evaluate(state, stage)).T / steps
-        return jacobian
+        return (shifted - self.evaluate(state, stage)).T / steps
 
     def compute_final_jacobians(
         self, state: np.ndarray, model_covariance: np.ndarray

@@ -162,10 +162,9 @@ def find_map_estimate(
 
 def find_active_bounds(state: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     """Return which coordinates are at a bound outside which the sum of squares decreases."""
-    is_active: np.ndarray = ((state < BOUND_TOLERANCE) & (gradient > 0.0)) | (
+    return ((state < BOUND_TOLERANCE) & (gradient > 0.0)) | (
         (state > 1.0 - BOUND_TOLERANCE) & (gradient < 0.0)
     )
-    return is_active
 
 
 def find_distinct_map_estimates(
@@ -274,18 +273,16 @@ class _MixtureComponent(NamedTuple):
     def draw(self, random: np.random.Generator, n_draws: int) -> np.ndarray:
         normal = random.standard_normal((n_draws, len(self.centre)))
         scale = np.sqrt(STUDENT_T_DOF / random.chisquare(STUDENT_T_DOF, n_draws))[:, np.newaxis]
-        states: np.ndarray = self.centre + scale * (normal @ self.cholesky.T)
-        return states
+        return self.centre + scale * (normal @ self.cholesky.T)
 
     def compute_log_density(self, states: np.ndarray) -> np.ndarray:
         """Return the logarithm of the density, up to a constant common to all components."""
         standardized = np.linalg.solve(self.cholesky, (states - self.centre).T)
         n_dimensions = len(self.centre)
         log_scale = np.log(np.diag(self.cholesky)).sum()
-        log_density: np.ndarray = -log_scale - 0.5 * (STUDENT_T_DOF + n_dimensions) * np.log1p(
+        return -log_scale - 0.5 * (STUDENT_T_DOF + n_dimensions) * np.log1p(
             (standardized**2).sum(axis=0) / STUDENT_T_DOF
         )
-        return log_density
 
 
 def draw_posterior(
@@ -366,8 +363,7 @@ def _compute_log_posterior(
         squares = ((residual[rows] @ np.linalg.inv(cholesky).T) ** 2).sum(axis=1)
         misfit[rows] = squares + 2.0 * np.log(np.diag(cholesky)).sum()
     prior = ((states - model.state_vector.prior_mean) / model.state_vector.prior_sd) ** 2
-    log_posterior: np.ndarray = -0.5 * (misfit + prior.sum(axis=1))
-    return log_posterior
+    return -0.5 * (misfit + prior.sum(axis=1))
 
 
 def _update_components(
@@ -441,10 +437,7 @@ def compute_prior_tension(
     state_vector: StateVector, state: np.ndarray, variance: np.ndarray
 ) -> np.ndarray:
     """Return the distance of the priors from a result without them, in standard errors."""
-    tension: np.ndarray = np.abs(state - state_vector.prior_mean) / np.sqrt(
-        state_vector.prior_sd**2 + variance
-    )
-    return tension
+    return np.abs(state - state_vector.prior_mean) / np.sqrt(state_vector.prior_sd**2 + variance)
 
 
 def compute_variance_inflation(estimate: MAPEstimate, state_vector: StateVector) -> float:

@@ -67,8 +67,7 @@ class ReturnForwardModel(TableForwardModel):
     ) -> np.ndarray:
         """Return the covariance of the errors of nodes: rays in different bins are independent."""
         scaled = self.operator.weights * node_stderr
-        covariance: np.ndarray = scaled @ scaled.T
-        return covariance
+        return scaled @ scaled.T
 
 
 def sort_returns(dataset: Any) -> Any:
@@ -308,8 +307,7 @@ def _join_pairs(bins: np.ndarray, edges: np.ndarray, pulse: Pulse, first: int) -
     coarse = np.unique(np.concatenate([bins[:1], bins[first::2], bins[-1:]]))
     pair = np.searchsorted(coarse, bins[:-1], side="right") - 1
     fraction = np.diff(bins) / np.diff(coarse)[pair]
-    weights: np.ndarray = _redistribute(coarse, edges, pulse)[:, pair] * fraction
-    return weights
+    return _redistribute(coarse, edges, pulse)[:, pair] * fraction
 
 
 def _redistribute(bins: np.ndarray, edges: np.ndarray, pulse: Pulse) -> np.ndarray:
@@ -335,8 +333,7 @@ def _redistribute(bins: np.ndarray, edges: np.ndarray, pulse: Pulse) -> np.ndarr
     arrived = integrate(edges[:, np.newaxis] - bins[:-1]) - integrate(
         edges[:, np.newaxis] - bins[1:]
     )
-    weights: np.ndarray = np.diff(arrived, axis=0) / np.diff(edges)[:, np.newaxis]
-    return weights
+    return np.diff(arrived, axis=0) / np.diff(edges)[:, np.newaxis]
 
 
 N_NOISE_UPDATES = 3

@@ -130,10 +130,7 @@ class StateVector(NamedTuple):
         first, last = apply_axis_transform(
             self.transforms[index], np.array([self.low[index], self.high[index]])
         )
-        row: np.ndarray = (apply_axis_transform(self.transforms[index], values) - first) / (
-            last - first
-        )
-        return row
+        return (apply_axis_transform(self.transforms[index], values) - first) / (last - first)
 
     def to_physical(self, coordinates: np.ndarray) -> np.ndarray:
         """Return the values of coordinates, shape (..., parameters)."""

@@ -130,7 +130,7 @@ def check_single_incidence(key: str, incidence_deg: Any) -> float | str:
 def _check_function(key: str, make: Any) -> Callable[..., Any]:
     if not callable(make):
         raise invalid(key, make, "a function that returns a medium", "such as Snow.natural")
-    return make  # type: ignore[no-any-return]
+    return make
 
 
 MakeMedium = Annotated[

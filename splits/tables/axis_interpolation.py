@@ -158,10 +158,7 @@ class AxisInterpolation:
             padded = np.take(nearby, ends, axis)
             nearby = np.lib.stride_tricks.sliding_window_view(padded, 3, axis) @ NEIGHBOUR_WEIGHTS
         mean = (factor**2).mean(axis=tuple(others.keys() - angles), keepdims=True)
-        remainder: np.ndarray = (
-            VARIATION_SHARE * np.maximum(nearby - factor**2, 0.0) + MEAN_SHARE**2 * mean
-        )
-        return remainder
+        return VARIATION_SHARE * np.maximum(nearby - factor**2, 0.0) + MEAN_SHARE**2 * mean
 
     def compute_weights(self, value: float, *, with_slopes: bool = False) -> AxisWeights:
         """Return the weights of all nodes at a position within the axis.
@@ -197,8 +194,7 @@ class AxisInterpolation:
         if np.array_equal(positions, self.nodes):
             return values
         weights = np.array([self.compute_weights(x).values for x in positions.tolist()])
-        interpolated: np.ndarray = np.einsum("pnw,...nw->...pw", weights, values, optimize=True)
-        return interpolated
+        return np.einsum("pnw,...nw->...pw", weights, values, optimize=True)
 
     def refine_nodes(
         self, coordinate: Coordinate, max_steps: int = MAX_REFINEMENT
@@ -293,10 +289,7 @@ class AxisInterpolation:
     ) -> np.ndarray:
         """Return the measured error of the derivative at a position, shape (wavelengths,)."""
         _, squared, factor_slope = self._interpolate_factors(value, at)
-        slope: np.ndarray = np.hypot(
-            weights.product_slope * np.sqrt(squared), weights.product * factor_slope
-        )
-        return slope
+        return np.hypot(weights.product_slope * np.sqrt(squared), weights.product * factor_slope)
 
     def _interpolate_factors(
         self, value: float, at: Mapping[str, Any]

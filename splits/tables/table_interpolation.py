@@ -166,10 +166,9 @@ class LocatedQuantity:
         variable = self._dataset[name]
         extra = [d for d in variable.dims if d not in {*self.names, *self.kept, "wavelength"}]
         selected = load_selection(variable.isel(self._needed))
-        values: np.ndarray = selected.transpose(
-            *self.names, *self.kept, *extra, "wavelength"
-        ).values.astype(float)
-        return values
+        return selected.transpose(*self.names, *self.kept, *extra, "wavelength").values.astype(
+            float
+        )
 
     def combine(
         self, values: np.ndarray, replaced: Mapping[str, np.ndarray] | None = None, power: int = 1
@@ -258,8 +257,7 @@ class LocatedQuantity:
             axis.measure_error(self.point[name], self.weights[name], {**others, by: end}).signed
             for end in ends
         )
-        slope: np.ndarray = (high - low) / (ends[1] - ends[0])
-        return slope
+        return (high - low) / (ends[1] - ends[0])
 
     def _compute_lower_order_slopes(self, name: str) -> np.ndarray:
         """Return the weights of the derivative without the farthest node."""
@@ -387,8 +385,7 @@ def scale_axis_errors(errors: np.ndarray) -> np.ndarray:
     root = np.sqrt((errors**2).sum(axis=0))
     whole = np.maximum(np.abs(errors.sum(axis=0)), root)
     scale = np.divide(whole, root, out=np.ones_like(root), where=root > 0.0)
-    scaled: np.ndarray = errors * scale
-    return scaled
+    return errors * scale
 
 
 def estimate_interpolation_errors(

@@ -54,8 +54,7 @@ VIEW_POLAR = replace(POLAR_ANGLE, low=0.0, high=90.0, open_high=True, check=None
 
 def check_view_azimuth(key: str, azimuth_deg: Any) -> float:
     """Return an azimuth from 0 to below 360 degrees, after checking it."""
-    azimuth: float = check_azimuths(key, check_number(key, azimuth_deg)).item()
-    return azimuth
+    return check_azimuths(key, check_number(key, azimuth_deg)).item()
 
 
 ViewPolar = Annotated[float, VIEW_POLAR]

@@ -20,9 +20,9 @@ import matplotlib.image
 import pytest
 import xarray as xr
 from chi2 import NEEDS_JIT
+from run_attributes import drop_run_specific_attributes
 
 import splits
-from splits.io.netcdf import drop_run_specific_attributes
 
 pytestmark = [NEEDS_JIT, pytest.mark.slow, pytest.mark.long]
 

@@ -8,11 +8,11 @@ from array_inputs import CASES, FIXED, SIZE, TABLE, retrieve_image
 from chi2 import NEEDS_JIT
 from constructed_results import make_optics
 from formula_tables import W
+from run_attributes import drop_run_specific_attributes
 
 import splits
 from splits.core.uncertainty import compute_weighted_error
 from splits.core.validation import InvalidValue
-from splits.io.netcdf import drop_run_specific_attributes
 from splits.retrieval.maps import FLAGS
 
 EQUIVALENT_INPUTS = {

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import xarray as xr
 from labelled_inputs import DIRECTION_TABLE, NM, PACKS, make_cases, retrieve
+from run_attributes import drop_run_specific_attributes
 
 import splits
-from splits.io.netcdf import drop_run_specific_attributes
 
 METHODS = {"SnowPacks": PACKS, "Table": DIRECTION_TABLE}
 """Classes whose methods take data, and an instance of each."""

@@ -10,13 +10,14 @@ import pytest
 import xarray as xr
 import yaml
 from rocrate.rocrate import ROCrate
+from run_attributes import drop_run_specific_attributes
 
 import splits
 from splits.core.validation import ConfigError
 from splits.experiments import load_experiment, load_settings
 from splits.experiments.archive import make_configuration_members, pack_archive
 from splits.experiments.config.settings import Settings
-from splits.io.netcdf import drop_run_specific_attributes, get_git_commit, get_package_version
+from splits.io.netcdf import get_git_commit, get_package_version
 from splits.io.ro_crate import METADATA_FILE, Author, make_software_info
 from splits.io.unarchive import unpack_archive
 

@@ -5,9 +5,9 @@ import sys
 
 import pytest
 import xarray as xr
+from run_attributes import drop_run_specific_attributes
 
 import splits
-from splits.io.netcdf import drop_run_specific_attributes
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 

@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 import xarray as xr
+from run_attributes import drop_run_specific_attributes
 
 import splits
 from splits.core.validation import ConfigError, InvalidValue
 from splits.experiments import load_experiment
-from splits.io.netcdf import drop_run_specific_attributes
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 

@@ -274,8 +274,7 @@ class Instrument:
 
     def list_quantities(self) -> tuple[str, ...]:
         """Return the quantities of a table."""
-        axes = self.get_views()
-        views = ViewGrid.from_grid(ParameterGrid(axes), "")
+        views = ViewGrid.from_grid(ParameterGrid(self.get_views()), "")
         return check_quantities(self.get("quantities"), views, self.get("covariance") == "keep")
 
     def to_content(self) -> dict[str, Any]:
@@ -288,14 +287,9 @@ class Instrument:
         default = inputs[name].default if name in inputs and inputs[name].has_default else None
         return self.settings.get(name, default)
 
-    @property
-    def has_wavelengths(self) -> bool:
-        """Whether the instrument has wavelengths."""
-        return "wavelength_nm" in list_section_inputs(self.kind)
-
     def get_wavelengths(self) -> np.ndarray:
         """Return the wavelengths (nm); an arbitrary one if they have no effect."""
-        if not self.has_wavelengths:
+        if "wavelength_nm" not in list_section_inputs(self.kind):
             return np.array([550.0])
         given = self.get("wavelength_nm")
         if given is None:
@@ -306,8 +300,7 @@ class Instrument:
 
     def get_incidence(self) -> float | str:
         """Return the incidence angle (°) or "diffuse"."""
-        incidence: float | str = self.get("incidence_deg") or 0.0
-        return incidence
+        return self.get("incidence_deg") or 0.0
 
     def get_seed(self, default: int) -> int:
         """Return the seed of the experiment, by default that of the main file."""
@@ -316,10 +309,10 @@ class Instrument:
     def get_views(self) -> dict[str, tuple[float, ...]]:
         """Return the axes of directions that a table has besides those of the grid."""
         inputs = list_section_inputs(self.kind)
-        given = [name for name in VIEW_AXES if self.kind == TABLE and name in self.settings]
         return {
             name: tuple(inputs[name].check(f"instrument.{name}", self.settings[name]).tolist())
-            for name in given
+            for name in VIEW_AXES
+            if self.kind == TABLE and name in self.settings
         }
 
     def select_point(self, position: int) -> Instrument:

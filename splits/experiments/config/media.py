@@ -27,6 +27,7 @@ from splits.media.interpretations import merge_interpretations
 from splits.media.kinds import LAYERS_KEY, iter_layers
 from splits.media.parameters import (
     describe_parameter,
+    get_parameter_quantity,
     get_quantity,
     override_keywords,
     parse_impurity_parameter,
@@ -170,15 +171,12 @@ def make_grid_coordinates(
     coordinates = {}
     for parameter, choices in grid.items():
         long_name, units = describe_parameter(parameter)
-        values, attributes = (
-            to_coordinate_values(choices),
-            {"long_name": long_name, "units": units},
-        )
+        values = to_coordinate_values(choices)
+        attributes = {"long_name": long_name, "units": units}
         if values.dtype.kind != "f":
             attributes = {"long_name": long_name if units == "1" else f"{long_name} ({units})"}
         coordinates[parameter] = (parameter, values, attributes)
-        path = parse_layer_parameter(parameter)
-        quantity = get_quantity(path[1] if path else parameter)
+        quantity = get_parameter_quantity(parameter)
         are_lists = all(isinstance(value, (list, tuple)) for value in choices.values())
         if quantity.mean is not None and are_lists:
             means = np.array([float(quantity.compute_mean(one)) for one in choices.values()])

@@ -145,16 +145,15 @@ class Study(ConfigSection):
         for key in ("inputs", *TABLE_READERS, "options"):
             for parameter in getattr(self, key):
                 if parameter in RUN_PARAMETERS or parameter in given:
-                    owner = given.get(parameter, "the workflow")
-                    hint = f"{owner} has it"
+                    hint = f"{given.get(parameter, 'the workflow')} has it"
                     raise invalid(f"{key} (key)", parameter, "another name", hint)
                 takes_any = key == "inputs" and "**" in parameters
                 if parameter not in parameters and not takes_any:
                     known = [name for name in parameters if name != "**"]
                     raise unknown_key(f"{key}.{parameter}", known)
                 given[parameter] = key
-        missing = [one for one, needed in parameters.items() if needed and one not in given]
-        if missing := [one for one in missing if one not in RUN_PARAMETERS]:
+        present = {*given, *RUN_PARAMETERS}
+        if missing := [one for one, needed in parameters.items() if needed and one not in present]:
             allowed = f"with {join_names(missing)}, which the function needs"
             raise invalid("inputs", self.inputs, allowed, "or in published, measured, options")
         for kind, read in TABLE_READERS.items():
@@ -318,12 +317,11 @@ def describe_missing(
     required: Iterable[str], available: Mapping[str, ExperimentConfig]
 ) -> list[str]:
     """Return messages about required experiments that do not exist."""
-    messages = []
-    for name in dict.fromkeys(required):
-        if name not in available:
-            hint = suggest_name(name, available)
-            messages.append(f"no such experiment: {name}" + (f" ({hint})" if hint else ""))
-    return messages
+    hints = {name: suggest_name(name, available) for name in required if name not in available}
+    return [
+        f"no such experiment: {name}" + (f" ({hint})" if hint else "")
+        for name, hint in hints.items()
+    ]
 
 
 # --------------------------------------------------------------------------------------------------
@@ -496,20 +494,21 @@ class Settings(ConfigSection):
         Studies without any existing experiment, or one of a similar name, share a line.
         """
         messages = find_incomplete_studies(self.studies, available)
-        unused = []
-        for name in list(messages):
-            required = self.studies[name].list_experiments(self.studies)
-            if not any(one in available or suggest_name(one, available) for one in required):
-                del messages[name]
-                unused.append(name)
-        names = [*self.explorer.values(), *self.explorer_directions.values()]
-        warnings = [
-            *messages.values(),
-            *(f"explorer: {m}" for m in describe_missing(names, available)),
+        unused = [
+            name
+            for name in messages
+            if not any(
+                one in available or suggest_name(one, available)
+                for one in self.studies[name].list_experiments(self.studies)
+            )
         ]
-        if unused:
-            warnings.append(f"none of their experiments exists: studies {join_names(unused)}")
-        return warnings
+        names = [*self.explorer.values(), *self.explorer_directions.values()]
+        common = f"none of their experiments exists: studies {join_names(unused)}"
+        return [
+            *(message for name, message in messages.items() if name not in unused),
+            *(f"explorer: {message}" for message in describe_missing(names, available)),
+            *([common] if unused else []),
+        ]
 
     def select_explorer(
         self, available: Mapping[str, ExperimentConfig]

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from splits.core.provenance import PACKAGE_FOLDER, hash_files
 from splits.experiments.config.experiment import OWN_GROUP, PAPERS, ExperimentConfig, parse_place
 from splits.experiments.config.sections import FIGURE_SUFFIXES
-from splits.experiments.config.settings import Settings, Study
+from splits.experiments.config.settings import Settings
 
 GROUP_TITLES = {
     OWN_GROUP: "Own experiments",
@@ -147,7 +147,23 @@ def make_report_contents(
         read = [experiments[one].group for one in study.list_experiments(settings.studies)]
         group = study.group or next(iter(read), OWN_GROUP)
         key = study.reproduces.paper if study.reproduces else group
-        items.setdefault(key, []).extend(_list_study_items(name, study))
+        outputs, paths = study.list_outputs(name), study.list_product_paths(name)
+        # A dataset of the study is linked below its figure.
+        datasets = _sort_files([path for made in paths.values() for path in made])["datasets"]
+        for file, output in outputs.items():
+            files = _sort_files(paths[file])
+            if files["datasets"]:
+                continue
+            item = ReportItem(
+                anchor=f"study-{name}-{file}",
+                name=name,
+                title=output.title or PurePath(file).stem,
+                caption=output.caption,
+                place=output.place or (study.reproduces.place if study.reproduces else ""),
+                is_comparison=output.comparison,
+                **files | ({"datasets": datasets} if files["figure"] else {}),
+            )
+            items.setdefault(key, []).append(item)
     papers = {str(key): (paper.title, paper.reference) for key, paper in PAPERS.items()}
     sections = []
     for key in dict.fromkeys([*papers, *GROUP_TITLES, *items]):
@@ -160,28 +176,6 @@ def make_report_contents(
         settings.accuracy, accuracy.max_stderr, accuracy.relative_stderr, settings.seed,
         (*sections,), (*benchmarks,), explorer,
     )  # fmt: skip
-
-
-def _list_study_items(name: str, study: Study) -> list[ReportItem]:
-    outputs, paths = study.list_outputs(name), study.list_product_paths(name)
-    # A dataset of the study is linked below its figure.
-    datasets = _sort_files([path for made in paths.values() for path in made])["datasets"]
-    reproduced = study.reproduces.place if study.reproduces else ""
-    items = []
-    for file, output in outputs.items():
-        files = _sort_files(paths[file])
-        if not files["datasets"]:
-            item = ReportItem(
-                anchor=f"study-{name}-{file}",
-                name=name,
-                title=output.title or PurePath(file).stem,
-                caption=output.caption,
-                place=output.place or reproduced,
-                is_comparison=output.comparison,
-                **files | ({"datasets": datasets} if files["figure"] else {}),
-            )
-            items.append(item)
-    return items
 
 
 def _sort_files(paths: list[str]) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from splits.core.provenance import (
     get_git_commit,
     get_package_version,
 )
-from splits.experiments.config.experiment import PAPERS, parse_place
+from splits.experiments.config.experiment import PAPERS, Place, parse_place
 from splits.experiments.config.sections import FIGURE_SUFFIXES
 from splits.experiments.report.contents import ReportContents, ReportItem, ReportSection
 
@@ -244,11 +244,6 @@ class Picture(NamedTuple):
     width: int
     height: int
 
-    @property
-    def is_narrow(self) -> bool:
-        """Whether it has the width of one column in print."""
-        return self.width < MIN_WIDE_PX
-
 
 class ItemView(NamedTuple):
     """An experiment or a product of a study as the page shows it.
@@ -256,6 +251,8 @@ class ItemView(NamedTuple):
     Attributes
     ----------
     item : ReportItem
+    place : Place
+        Place in the paper, whose label is empty without one.
     picture : Picture, optional
     tables : list of HtmlTable
     links : list of (str, str)
@@ -263,31 +260,20 @@ class ItemView(NamedTuple):
     """
 
     item: ReportItem
+    place: Place
     picture: Picture | None
     tables: list[HtmlTable]
     links: list[tuple[str, str]]
 
     @property
-    def place(self) -> str:
-        """Place in the paper in words, such as "Figure 8", or an empty text."""
-        return parse_place(self.item.place).label
-
-    @property
-    def label(self) -> str:
-        """Figure of the paper, for the table of contents, or an empty text."""
-        return self.place if parse_place(self.item.place).is_figure else ""
-
-    @property
     def is_reproduction(self) -> bool:
         """Whether it is a figure or table of the paper, not a run that serves one."""
-        place = parse_place(self.item.place)
-        return place.is_figure or (place.is_table and bool(self.item.tables))
+        return self.place.is_figure or (self.place.is_table and bool(self.item.tables))
 
     @property
     def heading(self) -> str:
         """Title with the figure or table of the paper."""
-        title = self.item.title
-        return f"{self.place}: {title}" if self.is_reproduction else title
+        return f"{self.place.label}: {self.item.title}" if self.is_reproduction else self.item.title
 
     @property
     def paragraphs(self) -> list[str]:
@@ -334,6 +320,7 @@ def write_report(contents: ReportContents, path: str | Path) -> None:
         script=(_ASSET_FOLDER / "page.js").read_text(encoding="utf-8"),
         max_rows=MAX_ROWS,
         max_open_rows=MAX_OPEN_ROWS,
+        min_wide_px=MIN_WIDE_PX,
     )
     with atomic_write(path) as temporary_path:
         temporary_path.write_text(page, encoding="utf-8", newline="\n")
@@ -345,8 +332,8 @@ def _make_parts(section: ReportSection, folder: Path) -> dict[str, list[ItemView
     if section.key not in PAPERS:
         return {"": views}
     parts: dict[str, list[ItemView]] = {
-        "Figures": [view for view in views if view.label],
-        "Tables": [view for view in views if view.is_reproduction and not view.label],
+        "Figures": [view for view in views if view.place.is_figure],
+        "Tables": [view for view in views if view.is_reproduction and not view.place.is_figure],
         "Supporting runs and tables": [view for view in views if not view.is_reproduction],
     }
     return {title: items for title, items in parts.items() if items}
@@ -357,7 +344,7 @@ def _make_item_view(item: ReportItem, folder: Path) -> ItemView:
     tables = [] if item.is_comparison else [read_table(folder / path) for path in item.tables]
     picture = _make_picture(folder / item.figure) if item.figure else None
     links = [(FILE_KINDS[PurePosixPath(path).suffix], path) for path in _list_paths([item])]
-    return ItemView(item, picture, tables, links)
+    return ItemView(item, parse_place(item.place), picture, tables, links)
 
 
 def _list_paths(items: Iterable[ReportItem]) -> list[str]:

@@ -102,16 +102,11 @@ def test_a_notebook_shows_compilation_until_its_end(monkeypatch, seconds):
     display = pytest.importorskip("IPython.display", reason="comes with the extra docs")
     lines = []
 
-    class Handle:
-        def display(self, content, raw):
-            assert raw and not lines
-            lines.append(content["text/plain"])
+    def show(content, raw, display_id, update):
+        assert raw and display_id and update == bool(lines)
+        lines.append(content["text/plain"])
 
-        def update(self, content, raw):
-            assert raw and lines
-            lines.append(content["text/plain"])
-
-    monkeypatch.setattr(display, "DisplayHandle", Handle)
+    monkeypatch.setattr(display, "display", show)
     monkeypatch.setattr(sys, "stderr", CellOutput())
     for _ in range(2):
         with announce(COMPILING_MESSAGE):

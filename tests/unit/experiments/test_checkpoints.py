@@ -7,13 +7,13 @@ import sys
 import pytest
 import xarray as xr
 from chi2 import NEEDS_JIT
+from run_attributes import drop_run_specific_attributes
 
 import splits
 from splits.experiments import run as run_points
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.run import write_run
-from splits.io.netcdf import drop_run_specific_attributes
 
 pytestmark = NEEDS_JIT
 

@@ -5,14 +5,13 @@ import stat
 import numpy as np
 import pytest
 import xarray as xr
+from run_attributes import RUN_SPECIFIC_ATTRIBUTES, drop_run_specific_attributes
 
 import splits
 from splits.io.netcdf import (
     CF_CONVENTIONS,
-    RUN_SPECIFIC_ATTRIBUTES,
     SCHEMA_VERSION,
     check_schema,
-    drop_run_specific_attributes,
     make_provenance,
     select_points,
     to_netcdf_attributes,

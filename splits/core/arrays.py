@@ -62,12 +62,11 @@ def as_float_array(
 
 def _convert(key: str, values: Any, allowed: str) -> np.ndarray:
     """Return numbers as a new array of doubles, with NaN for gaps."""
-    if isinstance(values, str | bytes | Set | Mapping):
-        is_text = isinstance(values, str | bytes)
+    if isinstance(values, (str, bytes)):
+        raise invalid(key, values, allowed, suggest_number(values) or TEXT_HINT)
+    if isinstance(values, Set | Mapping):
         hint = "a set has no order" if isinstance(values, Set) else ""
-        raise invalid(
-            key, values, allowed, (suggest_number(values) or TEXT_HINT) if is_text else hint
-        )
+        raise invalid(key, values, allowed, hint)
     if hasattr(values, "__array__"):
         return _convert_array(key, values, allowed)
     if not isinstance(values, Iterable):

@@ -95,10 +95,11 @@ def _round(values: np.ndarray, digits: int) -> np.ndarray:
 
 def _expand_geomspace(key: str, given: Any) -> np.ndarray:
     """Return geometrically spaced numbers."""
-    is_triple = isinstance(given, (list, tuple)) and len(given) == 3
-    first, last, count = (check_number(key, one) for one in given) if is_triple else (0.0, 0.0, 0.0)
+    allowed = "[first, last, number of values]: 0 < first < last, at least two"
+    if not isinstance(given, (list, tuple)) or len(given) != 3:
+        raise invalid(key, given, allowed)
+    first, last, count = (check_number(key, value) for value in given)
     if not 0.0 < first < last or count != int(count) or not 2 <= count <= MAX_NUMBERS:
-        allowed = "[first, last, number of values]: 0 < first < last, at least two"
         raise invalid(key, given, allowed)
     # Four digits keep the labels of figures short.
     return _round(np.geomspace(first, last, int(count)), 4)

@@ -136,6 +136,8 @@ def invalid(key: str, value: object, allowed: str, hint: str = "") -> InvalidVal
 def check_relations(*relations: tuple[Any, str, object, str, *tuple[str, ...]]) -> None:
     """Check relations between inputs, and raise the error of the first one that does not hold.
 
+    The values and texts of all relations are evaluated first.
+
     Parameters
     ----------
     *relations : (bool, str, object, str, str)

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Self, get_args, get_type_hints
 
 from splits.core.arrays import ContentEquality
 from splits.core.declarations import Quantity, declare_class
-from splits.core.validation import check_choice, check_relations, invalid, join_names, key_prefix
+from splits.core.validation import check_choice, invalid, join_names, key_prefix, to_text_keys
 from splits.kernels.scene import (
     ENTRY_SAMPLING,
     FACET_SAMPLING,
@@ -116,9 +116,10 @@ class TransportInterpretation(ContentEquality):
             "overlap_with_previous_segment": self.overlap_with_previous_segment,
             "overlap_with_boundary": self.overlap_with_boundary,
         }
-        hint = "or grain_extent finite, as in the set geometric"
-        for name, rule in rules.items() if self.grain_extent == "point" else ():
-            check_relations((rule == "keep", name, rule, "keep with grain_extent point", hint))
+        for name, rule in rules.items():
+            if self.grain_extent == "point" and rule != "keep":
+                hint = "or grain_extent finite, as in the set geometric"
+                raise invalid(name, rule, "keep with grain_extent point", hint)
 
     @classmethod
     def from_input(cls, value: Any) -> Self:
@@ -141,6 +142,7 @@ class TransportInterpretation(ContentEquality):
         if not isinstance(given, Mapping):
             allowed = f"a mapping of named choices, or one of {join_names(INTERPRETATION_SETS)}"
             raise invalid("interpretation", value, allowed)
+        given = to_text_keys("interpretation", given)
         if SET_KEY in given:
             key = "interpretation" if isinstance(value, str) else f"interpretation.{SET_KEY}"
             name = check_choice(key, given[SET_KEY], INTERPRETATION_SETS)

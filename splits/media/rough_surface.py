@@ -17,7 +17,14 @@ from splits.core.arrays import (
     check_axis,
 )
 from splits.core.declarations import Quantity, declare_class, defer_check, list_inputs
-from splits.core.validation import check_integer, check_range, check_relations, invalid, key_prefix
+from splits.core.validation import (
+    check_integer,
+    check_range,
+    check_relations,
+    invalid,
+    key_prefix,
+    to_text_keys,
+)
 from splits.kernels.rng import make_table_probabilities, start_stream
 from splits.kernels.rough_surface import realization as kernels
 from splits.materials.csv_table import read_tabulated_function
@@ -349,7 +356,7 @@ def _check_fields(given: Any) -> tuple[RandomHeightField, ...]:
             if not isinstance(value, Mapping):
                 raise invalid(key, value, allowed)
             with key_prefix(key):
-                value = RandomHeightField(**value)
+                value = RandomHeightField(**to_text_keys("", value))
         height_fields.append(value)
     return tuple(height_fields)
 

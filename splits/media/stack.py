@@ -12,7 +12,7 @@ import numpy as np
 
 from splits.core.arrays import ContentEquality
 from splits.core.declarations import Quantity, declare_class
-from splits.core.validation import check_relations, invalid
+from splits.core.validation import invalid
 from splits.kernels.scene import MATRIX, WET_PORE
 from splits.media.formatting import format_input, suggest_medium
 from splits.media.ground import Ground, GroundInput, check_ground_reached, describe_ground
@@ -58,16 +58,12 @@ def _check_layers(key: str, layers: Any) -> tuple[Any, ...]:
             allowed = "splits.Snow(...), splits.Sand(...) or splits.ParticleLayer(...)"
             raise invalid(own_key, kind, allowed, hint)
         thickness = "depth_m" if layer.has_grains else "optical_thickness"
-        check_relations(
-            (
-                number == last or not layer.is_semi_infinite, f"{own_key}.{thickness}", math.inf,
-                "finite", "only the lowest layer may be infinite",
-            ),
-            (
-                layer.ground is None, f"{own_key}.ground", layer.ground and layer.ground.as_input(),
-                "left out", "give it to the stack",
-            ),
-        )  # fmt: skip
+        if layer.is_semi_infinite and number < last:
+            hint = "only the lowest layer may be infinite"
+            raise invalid(f"{own_key}.{thickness}", math.inf, "finite", hint)
+        if layer.ground is not None:
+            given, hint = layer.ground.as_input(), "give it to the stack"
+            raise invalid(f"{own_key}.ground", given, "left out", hint)
     return layers
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from splits.core.arrays import as_1d_array, as_float_array
 from splits.core.inputs import check_incidence
 from splits.core.optional import import_optional
 from splits.core.uncertainty import Variable, compute_jackknife_stderr, make_variable
-from splits.core.validation import check_range, check_relations, invalid
+from splits.core.validation import check_range, invalid
 from splits.discrete_ordinates.adding import Boundary, Element, compute_budget, make_isotropic
 from splits.discrete_ordinates.homogeneous_layer import LayerOptics, Streams, solve_slab
 from splits.media.ground import Ground, describe_ground
@@ -316,30 +317,20 @@ def solve_discrete_ordinates(
     layers = [optics] if isinstance(optics, xr.Dataset) else list(optics)
     if not layers:
         raise invalid("optics", optics, "those of at least one layer")
-    is_even = not (isinstance(streams, bool) or streams % 2 or streams < 4)
+    wavelengths = layers[0].wavelength.values
+    for number, layer in enumerate(layers):
+        key = f"optics[{number}]"
+        if "optical_thickness" not in layer:
+            hint = "give the medium a depth_m"
+            raise invalid(key, "without optical_thickness", "of finite depth", hint)
+        if not np.array_equal(layer.wavelength, wavelengths):
+            raise invalid(f"{key}.wavelength", layer.wavelength.values, "that of optics[0]")
     min_moments = min(layer.sizes["order"] for layer in layers)
-    wavelengths, rows = layers[0].wavelength.values, [one.wavelength.values for one in layers]
-    check_relations(
-        *(
-            (
-                "optical_thickness" in layer, f"optics[{number}]", "without optical_thickness",
-                "of finite depth", "give the medium a depth_m",
-            )
-            for number, layer in enumerate(layers)
-        ),
-        (is_even, "streams", streams, "an even number of at least 4"),
-        (
-            min_moments > streams, "streams", streams,
-            f"below the number of moments, {min_moments}",
-        ),
-        *(
-            (
-                np.array_equal(row, wavelengths), f"optics[{number}].wavelength", row,
-                "that of optics[0]",
-            )
-            for number, row in enumerate(rows)
-        ),
-    )  # fmt: skip
+    is_whole = isinstance(streams, Integral) and not isinstance(streams, bool)
+    if not is_whole or streams % 2 or streams < 4:
+        raise invalid("streams", streams, "an even number of at least 4")
+    if streams >= min_moments:
+        raise invalid("streams", streams, f"below the number of moments, {min_moments}")
     ground_model = Ground.from_input(ground)
     albedo = (
         np.zeros(wavelengths.shape) if ground_model is None else ground_model.albedo(wavelengths)

@@ -245,21 +245,18 @@ def check_retrieval(
             for key in ("fixed", "free", "reference_values")
         ),
     )  # fmt: skip
+    if not section.compare_with:
+        return
     key, law, medium = "retrieve.compare_with", section.compare_with, experiment.medium
     media_kind = medium.get("kind")
     unsupported = [keyword for keyword in LAW_UNSUPPORTED_KEYWORDS if medium.get(keyword)]
     if medium.get("depth_m", math.inf if media_kind == "natural_snow" else None) != math.inf:
         unsupported.append("a finite depth_m")
-    check_relations(
-        (
-            not law or media_kind in ("snow", "natural_snow"), key, law,
-            "left out for media other than snow",
-        ),
-        (
-            not law or not unsupported, key, law, f"left out with {', '.join(unsupported[:1])}",
-            "it describes deep, dry snow with the parameters of the grid",
-        ),
-    )  # fmt: skip
+    if media_kind not in ("snow", "natural_snow"):
+        raise invalid(key, law, "left out for media other than snow")
+    if unsupported:
+        hint = "it describes deep, dry snow with the parameters of the grid"
+        raise invalid(key, law, f"left out with {unsupported[0]}", hint)
 
 
 def check_on_grid(key: str, value: Any, nodes: tuple[Any, ...] | None) -> None:

@@ -218,7 +218,10 @@ class SimulationConfig(ConfigSection):
             path = error.key.split(" ", 1)[0]
             key = path if path in self.grid else re.split(r"\W", path, maxsplit=1)[0]
             sample = self.grid.get(SAMPLE_KEY, {}).get(labels.get(SAMPLE_KEY, ""), {})
-            if key in self.grid:
+            part = next((p for p in labels if find_whole(p) == key == error.key), "")
+            if part:
+                prefix, error.key, error.value = "grid", part, self.grid[part][labels[part]]
+            elif key in self.grid:
                 prefix = "grid"
                 if key == LAYERS_KEY != path and labels:
                     prefix = f"grid.{LAYERS_KEY}.{labels[LAYERS_KEY]}"
@@ -243,8 +246,9 @@ class SimulationConfig(ConfigSection):
         for parameter in [p for p in values if parse_impurity_parameter(p)]:
             key, kind = parse_impurity_parameter(parameter) or ("", "")
             values[key] = {**values.get(key, {}), kind: values.pop(parameter)}
-        # Layers of stacks have no parts on a grid.
-        parts = {p: values.pop(p) for p in [*values] if find_whole(p).isidentifier()}
+        # Layers of stacks, whose names have dots, have no parts on a grid.
+        wholes = {p: find_whole(p) for p in values}
+        parts = {p: values.pop(p) for p, whole in wholes.items() if whole and "." not in whole}
         check_single_parts(parts)
         sample = {k: v for k, v in values.pop(SAMPLE_KEY, {}).items() if k != "kind"}
         settings = apply_paths(override_keywords(base, sample), values)

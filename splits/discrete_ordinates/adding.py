@@ -227,10 +227,7 @@ def make_outlet(
     leaving[..., beams % max(n_beams, 1), n_streams + beams] = by_state
     leaving[..., -1, :n_streams] = 2.0 * (top.transmission * isotropic)[..., :n_streams]
     unit = np.eye(n_radiances)
-    outlet: np.ndarray = leaving @ np.linalg.inv(
-        unit - reflection * top.reflection[..., np.newaxis, :]
-    )
-    return outlet
+    return leaving @ np.linalg.inv(unit - reflection * top.reflection[..., np.newaxis, :])
 
 
 def iterate_levels(
@@ -268,5 +265,4 @@ def iterate_levels(
 
 def apply_rows(rows: np.ndarray, source: np.ndarray) -> np.ndarray:
     """Return the product of matrices with vectors."""
-    product: np.ndarray = (rows @ source[..., np.newaxis])[..., 0]
-    return product
+    return (rows @ source[..., np.newaxis])[..., 0]

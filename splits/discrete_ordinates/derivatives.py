@@ -274,7 +274,4 @@ def _compute_optics_change(snowpack: GranularStack, error: np.ndarray) -> np.nda
             for scale in (UNCHANGED, SCALES[0])
         )
         slopes.append(np.abs(after - before) / SCALE_STEP)
-    change: np.ndarray = np.minimum(
-        error / np.maximum(np.max(slopes, axis=0), TINY), MAX_OPTICS_CHANGE
-    )
-    return change
+    return np.minimum(error / np.maximum(np.max(slopes, axis=0), TINY), MAX_OPTICS_CHANGE)

@@ -164,8 +164,7 @@ def _compute_reflectance_error(
         np.zeros(albedo.shape), streams.cosines.size,
     )  # fmt: skip
     error = compute_jackknife_stderr(budget.reflectance).max(axis=-1)
-    shaped: np.ndarray = error.reshape(axes.contrast.nodes.size, -1)
-    return shaped
+    return error.reshape(axes.contrast.nodes.size, -1)
 
 
 def compute_saturation_error(table: GrainTable) -> np.ndarray:

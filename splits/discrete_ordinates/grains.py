@@ -73,8 +73,7 @@ class Axis(NamedTuple):
 
     def contains(self, values: np.ndarray) -> np.ndarray:
         """Return whether values are on the axis."""
-        inside: np.ndarray = (values >= self.nodes[0]) & (values <= self.nodes[-1])
-        return inside
+        return (values >= self.nodes[0]) & (values <= self.nodes[-1])
 
     def compute_weights(self, values: np.ndarray) -> np.ndarray:
         """Return the weights of the nodes in polynomial interpolation, shape (values, nodes).
@@ -90,8 +89,7 @@ class Axis(NamedTuple):
         weights = signs / np.where(exact, 1.0, difference)
         hits = exact.any(axis=1)
         weights[hits] = exact[hits]
-        normalized: np.ndarray = weights / weights.sum(axis=1, keepdims=True)
-        return normalized
+        return weights / weights.sum(axis=1, keepdims=True)
 
 
 class GrainTable(NamedTuple):
@@ -183,8 +181,7 @@ class GrainTable(NamedTuple):
             np.searchsorted(axis.nodes, values).clip(first, axis.nodes.size - 1)
             for first, axis, values in ((0, self.contrast, contrast), (1, self.absorption, q))
         )
-        stderr: np.ndarray = self.stderr[row, column]
-        return stderr
+        return self.stderr[row, column]
 
     def to_dataset(self) -> xr.Dataset:
         """Return the table as a dataset."""
@@ -368,8 +365,7 @@ class TracedGrains(NamedTuple):
         cosine, incident, leaving, square = weighted[1:] / np.maximum(weighted[0], TINY)
         spread = 0.5 * (1.0 - cosine) * square
         free = 1.0 / extinction_per_m
-        ratio: np.ndarray = free / np.sqrt((free + incident) * (free + leaving) + spread)
-        return ratio
+        return free / np.sqrt((free + incident) * (free + leaving) + spread)
 
     def compute_thinness_error(self, depth_m: np.ndarray) -> np.ndarray:
         """Return the bound on the error of fluxes of a layer not much thicker than its grains.
@@ -386,8 +382,7 @@ class TracedGrains(NamedTuple):
         """
         weighted = self.displacements[0]
         displacement = np.sqrt(weighted[-1] / np.maximum(weighted[0], TINY))
-        bound: np.ndarray = ERROR_PER_THINNESS * displacement / depth_m
-        return bound
+        return ERROR_PER_THINNESS * displacement / depth_m
 
 
 class GrainTracing(NamedTuple):

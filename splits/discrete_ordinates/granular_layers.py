@@ -320,5 +320,4 @@ def compute_replicate_error(
     for digest in list_traced(layers):
         results = np.array([solve(one) for one in iterate_replicates(layers, digest)])
         variance = variance + compute_jackknife_stderr(results) ** 2
-    error: np.ndarray = np.sqrt(variance)
-    return error
+    return np.sqrt(variance)

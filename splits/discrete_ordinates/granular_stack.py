@@ -255,8 +255,7 @@ class Truncation(NamedTuple):
             for name in ("reflectance", "transmittance")
         )
         changes = np.abs([reflected, transmitted, reflected + transmitted])
-        largest: np.ndarray = changes.max(axis=(0, -1))
-        return largest
+        return changes.max(axis=(0, -1))
 
 
 def add_neighbours(cosines: np.ndarray) -> np.ndarray:
@@ -305,8 +304,7 @@ class SpectrumSolution(NamedTuple):
     @property
     def error(self) -> np.ndarray:
         """Error of reflectance and transmittance, shape (wavelengths,)."""
-        error: np.ndarray = np.hypot(self.truncation, self.optics_error)
-        return error
+        return np.hypot(self.truncation, self.optics_error)
 
     def bound_errors(self, values: np.ndarray) -> np.ndarray:
         """Return the errors of reflectance, transmittance, and further quantities up to 1.
@@ -413,8 +411,7 @@ def find_similarity_error(contrast: np.ndarray, is_wet: bool) -> np.ndarray:
     """Return the relative error of (1 − ω)/(1 − g) in a table, at the next contrasts."""
     table = load_natural_grains(wet=is_wet)
     row = np.searchsorted(table.contrast.nodes, contrast).clip(0, table.contrast.nodes.size - 1)
-    errors: np.ndarray = _tabulate_similarity_errors(is_wet)[row]
-    return errors
+    return _tabulate_similarity_errors(is_wet)[row]
 
 
 @cache
@@ -434,8 +431,7 @@ def _tabulate_similarity_errors(is_wet: bool) -> np.ndarray:
 
     x = q / (1.0 - q)
     slope = np.abs(reflect(x * (1.0 + _STEP)) - reflect(x)).max(axis=-1) / _STEP
-    errors: np.ndarray = table.stderr[:, _WEAK_NODE] / slope
-    return errors
+    return table.stderr[:, _WEAK_NODE] / slope
 
 
 def compute_slab_error(
@@ -462,8 +458,7 @@ def compute_slab_error(
     if snowpack.is_wet or not contrasts:
         return 0.0
     change = (reflectance * transmittance).max(axis=-1)
-    error: np.ndarray = change * find_similarity_error(contrasts[0], is_wet=False)
-    return error
+    return change * find_similarity_error(contrasts[0], is_wet=False)
 
 
 # --------------------------------------------------------------------------------------------------
@@ -504,8 +499,7 @@ def solve_with_exponent_error(
     few = snowpack.select(trial)
 
     def get_logarithm(budget: Budget) -> np.ndarray:
-        logarithm: np.ndarray = np.log(np.maximum(budget.transmittance, TINY))
-        return logarithm
+        return np.log(np.maximum(budget.transmittance, TINY))
 
     def solve(layers: Sequence[GranularLayer]) -> np.ndarray:
         return get_logarithm(few._replace(layers=layers).solve(cosines, solution.n_streams))

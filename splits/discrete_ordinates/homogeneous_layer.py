@@ -47,8 +47,7 @@ class Streams(NamedTuple):
 
         Twice the product with a scaled radiance is a flux, in units of that of radiance 1.
         """
-        vector: np.ndarray = np.sqrt(self.weights * self.cosines)
-        return vector
+        return np.sqrt(self.weights * self.cosines)
 
 
 def compute_legendre(cosines: np.ndarray, mode: int, orders: int) -> np.ndarray:
@@ -302,8 +301,7 @@ def _refine_eigenvalue(
     by_absorption = amplitude * (amplitude * root + 2.0 * (deviation @ profile)) * absorption
     deviation = deviation.reshape(vector.shape)
     remainder = deviation * (b @ deviation[..., np.newaxis])[..., 0]
-    refined: np.ndarray = by_absorption.sum(axis=-1) + remainder.sum(axis=-1)
-    return refined
+    return by_absorption.sum(axis=-1) + remainder.sum(axis=-1)
 
 
 def join_blocks(blocks: list[list[np.ndarray]]) -> np.ndarray:

@@ -173,8 +173,7 @@ def _pair(beam: DirectLight, view: DirectLight, states: tuple[int, int], turn: i
         one[..., states[0]][..., :, np.newaxis] * other[..., states[1]][..., np.newaxis, :]
         for one, other in pairs
     )
-    amplitude: np.ndarray = first + second
-    return amplitude
+    return first + second
 
 
 def _select_directions(interface: Element, n_states: int) -> Element:

@@ -59,14 +59,12 @@ class RefractingCells(NamedTuple):
 
     def compute_outer_transmittance(self) -> np.ndarray:
         """Return the transmittance of the streams in air, shape (..., streams)."""
-        outer: np.ndarray = self.transmission.sum(axis=-2) / self.weights
-        return outer
+        return self.transmission.sum(axis=-2) / self.weights
 
     def compute_inner_transmittance(self, index: np.ndarray) -> np.ndarray:
         """Return the transmittance of the streams in water, shape (..., streams)."""
         etendue = np.asarray(index)[..., np.newaxis] ** 2 * self.weights
-        inner: np.ndarray = self.transmission.sum(axis=-1) / etendue
-        return inner
+        return self.transmission.sum(axis=-1) / etendue
 
 
 def compute_reflectance(cosine: np.ndarray, index: np.ndarray) -> np.ndarray:
@@ -74,8 +72,7 @@ def compute_reflectance(cosine: np.ndarray, index: np.ndarray) -> np.ndarray:
     refracted = np.sqrt(index**2 - 1.0 + cosine**2)
     perpendicular = ((cosine - refracted) / (cosine + refracted)) ** 2
     parallel = ((index**2 * cosine - refracted) / (index**2 * cosine + refracted)) ** 2
-    reflectance: np.ndarray = 0.5 * (perpendicular + parallel)
-    return reflectance
+    return 0.5 * (perpendicular + parallel)
 
 
 def refract_directions(cosines: np.ndarray, index: np.ndarray | None) -> np.ndarray:
@@ -273,8 +270,7 @@ class Geometry(NamedTuple):
         sines = np.sqrt((1.0 - beam**2) * (1.0 - view**2))[..., np.newaxis]
         vertical = (beam * view)[..., np.newaxis]
         turned = vertical if side == TRANSMITTED else -vertical
-        clipped: np.ndarray = np.clip(sines * np.cos(self.azimuths) + turned, -1.0, 1.0)
-        return clipped
+        return np.clip(sines * np.cos(self.azimuths) + turned, -1.0, 1.0)
 
 
 class PlaneLayers(NamedTuple):

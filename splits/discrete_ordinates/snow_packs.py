@@ -195,8 +195,7 @@ class SpectraSolution(NamedTuple):
     @property
     def error(self) -> np.ndarray:
         """Error of reflectance and transmittance, shape (snowpacks, wavelengths)."""
-        error: np.ndarray = np.hypot(self.truncation, self.optics_error)
-        return error
+        return np.hypot(self.truncation, self.optics_error)
 
 
 def solve_spectra(

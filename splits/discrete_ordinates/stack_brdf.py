@@ -85,8 +85,7 @@ class BidirectionalSolution(NamedTuple):
     @property
     def error(self) -> np.ndarray:
         """Errors, shape (2, wavelengths, beams, views, azimuths)."""
-        error: np.ndarray = np.hypot(self.truncation, self.optics_error)
-        return error
+        return np.hypot(self.truncation, self.optics_error)
 
 
 def solve_bidirectional(

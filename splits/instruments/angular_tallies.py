@@ -184,10 +184,7 @@ class AngularBinTally(AngularTally, ExitTally):
 
     def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> AngularSums:
         """Return the sums of a chunk of exits."""
-        sums: AngularSums = tally_angular_bins(
-            exits, stratum.absorption, *self.n_bins, self.polarized
-        )
-        return sums
+        return tally_angular_bins(exits, stratum.absorption, *self.n_bins, self.polarized)
 
     def merge(self, stratum: Stratum, score: AngularSums) -> None:
         """Add the sums of the next chunk of a stratum."""

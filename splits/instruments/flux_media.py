@@ -101,8 +101,7 @@ def find_layers_between(layers: Sequence[Layer], planes_m: np.ndarray) -> np.nda
     """Return whether each layer is in each interval between planes, shape (intervals, layers)."""
     bottoms = np.cumsum([float(layer.depth_m) for layer in layers])
     begin, end = planes_m[:-1, np.newaxis], planes_m[1:, np.newaxis]
-    inside: np.ndarray = (begin < bottoms) & (end > np.append(0.0, bottoms[:-1]))
-    return inside
+    return (begin < bottoms) & (end > np.append(0.0, bottoms[:-1]))
 
 
 def compute_layer_steps(medium: Layer, absorption: np.ndarray) -> AbsorptionSteps:

@@ -132,9 +132,9 @@ def irradiance_profile(
         ``absorptance``, the fraction of the incident light that is absorbed there;
         ``absorptance_of_material``, the same by ``material``; and ``actinic_flux``, the mean path
         length of light in the interval, in grains and pores, divided by its thickness.  All with
-        standard errors ``…_stderr``; irradiances and absorptances also with ``…_batches``, see
-        `splits.core.uncertainty`.  Reflectance, absorptances, and the net irradiance at the bottom
-        add up to 1.  The last interval of a semi-infinite medium extends below all depths; its mean
+        standard errors ``…_stderr``; irradiances and absorptances by paths also with
+        ``…_batches``, see `splits.core.uncertainty`.  Reflectance, absorptances, and the net
+        irradiance at the bottom add up to 1.  The last interval of a semi-infinite medium extends below all depths; its mean
         actinic flux is 0 if it absorbs.
 
     Raises
@@ -324,7 +324,8 @@ def _make_dataset(
     Parameters
     ----------
     results : sequence of tuple of float, shape (..., wavelengths)
-        Values of the `QUANTITIES` and their errors; of paths, deviations by batch of the first three.
+        Values of the `QUANTITIES`, and their errors; by paths, deviations by batch of the first
+        three.
     wavelengths : float, shape (wavelengths,)
         nm.
     edges : float, shape (intervals + 1,)

@@ -9,8 +9,8 @@ import xarray as xr
 
 from splits.core.provenance import hash_physics_sources
 from splits.core.uncertainty import compute_leave_one_out_means
+from splits.discrete_ordinates.adding import WET
 from splits.discrete_ordinates.homogeneous_layer import TINY
-from splits.discrete_ordinates.refraction import WET
 from splits.io.cache import Cache, compute_digest
 from splits.kernels.compiler.cache import find_cache_folder
 from splits.kernels.grains.single_grain import N_SCATTERING_BATCHES
@@ -426,16 +426,6 @@ class GrainTracing(NamedTuple):
         """Wet fraction of the pores from which light comes: dry ones, and wet ones if any."""
         return (0.0, 1.0) if self.wet_fraction > 0.0 else (0.0,)
 
-    def compute_shapes(self) -> tuple[tuple[int, ...], ...]:
-        """Return the shapes of the first three attributes of `TracedGrains`."""
-        n_replicates, n_pores = 1 + N_SCATTERING_BATCHES, len(self.pores)
-        n_wavelengths = len(self.constants.indices)
-        return (
-            (n_replicates, n_wavelengths, n_pores, n_pores, N_TRACED_ORDERS),
-            (n_replicates, 2 + N_DISPLACEMENTS, n_wavelengths),
-            (n_wavelengths,),
-        )
-
     def trace(self, digest: str, threads: int) -> TracedGrains:
         """Trace all types of grains, with random numbers that follow from the digest.
 
@@ -446,8 +436,10 @@ class GrainTracing(NamedTuple):
         threads : int
         """
         run = RunOptions.start(int(digest[:8], 16), threads)
-        shapes = self.compute_shapes()
-        moments, displacements = np.zeros(shapes[0]), np.zeros(shapes[1])
+        n_replicates, n_pores = 1 + N_SCATTERING_BATCHES, len(self.pores)
+        n_wavelengths = len(self.constants.indices)
+        moments = np.zeros((n_replicates, n_wavelengths, n_pores, n_pores, N_TRACED_ORDERS))
+        displacements = np.zeros((n_replicates, 2 + N_DISPLACEMENTS, n_wavelengths))
         fractions = np.diff(self.scene.layers.type_cdf[0], prepend=0.0)
         shares = np.sqrt(fractions.clip(0.0))
         n_chunks = np.ceil(self.rays / GRAIN_RAYS_PER_CHUNK * shares / shares.sum()).astype(int)

@@ -15,7 +15,9 @@ from splits.discrete_ordinates.adding import (
     Budget,
     Element,
     compute_budget,
+    make_faces,
     make_isotropic,
+    refract_directions,
 )
 from splits.discrete_ordinates.grains import GrainTable
 from splits.discrete_ordinates.granular_layers import (
@@ -25,7 +27,6 @@ from splits.discrete_ordinates.granular_layers import (
     list_traced,
 )
 from splits.discrete_ordinates.homogeneous_layer import TINY, LayerOptics, Streams, solve_slab
-from splits.discrete_ordinates.refraction import make_faces, refract_directions
 
 STREAM_NUMBERS = (8, 12, 16, 24, 32, 48, 64)
 """Numbers of streams to choose from."""

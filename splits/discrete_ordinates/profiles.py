@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.core.uncertainty import compute_jackknife_stderr
-from splits.discrete_ordinates.adding import apply_rows, iterate_levels
+from splits.discrete_ordinates.adding import DRY, WET, apply_rows, iterate_levels
 from splits.discrete_ordinates.grains import GrainTable
 from splits.discrete_ordinates.granular_layers import iterate_replicates, list_traced
 from splits.discrete_ordinates.granular_stack import (
@@ -21,7 +21,6 @@ from splits.discrete_ordinates.granular_stack import (
     spread_truncation,
 )
 from splits.discrete_ordinates.homogeneous_layer import LayerOptics
-from splits.discrete_ordinates.refraction import DRY, WET
 
 # --------------------------------------------------------------------------------------------------
 # Fluxes, absorption and path lengths within dry and wet layers.

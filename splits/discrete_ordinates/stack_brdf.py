@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.core.uncertainty import MIN_REFERENCE_FRACTION, ErrorTarget
-from splits.discrete_ordinates.adding import Budget
+from splits.discrete_ordinates.adding import WET, Budget
 from splits.discrete_ordinates.granular_layers import (
     N_PEAK_ORDERS,
     estimate_phase_error,
@@ -34,12 +34,13 @@ from splits.discrete_ordinates.granular_stack import (
 from splits.discrete_ordinates.homogeneous_layer import TINY, LayerOptics, Streams
 from splits.discrete_ordinates.radiance import (
     DirectLight,
+    Geometry,
+    PlaneLayers,
     compute_bidirectional,
     scatter_once,
     sum_legendre,
     trace_direct_light,
 )
-from splits.discrete_ordinates.refraction import WET, Geometry, PlaneLayers
 
 MAX_BRDF_STREAMS = 32
 """Largest number of streams of a BRDF: the number of moments of the table minus 1."""

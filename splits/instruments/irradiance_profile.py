@@ -134,8 +134,8 @@ def irradiance_profile(
         length of light in the interval, in grains and pores, divided by its thickness.  All with
         standard errors ``…_stderr``; irradiances and absorptances by paths also with
         ``…_batches``, see `splits.core.uncertainty`.  Reflectance, absorptances, and the net
-        irradiance at the bottom add up to 1.  The last interval of a semi-infinite medium extends below all depths; its mean
-        actinic flux is 0 if it absorbs.
+        irradiance at the bottom add up to 1.  The last interval of a semi-infinite medium extends
+        below all depths; its mean actinic flux is 0 if it absorbs.
 
     Raises
     ------

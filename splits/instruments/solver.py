@@ -25,7 +25,7 @@ from splits.discrete_ordinates.granular_stack import (
     solve_with_exponent_error,
 )
 from splits.discrete_ordinates.homogeneous_layer import TINY
-from splits.discrete_ordinates.refraction import Geometry
+from splits.discrete_ordinates.radiance import Geometry
 from splits.discrete_ordinates.stack_brdf import solve_bidirectional, solve_relative_spectrum
 from splits.instruments.angular_estimate import AngularEstimate, compute_anisotropy
 from splits.media.medium import Medium

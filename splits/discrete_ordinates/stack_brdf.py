@@ -62,8 +62,8 @@ class BidirectionalSolution(NamedTuple):
 
     Attributes
     ----------
-    values, truncation, optics_error : float, shape (2, wavelengths, beams, views, azimuths)
-        1/sr, reflected and transmitted; errors due to the number of streams, and due to the table
+    values, error : float, shape (2, wavelengths, beams, views, azimuths)
+        1/sr, reflected and transmitted; error due to the number of streams, and due to the table
         of the grains.
     anisotropy, anisotropy_error : float, shape (wavelengths, beams, views, azimuths)
         Anisotropy factor, with the reflectance of the same solution, and its error.
@@ -75,18 +75,12 @@ class BidirectionalSolution(NamedTuple):
     """
 
     values: np.ndarray
-    truncation: np.ndarray
-    optics_error: np.ndarray
+    error: np.ndarray
     anisotropy: np.ndarray
     anisotropy_error: np.ndarray
     n_streams: int
     spectrum: SpectrumSolution
     direct: DirectLight
-
-    @property
-    def error(self) -> np.ndarray:
-        """Errors, shape (2, wavelengths, beams, views, azimuths)."""
-        return np.hypot(self.truncation, self.optics_error)
 
 
 def solve_bidirectional(
@@ -116,13 +110,13 @@ def solve_bidirectional(
     )
     values = _solve(snowpack, geometry, n_streams)
     reference = _compute_relative_reference(values, scattered)
-    truncation = relative * reference
     by_total = _compute_relative_errors(snowpack, geometry, spectrum, totals)
     once = _compute_single_scattering_error(snowpack, geometry, n_streams)
     scale, sensitivity = _compute_anisotropy_scale(snowpack, geometry, n_streams, values[0])
     own = np.hypot(of_factor * reference[0], once[0])
+    error = np.hypot(relative * reference, np.hypot(values * by_total, once))
     return BidirectionalSolution(
-        values, truncation, np.hypot(values * by_total, once), scale * values[0],
+        values, error, scale * values[0],
         scale * np.hypot(own, sensitivity * values[0] * by_total[0]), n_streams, spectrum, direct,
     )  # fmt: skip
 

@@ -393,7 +393,7 @@ def goniophotometer(
     )  # fmt: skip
     estimate: AngularEstimate
     polarized: Mapping[str, tuple[np.ndarray, np.ndarray]] = {}
-    undefined = TRANSMITTED_VARIABLES if has_ground else ()
+    undefined: tuple[str, ...] = TRANSMITTED_VARIABLES if has_ground else ()
     for stack in choice.stacks:
         ((estimate, described),) = solve_angular_distributions(
             stack, polar, azimuth, relative_stderr, error_target, [incidence]

@@ -471,7 +471,7 @@ def divide_medium(
     medium: Medium, whole: GranularStack, edges: np.ndarray
 ) -> tuple[GranularStack, LayerDivision]:
     """Return a medium and its snowpack divided at the edges of intervals (m)."""
-    layers: Any = medium.scene_layers
+    layers = medium.scene_layers
     boundaries = np.cumsum([layer.depth_m for layer in layers])[:-1]
     begin = edges[:-1]
     # Rounding may put a depth at a boundary on either side of it.

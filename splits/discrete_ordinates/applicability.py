@@ -230,7 +230,7 @@ def find_parameter_obstacle(medium: Medium, parameters: Sequence[str]) -> str | 
     parameters : sequence of str
         Parameters of the medium.
     """
-    layers = medium.scene_layers if parameters else ()
+    layers: Any = medium.scene_layers if parameters else ()
     for name in parameters:
         if name.split(".")[-1] in SHAPE_PARAMETERS:
             return f"{name} changes the shape of natural grains"

@@ -214,19 +214,21 @@ def solve_spectra(
         See `splits.discrete_ordinates.granular_stack.solve_spectrum`.
     """
     shape = n_snowpacks, n_wavelengths = snowpacks.ground.shape
-    reflectance, transmittance = np.empty((2, *shape, cosines.shape[-1] + 1))
-    numbers = np.zeros(n_snowpacks, dtype=int)
-    result = SpectraSolution(reflectance, transmittance, numbers, np.empty(shape), np.empty(shape))
     if snowpacks.is_wet:
-        for number in range(n_snowpacks):
-            one = solve_spectrum(snowpacks.select(slice(None), number), cosines[number], max_error)
-            result.reflectance[number] = one.budget.reflectance
-            result.transmittance[number] = one.budget.transmittance
-            result.n_streams[number] = one.n_streams
-            result.truncation[number] = one.truncation
-            result.optics_error[number] = one.optics_error
-        return result
-    result.optics_error[:] = compute_optics_error(snowpacks)
+        solved = [
+            solve_spectrum(snowpacks.select(slice(None), number), cosines[number], max_error)
+            for number in range(n_snowpacks)
+        ]
+        spectra = [
+            (one.budget.reflectance, one.budget.transmittance, one.n_streams, one.truncation,
+             one.optics_error) for one in solved
+        ]  # fmt: skip
+        return SpectraSolution(*map(np.array, zip(*spectra, strict=True)))
+    reflectance, transmittance = np.empty((2, *shape, cosines.shape[-1] + 1))
+    result = SpectraSolution(
+        reflectance, transmittance, np.zeros(n_snowpacks, dtype=int), np.empty(shape),
+        compute_optics_error(snowpacks) + np.zeros(shape),
+    )  # fmt: skip
     _choose_streams(snowpacks, cosines, max_error, result)
     for n_streams in np.unique(result.n_streams):
         group = np.flatnonzero(result.n_streams == n_streams)

@@ -258,9 +258,10 @@ def limit_depths(depth_m: Any, medium: Medium) -> np.ndarray:
     """Return depths that divide light by the largest depth reached (m), after checking them."""
     if depth_m is None:
         return np.zeros(0)
-    depths = np.asarray(depth_m)
-    limits = 0.0, float(medium.depth_m)
-    return check_axis("depth_m", depths, *limits, "m", open_low=True, open_high=True)
+    return check_axis(
+        "depth_m", np.asarray(depth_m), 0.0, float(medium.depth_m), "m", open_low=True,
+        open_high=True,
+    )  # fmt: skip
 
 
 def make_receiver(

@@ -125,8 +125,7 @@ def hdrf(
     attributes = run.make_attributes("Reflectance factor under a sky", "hdrf", medium)
     requested = {"relative_stderr": relative_stderr, **mixed.attrs}
     mixed = mixed.assign_coords(wavelength=make_wavelength_coordinate(wavelengths))
-    attributes |= {f"band_{key}_sha256": one.sha256 for key, one in named.items() if one.sha256}
-    mixed = mixed.assign_attrs(attributes | make_sky_attributes(sky_spectrum) | requested)
+    mixed = mixed.assign_attrs(attributes | make_sky_attributes(sky_spectrum, named) | requested)
     if not named:
         return mixed
     means = average_over_bands(mixed, name, sky_spectrum, named, "reflectance factor")

@@ -294,8 +294,10 @@ def make_flux_dataset(
     ratio_error = traced_medium.path_ratio.find_largest_error(traced_medium.medium, edges)
     ratio_error *= np.abs(fluxes[0].mean(axis=0))
     # Light that no ray carries is absorbed, and has a path per absorbed light.
-    longest, rate = np.full_like(absorptance, np.inf), steps.absorption_rate
-    np.divide(1.0 / thickness, rate, out=longest, where=rate > 0.0)
+    rate = steps.absorption_rate
+    longest = np.divide(
+        1.0 / thickness, rate, out=np.full_like(absorptance, np.inf), where=rate > 0.0
+    )
     unsampled_flux = result.unsampled_light * np.minimum(longest, 1.0)
     flux_error = _combine_errors(fluxes, result, unsampled_flux, ratio_error)
     if traced_medium.semi_infinite:
@@ -341,16 +343,16 @@ def _make_dataset(
         variables |= make_variable(name, dims, values, stderr, label)
         for by_batch in deviations:
             variables |= make_deviation_variable(name, dims, np.moveaxis(by_batch, -1, 1), label)
-    depth_attributes = {
-        "long_name": "depth", "units": "m", "positive": "down", "standard_name": "depth",
-    }  # fmt: skip
     coordinates = {
         "wavelength": make_wavelength_coordinate(wavelengths),
-        "depth": ("depth", edges[np.isfinite(edges)], depth_attributes),
+        "depth": (
+            "depth", edges[np.isfinite(edges)],
+            {"long_name": "depth", "units": "m", "positive": "down", "standard_name": "depth"},
+        ),
         "interval_top": ("interval", edges[:-1], {"long_name": "top", "units": "m"}),
         "interval_bottom": ("interval", edges[1:], {"long_name": "bottom", "units": "m"}),
         "material": ("material", np.array(materials), {"long_name": "material"}),
-    }
+    }  # fmt: skip
     return xr.Dataset(variables, coordinates)
 
 
@@ -404,8 +406,10 @@ def compute_absorbed_fractions(estimate: FluxEstimate, columns: Sequence[int]) -
     equal = np.full_like(sample_parts, 1.0 / len(columns))
     sample_fraction = np.divide(sample_parts, sample_total, out=equal, where=sample_total > 0.0)
     is_scored = mean_scored > 0.0
-    fraction = np.broadcast_to(sample_fraction, mean_parts.shape).copy()
-    np.divide(mean_parts, mean_scored, out=fraction, where=is_scored)
+    fraction = np.divide(
+        mean_parts, mean_scored, out=np.broadcast_to(sample_fraction, mean_parts.shape).copy(),
+        where=is_scored,
+    )  # fmt: skip
     absorbed = estimate.split_quantities(estimate.quantities)[2][:, :, np.newaxis]
     mean_absorbed = absorbed.mean(axis=0)
     scale = np.divide(mean_absorbed, mean_scored, out=np.zeros_like(mean_absorbed), where=is_scored)

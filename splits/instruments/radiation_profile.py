@@ -178,7 +178,7 @@ def radiation_profile(
     variables |= make_coverage_variable(weights, band_irradiance)
     attributes = {
         **run.make_attributes("Sunlight inside", "radiation_profile", medium),
-        **make_sky_attributes(sky_spectrum),
+        **make_sky_attributes(sky_spectrum, named),
         "irradiance_w_m2": band_irradiance[0],
         "max_stderr": max_stderr,
         "target": target,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.core.declarations import Quantity
 from splits.core.inputs import check_wavelengths
 from splits.core.keywords import REACHED_ATTRIBUTES
 from splits.core.uncertainty import (
@@ -23,6 +24,8 @@ from splits.illumination.sky import Sky, sky
 from splits.instruments.solver import DISCRETE_ORDINATES
 from splits.simulation.strata import STOP_REASONS
 
+DIRECT_FRACTION = Quantity("fraction of direct sunlight", "1")
+COVERED_FRACTION = Quantity("fraction of the band's light within the wavelengths", "1")
 DEFAULT_STEP_NM = 10.0
 MAX_DEFAULT_NM = 2495.0
 """Last wavelength by default: less than a hundredth of sunlight lies above it."""
@@ -202,8 +205,8 @@ def average_over_bands(
 
 def make_coverage_variable(weights: np.ndarray, band_irradiance: np.ndarray) -> dict[str, Variable]:
     """Return the fraction of the light of bands that is covered, see `compute_band_weights`."""
-    attributes = {"long_name": "fraction of the band's light within the wavelengths", "units": "1"}
-    return {"irradiance_covered": ("band", weights.sum(axis=1) / band_irradiance, attributes)}
+    covered = weights.sum(axis=1) / band_irradiance
+    return {"irradiance_covered": ("band", covered, COVERED_FRACTION.attributes)}
 
 
 def make_sky_coordinate(sky: Sky) -> Variable:
@@ -211,7 +214,9 @@ def make_sky_coordinate(sky: Sky) -> Variable:
     return (), np.array(sky.name), {"long_name": "sky"}
 
 
-def make_sky_attributes(sky: Sky) -> dict[str, Any]:
-    """Return the attributes of a sky."""
-    attributes = {"sky": sky.name, "sky_source": sky.source, "zenith_deg": sky.zenith_deg}
-    return attributes | ({"sky_sha256": sky.sha256} if sky.sha256 else {})
+def make_sky_attributes(sky: Sky, bands: Mapping[str, SpectralBand]) -> dict[str, Any]:
+    """Return the attributes of a sky, and of bands."""
+    files: dict[str, Sky | SpectralBand] = {"sky": sky}
+    files |= {f"band_{name}": band for name, band in bands.items()}
+    hashes = {f"{name}_sha256": one.sha256 for name, one in files.items() if one.sha256}
+    return {"sky": sky.name, "sky_source": sky.source, "zenith_deg": sky.zenith_deg, **hashes}

@@ -29,7 +29,7 @@ from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
 from splits.core.validation import invalid, to_text_keys
 from splits.discrete_ordinates.applicability import find_parameter_obstacle
-from splits.instruments.snow_packs import SUN, check_no_paths, compute_snow_pack_spectra
+from splits.instruments.snow_packs import SUN, compute_snow_pack_spectra
 from splits.instruments.solver import (
     choose_solver,
     solve_estimate,
@@ -235,7 +235,10 @@ def spectrophotometer(
     run = RunOptions.start(seed, threads, kernel, progress)
     wavelengths = np.asarray(wavelength_nm)
     if isinstance(medium, SnowPacks):
-        check_no_paths(estimator, jacobian)
+        if estimator != "spectral":
+            raise invalid("estimator", estimator, "left out for SnowPacks", "it needs paths")
+        if np.size(jacobian):
+            raise invalid("jacobian", list(jacobian), "left out for SnowPacks")
         return compute_snow_pack_spectra(
             medium, wavelengths, incidence_deg, max_stderr, solver, run
         )
@@ -274,7 +277,6 @@ def spectrophotometer(
     perturbations, truncation = NO_PERTURBATIONS, None
     if choice.stacks:
         estimate, solutions = solve_estimate(choice.stacks, incidence, max_stderr)
-        derivatives = estimate.derivatives
         if parameters:
             derivatives = solve_parameter_derivatives(
                 first, solutions[0], wavelengths, incidence, parameters

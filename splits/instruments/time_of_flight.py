@@ -408,11 +408,12 @@ def make_delay_dataset(
     )  # fmt: skip
     variables |= _add_moment_flag(path_length, FLAG_NAME, dims, is_known[..., 0])
     centres = 0.5 * (edges[1:] + edges[:-1])
-    delay_attributes = {"long_name": "delay", "units": "s", "bounds": "delay_bounds"}
     coordinates: dict[str, Any] = {
         "side": ("side", list(SIDES), {"long_name": "side of the sample where light leaves"}),
         "wavelength": make_wavelength_coordinate(wavelengths),
-        "delay_s": ("delay_s", centres, delay_attributes),
+        "delay_s": (
+            "delay_s", centres, {"long_name": "delay", "units": "s", "bounds": "delay_bounds"},
+        ),
         "delay_bounds": (("delay_s", "bounds"), np.column_stack([edges[:-1], edges[1:]])),
         "range": (
             "delay_s", 0.5 * SPEED_OF_LIGHT * centres,
@@ -425,9 +426,11 @@ def make_delay_dataset(
         variables |= _make_moment_variables(
             tally, by_depth, depth_dims, "_by_depth", index_error[0]
         )
-        label = "smallest depth of the interval of the largest depth reached"
-        interval_attributes = {"long_name": label, "units": "m"}
-        coordinates["depth_interval"] = ("depth_interval", [0.0, *depths_m], interval_attributes)
+        coordinates["depth_interval"] = (
+            "depth_interval", [0.0, *depths_m],
+            {"long_name": "smallest depth of the interval of the largest depth reached",
+             "units": "m"},
+        )  # fmt: skip
     return xr.Dataset(variables, coordinates, attributes)
 
 

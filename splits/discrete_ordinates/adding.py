@@ -95,19 +95,9 @@ class Boundary(NamedTuple):
         return cls(0.0 * ones, ones, ones[n_streams:], np.zeros(n_directions + 1))
 
 
-class Faces(NamedTuple):
-    """Interfaces between layers, and boundaries of the sample.
-
-    Attributes
-    ----------
-    interfaces : sequence of Element or None
-        Below each layer except the last one; None where light passes unchanged.
-    boundaries : (Boundary, Boundary)
-        At the top and at the bottom.
-    """
-
-    interfaces: Sequence[Element | None]
-    boundaries: tuple[Boundary, Boundary]
+Faces = tuple[Sequence[Element | None], tuple[Boundary, Boundary]]
+"""Interfaces below each layer except the last one, None where light passes unchanged; and the
+boundaries of the sample at the top and at the bottom."""
 
 
 class Budget(NamedTuple):
@@ -364,7 +354,7 @@ def make_faces(
     """
     if index is None:
         face = Boundary.make_transparent(streams.cosines.size, cosines.shape[-1])
-        return Faces([None] * (n_layers - 1), (face, face))
+        return [None] * (n_layers - 1), (face, face)
     cells = RefractingCells.from_index(index, streams)
     interfaces = [
         None if pair[0] == pair[1] else make_wet_interface(pair, index, cells, cosines)
@@ -374,7 +364,7 @@ def make_faces(
         make_wet_boundary(wet_fraction, index, cells, cosines)
         for wet_fraction in (wet_fractions[0], wet_fractions[-1])
     )
-    return Faces(interfaces, (top, bottom))
+    return interfaces, (top, bottom)
 
 
 def make_wet_boundary(

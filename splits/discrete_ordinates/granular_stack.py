@@ -189,9 +189,11 @@ class GranularStack(NamedTuple):
             )
             for one, outside, inside in zip(optics, isotropic, own, strict=True)
         ]  # fmt: skip
-        faces = make_faces(len(elements), self.wet_fractions, self.water_index, streams, cosines)
+        interfaces, boundaries = make_faces(
+            len(elements), self.wet_fractions, self.water_index, streams, cosines
+        )
         combined, levels = elements[:1], isotropic[:1]
-        for number, interface in enumerate(faces.interfaces, start=1):
+        for number, interface in enumerate(interfaces, start=1):
             if interface is not None:
                 combined.append(interface)
                 levels.append(isotropic[number - 1])
@@ -199,7 +201,7 @@ class GranularStack(NamedTuple):
             levels.append(isotropic[number])
         levels.append(isotropic[-1])
         n_both = streams.cosines.size * (1 + self.is_wet)
-        return StackElements(combined, levels, faces.boundaries, self.ground, n_both, optics)
+        return StackElements(combined, levels, boundaries, self.ground, n_both, optics)
 
     def solve(self, cosines: np.ndarray, n_streams: int) -> Budget:
         """Return the budget of light for beams, and for diffuse light (last); see `build`."""

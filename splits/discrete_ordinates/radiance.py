@@ -171,13 +171,13 @@ def trace_direct_light(layers: PlaneLayers, cosines: np.ndarray) -> tuple[Direct
         In air.
     """
     optics, directions = layers.optics, layers.refract(cosines)
-    faces = layers.make_faces(Streams.from_number(2), cosines)
+    interfaces, boundaries = layers.make_faces(Streams.from_number(2), cosines)
     depth = (optics.thickness[..., np.newaxis] * optics.extinction)[..., np.newaxis]
     direct = np.swapaxes(np.exp(-depth / directions), -1, -2)
     n_states, shape = direct.shape[-1], direct.shape[1:]
     elements: list[Element] = []
     is_layer: list[bool] = []
-    for passing, interface in zip(direct, [*faces.interfaces, None], strict=True):
+    for passing, interface in zip(direct, [*interfaces, None], strict=True):
         matrix = passing[..., np.newaxis] * np.eye(n_states)
         elements.append(Element(0.0 * matrix, 0.0 * matrix, matrix, matrix, None))
         is_layer.append(True)
@@ -187,7 +187,7 @@ def trace_direct_light(layers: PlaneLayers, cosines: np.ndarray) -> tuple[Direct
     root = np.sqrt(optics.equilibrium)
     top, bottom = (
         _make_end(boundary, root[end], shape)
-        for boundary, end in zip(faces.boundaries, (0, -1), strict=True)
+        for boundary, end in zip(boundaries, (0, -1), strict=True)
     )
     (falling, rising), outside = _trace(elements, top, bottom)
     from_top = DirectLight(falling[:-1][is_layer], rising[1:][is_layer], *outside)
@@ -524,7 +524,7 @@ def _solve_mode(
         layers.optics, streams, beam, view, mode
     )
     n_streams = isotropic.shape[-1] - n_beams * layers.optics.extinction.shape[-1]
-    top, bottom = faces.boundaries
+    interfaces, (top, bottom) = faces
     # A Lambertian ground reflects into mode 0 only.
     ground = layers.ground if mode == 0 else np.zeros_like(layers.ground)
     reflection, _ = reflect_at_bottom(bottom, isotropic[-1], ground, n_streams)
@@ -547,7 +547,7 @@ def _solve_mode(
         2.0 * gain[..., np.newaxis, np.newaxis] * passing * views[0].transmitted[..., np.newaxis, :]
     )
     for layer in reversed(range(len(elements))):
-        interface = faces.interfaces[layer] if layer < len(elements) - 1 else None
+        interface = interfaces[layer] if layer < len(elements) - 1 else None
         if interface is not None:
             reflection, passage = add_above(interface, reflection)
             rising = passage @ rising

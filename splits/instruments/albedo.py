@@ -17,7 +17,7 @@ from splits.core.inputs import (
 )
 from splits.core.keywords import instrument
 from splits.core.progress import ProgressCallback
-from splits.core.uncertainty import make_deviation_variable, make_variable
+from splits.core.uncertainty import make_variable
 from splits.illumination.bands import Bands
 from splits.illumination.sky import SkyInput
 from splits.instruments.sky_mixing import (
@@ -131,8 +131,9 @@ def albedo(
     )
     direct_fraction = sky_spectrum.compute_direct_fraction(wavelengths)
     variables = {
-        **make_variable("albedo", dims, values, stderr, "albedo under this sky"),
-        **make_deviation_variable("albedo", dims, deviations, "albedo under this sky"),
+        **make_variable(
+            "albedo", dims, values, stderr, "albedo under this sky", deviations=deviations
+        ),
         "direct_fraction": ("wavelength", direct_fraction, DIRECT_FRACTION.attributes),
     }
     spectrum = xr.Dataset(variables, axes, attributes)

@@ -28,7 +28,6 @@ from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import (
     Variable,
     compute_batch_stderr,
-    make_deviation_variable,
     make_variable,
 )
 from splits.core.validation import ROUNDING_TOLERANCE, invalid
@@ -340,9 +339,8 @@ def _make_dataset(
     ):
         dims = ("wavelength", *axes)
         values, stderr = (np.moveaxis(one, -1, 0) for one in (mean, error))
-        variables |= make_variable(name, dims, values, stderr, label)
-        for by_batch in deviations:
-            variables |= make_deviation_variable(name, dims, np.moveaxis(by_batch, -1, 1), label)
+        by_batch = np.moveaxis(deviations[0], -1, 1) if deviations else None
+        variables |= make_variable(name, dims, values, stderr, label, deviations=by_batch)
     coordinates = {
         "wavelength": make_wavelength_coordinate(wavelengths),
         "depth": (

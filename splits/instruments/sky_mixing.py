@@ -15,7 +15,6 @@ from splits.core.keywords import REACHED_ATTRIBUTES
 from splits.core.uncertainty import (
     Variable,
     compute_weighted_error,
-    make_deviation_variable,
     make_variable,
 )
 from splits.core.validation import invalid
@@ -195,12 +194,12 @@ def average_over_bands(
             (error**2 + (between**2).sum("estimate")) ** 0.5,
         )
     )
-    variables = make_variable(f"band_{name}", dims, values, stderr, label)
+    by_batch = None
     if f"{name}_batches" in spectrum:
         deviations = (normalized * spectrum[f"{name}_batches"]).sum("wavelength")
-        rows = deviations.transpose("batch", *dims).values
-        variables |= make_deviation_variable(f"band_{name}", dims, rows, label)
-    return variables | make_coverage_variable(weights, band_irradiance)
+        by_batch = deviations.transpose("batch", *dims).values
+    means = make_variable(f"band_{name}", dims, values, stderr, label, deviations=by_batch)
+    return means | make_coverage_variable(weights, band_irradiance)
 
 
 def make_coverage_variable(weights: np.ndarray, band_irradiance: np.ndarray) -> dict[str, Variable]:

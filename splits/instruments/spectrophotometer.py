@@ -26,7 +26,7 @@ from splits.core.inputs import (
 )
 from splits.core.keywords import instrument
 from splits.core.progress import ProgressCallback
-from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
+from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import invalid, to_text_keys
 from splits.discrete_ordinates.applicability import find_parameter_obstacle
 from splits.instruments.snow_packs import SUN, compute_snow_pack_spectra
@@ -472,10 +472,10 @@ def make_spectrum(
     for row, (name, label) in enumerate(QUANTITY_LABELS.items()):
         long_name = label if name == "absorptance" else f"{illumination}-{label}"
         mean, stderr = estimate.mean[row].reshape(shape), estimate.stderr[row].reshape(shape)
-        variables |= make_variable(name, dims, mean, stderr, long_name)
+        deviations = None
         if name in SIDE_QUANTITIES:
             deviations = estimate.batch_deviations[:, row].reshape(N_BATCHES, *shape)
-            variables |= make_deviation_variable(name, dims, deviations, long_name)
+        variables |= make_variable(name, dims, mean, stderr, long_name, deviations=deviations)
     attributes = {
         **request.run.make_attributes("Virtual spectrophotometer", "spectrophotometer", medium),
         "solver": "monte_carlo",

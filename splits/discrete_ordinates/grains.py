@@ -195,8 +195,7 @@ class GrainTable(NamedTuple):
             "water_index": ("contrast", self.water),
         }
         names = ("contrast", "saturation", "absorption")
-        axes = {name: getattr(self, name).nodes for name in names}
-        return xr.Dataset(variables, axes)
+        return xr.Dataset(variables, {name: getattr(self, name).nodes for name in names})
 
     @classmethod
     def from_dataset(cls, dataset: xr.Dataset) -> GrainTable:
@@ -413,8 +412,7 @@ class GrainTracing(NamedTuple):
         absorption[:, :N_PORE_MATERIALS] = 0.0
         tolerance = INTERPOLATION_ERROR_PER_RAY / np.sqrt(rays)
         nodes = choose_nodes(index, layer.list_interfaces(), tolerance)
-        scene = build_scene(layer, 0.0, False)
-        return cls(scene, OpticalConstants(index, absorption), nodes, rays)
+        return cls(build_scene(layer, 0.0, False), OpticalConstants(index, absorption), nodes, rays)
 
     @property
     def wet_fraction(self) -> float:

@@ -255,9 +255,8 @@ def _compute_intervals(
 
     It is for an irradiance of 1 on the horizontal, under one beam or under diffuse light.
     """
-    cosines = np.array([] if incidence is None else [incidence])
     column = -1 if incidence is None else 0
-    stack = parts.build(cosines, n_streams)
+    stack = parts.build(np.array([] if incidence is None else [incidence]), n_streams)
     budget, (net, downward, upward) = stack.compute_budget(), _compute_levels(stack, column)
     # Levels above the layers: interfaces have none of their own.
     levels = [i for i, element in enumerate(stack.elements) if element.emission is not None]

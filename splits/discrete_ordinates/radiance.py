@@ -184,9 +184,8 @@ def trace_direct_light(layers: PlaneLayers, cosines: np.ndarray) -> tuple[Direct
         if interface is not None:
             elements.append(_select_directions(interface, n_states))
             is_layer.append(False)
-    root = np.sqrt(optics.equilibrium)
     top, bottom = (
-        _make_end(boundary, root[end], shape)
+        _make_end(boundary, np.sqrt(optics.equilibrium)[end], shape)
         for boundary, end in zip(boundaries, (0, -1), strict=True)
     )
     (falling, rising), outside = _trace(elements, top, bottom)
@@ -553,6 +552,5 @@ def _solve_mode(
             rising = passage @ rising
         below, (reflection, passage) = reflection, add_above(elements[layer], reflection)
         rising = upward[layer] + passage @ (rising + below @ downward[layer])
-    outlet = make_outlet(reflection, top, isotropic[0], n_streams)[..., :-1, :]
-    leaving = outlet @ rising
+    leaving = make_outlet(reflection, top, isotropic[0], n_streams)[..., :-1, :] @ rising
     return np.stack([leaving[..., :n_views], leaving[..., n_views:]])

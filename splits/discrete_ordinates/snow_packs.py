@@ -76,9 +76,9 @@ class SnowPackMaterials(NamedTuple):
 
 def find_spectral_obstacle(wavelength_nm: np.ndarray, *, wet: bool) -> str | None:
     """Return why discrete ordinates do not apply at some wavelength (nm) to any natural snow."""
-    water = 1e-3 if wet else 0.0
     fine = Snow.natural(
-        specific_surface_area_m2_kg=MAX_SURFACE_AREA_M2_KG, liquid_water_content=water
+        specific_surface_area_m2_kg=MAX_SURFACE_AREA_M2_KG,
+        liquid_water_content=1e-3 if wet else 0.0,
     )
     return find_table_obstacle(fine, make_granular_stack(fine, wavelength_nm), wavelength_nm)
 

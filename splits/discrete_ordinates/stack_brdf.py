@@ -191,8 +191,7 @@ def _compute_relative_errors(
         # Distributions assume the equilibrium of air in all layers.
         in_air = snowpack._replace(equilibrium=AIR).solve(geometry.beams, spectrum.n_streams)
         errors = np.hypot(errors, _stack_sides(in_air) - totals)
-    relative: np.ndarray = errors / np.maximum(totals, TINY)
-    return relative[..., np.newaxis, np.newaxis]
+    return (errors / np.maximum(totals, TINY))[..., np.newaxis, np.newaxis]
 
 
 def _compute_anisotropy_scale(
@@ -264,8 +263,7 @@ def _solve(snowpack: GranularStack, geometry: Geometry, n_streams: int) -> np.nd
 def _divide_wavelengths(snowpack: GranularStack, geometry: Geometry) -> list[GranularStack]:
     """Return the snowpack at parts of its wavelengths, which fit into memory."""
     n_directions = geometry.beams.size * geometry.views.size * geometry.azimuths.size
-    n_values = len(snowpack.layers) * n_directions
-    size = max(1, MAX_CHUNK_VALUES // n_values)
+    size = max(1, MAX_CHUNK_VALUES // (len(snowpack.layers) * n_directions))
     wavelengths = np.arange(snowpack.ground.size)
     return [
         snowpack.select(wavelengths[first : first + size])

@@ -112,8 +112,7 @@ def compute_layer_steps(medium: Layer, absorption: np.ndarray) -> AbsorptionStep
     diameter.
     """
     if not medium.has_grains:
-        zeros = np.zeros(len(absorption))
-        return AbsorptionSteps(zeros, absorption[:, MATRIX])
+        return AbsorptionSteps(np.zeros(len(absorption)), absorption[:, MATRIX])
     grains = medium.make_grain_population()
     segment, types = 1.0 / grains.collision_coefficient, grains.types
     type_fractions = np.diff(grains.type_cdf, prepend=0.0)

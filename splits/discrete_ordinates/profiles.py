@@ -168,30 +168,10 @@ class IntervalProfile(NamedTuple):
     path_length: np.ndarray
 
 
-class ProfileSolution(NamedTuple):
-    """Profile with its errors.
-
-    Attributes
-    ----------
-    profile, truncation, optics_error : IntervalProfile
-        Values, and errors due to the number of streams and to the tables.
-    n_streams : int
-    """
-
-    profile: IntervalProfile
-    truncation: IntervalProfile
-    optics_error: IntervalProfile
-    n_streams: int
-
-    def compute_error(self) -> IntervalProfile:
-        """Return the combined errors."""
-        return IntervalProfile(*map(np.hypot, self.truncation, self.optics_error))
-
-
 def solve_profile(
     parts: GranularStack, geometry: LayerDivision, incidence: float | None, max_error: float,
     limit_irradiance: bool = True,
-) -> ProfileSolution:  # fmt: skip
+) -> tuple[IntervalProfile, IntervalProfile, IntervalProfile, int]:  # fmt: skip
     """Return a profile by as many streams as an error requires.
 
     Parameters
@@ -205,6 +185,12 @@ def solve_profile(
         The number of streams is the first whose truncation error is at most half of this.
     limit_irradiance : bool
         Whether this holds for all irradiances, or only for the reflectance and absorptances.
+
+    Returns
+    -------
+    profile, truncation, optics_error : IntervalProfile
+        Values, and errors due to the number of streams and to the tables.
+    n_streams : int
     """
     n_wavelengths = parts.ground.size
     trial = choose_trial_wavelengths(n_wavelengths)
@@ -245,7 +231,7 @@ def solve_profile(
             by_material=np.hypot(table_error.by_material, balance),
             path_length=np.hypot(table_error.path_length, WET_ERROR * profile.path_length),
         )
-    return ProfileSolution(profile, truncation, table_error, n_streams)
+    return profile, truncation, table_error, n_streams
 
 
 def _compute_intervals(

@@ -442,8 +442,10 @@ def solve_flux(
     parts, geometry = divide_medium(medium, whole, edges)
     cosine = None if incidence == "diffuse" else float(np.cos(np.radians(float(incidence))))
     with limit_blas_threads():
-        solution = solve_profile(parts, geometry, cosine, max_stderr, limit_irradiance)
-    profile, error = solution.profile, solution.compute_error()
+        profile, truncation, optics_error, n_streams = solve_profile(
+            parts, geometry, cosine, max_stderr, limit_irradiance
+        )
+    error = IntervalProfile(*map(np.hypot, truncation, optics_error))
     thickness = np.diff(edges)[:, np.newaxis]
     results: list[tuple[np.ndarray, ...]] = [
         *zip(profile[:3], error[:3], strict=True),
@@ -462,9 +464,9 @@ def solve_flux(
         "max_stderr_reached": reached,
         "stop_reason": "converged" if reached <= max_stderr else "solver_error",
         "rays": 0,
-        "streams": solution.n_streams,
-        "truncation_error": find_largest(solution.truncation),
-        "optics_error": find_largest(solution.optics_error),
+        "streams": n_streams,
+        "truncation_error": find_largest(truncation),
+        "optics_error": find_largest(optics_error),
     }
     return dataset
 

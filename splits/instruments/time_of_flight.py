@@ -69,9 +69,6 @@ MAX_DEPTH_M = 9_000.0
 LATE_LIGHT_ERRORS = (1e-4, 0.05)
 """Limits of the requested error of all reflected light."""
 
-NO_DEPTHS = np.zeros(0)
-"""Depths of records that do not divide light by the largest depth reached."""
-
 
 @instrument
 def time_of_flight(
@@ -188,7 +185,7 @@ def time_of_flight(
 def simulate_delays(
     medium: Medium, wavelengths: np.ndarray, incidence: float | str, rays: int,
     receiver: Receiver, edges: np.ndarray, end_s: float, pulse: Pulse, run: RunOptions,
-    depths_m: np.ndarray = NO_DEPTHS,
+    depths_m: np.ndarray,
 ) -> xr.Dataset:  # fmt: skip
     """Return the dataset of `time_of_flight` without later light, from validated arguments.
 

@@ -19,6 +19,7 @@ from splits.instruments.delay_record import (
     check_granular_layers,
     check_record,
     describe_record,
+    limit_depths,
     make_receiver,
 )
 from splits.instruments.time_of_flight import FLAG_NAME, simulate_delays
@@ -125,7 +126,7 @@ def build_return_table(
             own_run = run._replace(progress=show, seed=(run.seed + step * SEED_STEP) % 2**63)
             part = simulate_delays(
                 medium, np.array([wavelength]), incidence, rays, receiver, edges, end, pulse,
-                own_run,
+                own_run, limit_depths(None, medium),
             )  # fmt: skip
             parts.append(part[[*names, FLAG_NAME]].sel(side="reflected", drop=True))
         joined = xr.concat(parts, "wavelength", data_vars="minimal").drop_attrs(deep=False)

@@ -138,10 +138,9 @@ def describe_record(
     elif columns is not None:
         attributes = {"pulse_s": float(as_scalar(columns))}
     receiver = {"acceptance_deg": acceptance_deg, "footprint_radius_m": footprint_radius_m}
-    for name, value in receiver.items():
-        if value is not None:
-            attributes[name] = float(as_scalar(value))
-    return attributes
+    return attributes | {
+        name: float(as_scalar(value)) for name, value in receiver.items() if value is not None
+    }
 
 
 def _check_seconds(key: str, delays: np.ndarray) -> None:

@@ -281,7 +281,7 @@ def make_flux_dataset(
     # Actinic fluxes and absorptances of materials follow from path lengths.
     estimates = [one for one in (estimate, result.perturbed_estimate) if one is not None]
     absorption = traced_medium.constants.absorption[: traced_medium.n_wavelengths]
-    steps = compute_absorption_steps(traced_medium.medium, absorption, edges)
+    optical_depth, rate = compute_absorption_steps(traced_medium.medium, absorption, edges)
     thickness = np.diff(edges)[:, np.newaxis]
     absorptance = estimate.split_quantities(estimate.quantities.mean(axis=0))[2]
     # The mean over a semi-infinite interval is 0 where anything absorbs; where nothing does, it is
@@ -293,7 +293,6 @@ def make_flux_dataset(
     ratio_error = traced_medium.path_ratio.find_largest_error(traced_medium.medium, edges)
     ratio_error *= np.abs(fluxes[0].mean(axis=0))
     # Light that no ray carries is absorbed, and has a path per absorbed light.
-    rate = steps.absorption_rate
     longest = np.divide(
         1.0 / thickness, rate, out=np.full_like(absorptance, np.inf), where=rate > 0.0
     )
@@ -308,7 +307,7 @@ def make_flux_dataset(
     columns = list(traced_medium.material_columns.values())
     by_material = [compute_absorbed_fractions(one, columns) for one in estimates]
     material_bound = bound_material_absorptance_error(
-        steps, by_material[0].mean(axis=0), absorptance, unscored_bound
+        optical_depth, by_material[0].mean(axis=0), absorptance, unscored_bound
     )
     unsampled_light = result.unsampled_light[:, np.newaxis]
     material_error = _combine_errors(by_material, result, unsampled_light, material_bound)

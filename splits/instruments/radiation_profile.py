@@ -161,8 +161,9 @@ def radiation_profile(
     dataset = mix_direct_and_diffuse(
         sky_spectrum, wavelengths, simulate_component, list(OUTPUT_VARIABLES)
     )
-    error_weights = compute_band_error_weights(sky_spectrum, named, wavelengths)
-    error_weights = error_weights * weights.sum(axis=1, keepdims=True)
+    error_weights = weights.sum(axis=1, keepdims=True) * compute_band_error_weights(
+        sky_spectrum, named, wavelengths
+    )
     axes = {"wavelength": wavelengths}
     band_weights = xr.DataArray(weights, axes, ("band", "wavelength"))
     between = xr.DataArray(error_weights, axes, ("estimate", "band", "wavelength"))

@@ -108,16 +108,17 @@ def mix_direct_and_diffuse(
         if deviations:
             variables[f"{name}_batches"] = xr.concat(deviations, "batch")
     attributes = [dataset.attrs for _, dataset in runs]
-    stop_reason = max((one["stop_reason"] for one in attributes), key=STOP_REASONS.index)
-    rays = sum(one["rays"] for one in attributes)
-    # With "auto", both runs may differ in their solver.
-    solver = " and ".join(dict.fromkeys(str(one["solver"]) for one in attributes))
     reached: dict[str, Any] = {
         name: max(float(one[name]) for one in attributes)
         for name in REACHED_ATTRIBUTES
         if name in attributes[0]
     }
-    reached |= {"solver": solver, "stop_reason": stop_reason, "rays": rays}
+    reached |= {
+        # With "auto", both runs may differ in their solver.
+        "solver": " and ".join(dict.fromkeys(str(one["solver"]) for one in attributes)),
+        "stop_reason": max((one["stop_reason"] for one in attributes), key=STOP_REASONS.index),
+        "rays": sum(one["rays"] for one in attributes),
+    }
     return xr.Dataset(variables, {"sky": make_sky_coordinate(sky)}, reached)
 
 
@@ -153,11 +154,10 @@ def compute_band_error_weights(
         with np.errstate(invalid="ignore"):
             return weights / weights.sum()
 
-    rows = [
+    return np.stack([
         compute_mean_error_weights(partial(make_weights, band), wavelength_nm)
         for band in bands.values()
-    ]
-    return np.stack(rows, axis=1)
+    ], axis=1)  # fmt: skip
 
 
 def average_over_bands(

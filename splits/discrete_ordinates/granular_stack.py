@@ -238,27 +238,27 @@ def solve_snowpacks(
     return np.concatenate(solutions)
 
 
-class Truncation(NamedTuple):
-    """Budgets of light with a number of streams, and with twice as many."""
+def measure_truncation(
+    snowpack: GranularStack, cosines: np.ndarray, n_streams: int
+) -> tuple[np.ndarray, Budget, Budget]:
+    """Return the change of a budget of light by twice as many streams.
 
-    coarse: Budget
-    fine: Budget
+    It is that for the beams of `GranularStack.build`, and beside grazing ones.
 
-    @classmethod
-    def measure(cls, snowpack: GranularStack, cosines: np.ndarray, n_streams: int) -> Truncation:
-        """Return the budgets for the beams of `GranularStack.build`, and beside grazing ones."""
-        beams = add_neighbours(cosines)
-        return cls(*(snowpack.solve(beams, number) for number in (n_streams, 2 * n_streams)))
-
-    @property
-    def largest(self) -> np.ndarray:
-        """Largest change of reflectance, transmittance and their sum, shape (..., wavelengths)."""
-        reflected, transmitted = (
-            getattr(self.coarse, name) - getattr(self.fine, name)
-            for name in ("reflectance", "transmittance")
-        )
-        changes = np.abs([reflected, transmitted, reflected + transmitted])
-        return changes.max(axis=(0, -1))
+    Returns
+    -------
+    largest : float, shape (..., wavelengths)
+        Largest change of reflectance, transmittance and their sum.
+    coarse, fine : Budget
+        With the number of streams, and with twice as many.
+    """
+    beams = add_neighbours(cosines)
+    coarse, fine = (snowpack.solve(beams, number) for number in (n_streams, 2 * n_streams))
+    reflected, transmitted = (
+        getattr(coarse, name) - getattr(fine, name) for name in ("reflectance", "transmittance")
+    )
+    changes = np.abs([reflected, transmitted, reflected + transmitted])
+    return changes.max(axis=(0, -1)), coarse, fine
 
 
 def add_neighbours(cosines: np.ndarray) -> np.ndarray:
@@ -290,8 +290,8 @@ class SpectrumSolution(NamedTuple):
     optics_error : float, shape (wavelengths,)
         Error due to single scattering, to the extent of grains, and to the balance of wet and dry
         pores.
-    trial : Truncation
-        At the wavelengths of `choose_trial_wavelengths`.
+    trial : (Budget, Budget)
+        At the wavelengths of `choose_trial_wavelengths`, see `measure_truncation`.
     exponent_error : float, shape (wavelengths,)
         Error of the logarithm of a transmittance T relative to 1 + |ln T|; infinite if the other
         errors are sufficient (`solve_with_exponent_error`).
@@ -301,7 +301,7 @@ class SpectrumSolution(NamedTuple):
     n_streams: int
     truncation: np.ndarray
     optics_error: np.ndarray
-    trial: Truncation
+    trial: tuple[Budget, Budget]
     exponent_error: np.ndarray | float = np.inf
 
     @property
@@ -344,8 +344,8 @@ def solve_spectrum(
     trial = choose_trial_wavelengths(snowpack.ground.size)
     few = snowpack.select(trial)
     for n_streams in STREAM_NUMBERS:
-        truncation = Truncation.measure(few, cosines, n_streams)
-        if truncation.largest.max() <= 0.5 * max_error:
+        largest, coarse, fine = measure_truncation(few, cosines, n_streams)
+        if largest.max() <= 0.5 * max_error:
             break
 
     def spread(error: np.ndarray) -> np.ndarray:
@@ -362,8 +362,8 @@ def solve_spectrum(
     budget = snowpack.solve(cosines, n_streams)
     slab_error = compute_slab_error(snowpack, budget.reflectance, budget.transmittance)
     return SpectrumSolution(
-        budget, n_streams, spread(truncation.largest), np.hypot(optics_error, slab_error),
-        truncation,
+        budget, n_streams, spread(largest), np.hypot(optics_error, slab_error),
+        (coarse, fine),
     )  # fmt: skip
 
 
@@ -507,8 +507,8 @@ def solve_with_exponent_error(
     def solve(layers: Sequence[GranularLayer]) -> np.ndarray:
         return get_logarithm(few._replace(layers=layers).solve(cosines, solution.n_streams))
 
-    fine = get_logarithm(solution.trial.fine)
-    changes = [np.abs(get_logarithm(solution.trial.coarse) - fine)]
+    coarse, fine = map(get_logarithm, solution.trial)
+    changes = [np.abs(coarse - fine)]
     if list_traced(few.layers):
         changes.append(compute_replicate_error(few.layers, solve))
     relative = [(change / (1.0 + np.abs(fine))).max(axis=-1) for change in changes]

@@ -41,14 +41,6 @@ class Streams(NamedTuple):
         x, w = leggauss(number // 2)
         return cls(0.5 * (x + 1.0), 0.5 * w)
 
-    @property
-    def flux_vector(self) -> np.ndarray:
-        """Isotropic radiance of 1 in the scaled form of `Modes`.
-
-        Twice the product with a scaled radiance is a flux, in units of that of radiance 1.
-        """
-        return np.sqrt(self.weights * self.cosines)
-
 
 def compute_legendre(cosines: np.ndarray, mode: int, orders: int) -> np.ndarray:
     """Return the associated Legendre functions of one azimuthal mode, shape (orders, ...).
@@ -294,7 +286,9 @@ def _refine_eigenvalue(
     profile = np.sqrt(streams.weights / streams.cosines)
     by_state = vector.reshape(*vector.shape[:-1], root.shape[-1], -1)
     amplitude = ((by_state @ profile) * root).sum(axis=-1) / optics.equilibrium.sum(axis=-1)
-    isotropic = (amplitude[..., np.newaxis] * root)[..., np.newaxis] * streams.flux_vector
+    # Isotropic radiance of 1, in the scaled form.
+    unit = np.sqrt(streams.weights * streams.cosines)
+    isotropic = (amplitude[..., np.newaxis] * root)[..., np.newaxis] * unit
     deviation = by_state - isotropic
     # ∑ √(w/μ) √(w μ) = 1.
     amplitude = amplitude[..., np.newaxis]

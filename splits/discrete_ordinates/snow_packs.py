@@ -18,11 +18,11 @@ from splits.discrete_ordinates.granular_stack import (
     N_TRIAL_WAVELENGTHS,
     STREAM_NUMBERS,
     GranularStack,
-    Truncation,
     choose_trial_wavelengths,
     compute_optics_error,
     compute_slab_error,
     load_natural_grains,
+    measure_truncation,
     solve_spectrum,
     spread_truncation,
 )
@@ -255,7 +255,7 @@ def _choose_streams(
             # All trial wavelengths of a snowpack are in the same part.
             part = snowpacks.select(trial[columns], rows)
             beams = cosines[rows, np.newaxis]
-            difference = Truncation.measure(part, beams, n_streams).largest
+            difference, _, _ = measure_truncation(part, beams, n_streams)
             result.truncation[rows] = spread_truncation(difference, trial, n_wavelengths)
             result.n_streams[rows] = n_streams
             failed.append(rows[difference.max(axis=-1) > 0.5 * max_error])

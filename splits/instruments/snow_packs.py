@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -167,10 +168,9 @@ def solve_snow_packs(
         DaemonThreadPool(run.threads) as pool,
     ):
         # Only a few parts are submitted in advance, so that few solutions wait in memory.
-        jobs = [pool.submit(solve, rows) for rows in parts[:n_ahead]]
+        jobs = deque(pool.submit(solve, rows) for rows in parts[:n_ahead])
         for number, rows in enumerate(parts):
-            solution = jobs[number].result()
-            jobs[number] = None  # type: ignore[call-overload]
+            solution = jobs.popleft().result()
             if number + n_ahead < len(parts):
                 jobs.append(pool.submit(solve, parts[number + n_ahead]))
             where = arrays.positions[rows]

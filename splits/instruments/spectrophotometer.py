@@ -244,7 +244,7 @@ def spectrophotometer(
         )
     incidence = check_incidence("incidence_deg", incidence_deg)
     is_mapping, analog = isinstance(medium, Mapping), estimator == "analog"
-    media: dict[str, Medium] = {}
+    parameters: tuple[str, ...] = ()
     if isinstance(medium, Mapping):
         if not medium:
             raise invalid(
@@ -254,21 +254,19 @@ def spectrophotometer(
         for name, one in media.items():
             check_medium(one, allow_semi_infinite=True, key=f"medium[{name!r}]")
         check_path_sharing(media)
+        if analog:
+            raise invalid("estimator", estimator, "'spectral' for several media")
+        if not isinstance(jacobian, Sequence) or len(jacobian):
+            raise invalid("jacobian", jacobian, "left out for several media")
     else:
-        check_medium(medium, allow_semi_infinite=estimator == "spectral")
-        media[""] = medium
+        check_medium(medium, allow_semi_infinite=not analog)
+        media = {"": medium}
+        parameters = check_jacobian(medium, incidence, jacobian)
+        if parameters and analog:
+            raise invalid("jacobian", list(parameters), "left out for this estimator")
     first = next(iter(media.values()))
     polarization = check_stokes(stokes, first, incidence)
     request = SpectralRequest(wavelengths, incidence, max_stderr, max_rays, run, polarization)
-    parameters: tuple[str, ...] = ()
-    if not is_mapping:
-        parameters = check_jacobian(first, incidence, jacobian)
-        if parameters and analog:
-            raise invalid("jacobian", list(parameters), "left out for this estimator")
-    elif analog:
-        raise invalid("estimator", estimator, "'spectral' for several media")
-    elif not isinstance(jacobian, Sequence) or len(jacobian):
-        raise invalid("jacobian", jacobian, "left out for several media")
     choice = choose_solver(
         solver, media.values(), wavelengths, max_stderr, run.threads, max_stderr=max_stderr,
         obstacle=find_path_obstacle(estimator, stokes),

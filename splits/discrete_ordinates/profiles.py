@@ -167,6 +167,12 @@ class IntervalProfile(NamedTuple):
     by_material: np.ndarray
     path_length: np.ndarray
 
+    def find_largest(self, limit_irradiance: bool) -> float:
+        """Return the largest error of reflectance and absorptances, or of all irradiances, too."""
+        limited = [self.upward[:1], self.absorptance]
+        limited += [self.downward, self.upward] if limit_irradiance else []
+        return float(max(one.max() for one in limited))
+
 
 def solve_profile(
     parts: GranularStack, geometry: LayerDivision, incidence: float | None, max_error: float,
@@ -201,9 +207,7 @@ def solve_profile(
             for number in (n_streams, 2 * n_streams)
         )
         difference = _subtract(coarse, fine)
-        limited = [difference.upward[:1], difference.absorptance]
-        limited += [difference.downward, difference.upward] if limit_irradiance else []
-        if max(one.max() for one in limited) <= 0.5 * max_error:
+        if difference.find_largest(limit_irradiance) <= 0.5 * max_error:
             break
     profile = _compute_intervals(parts, geometry, incidence, n_streams)
     optics_error = _compute_grain_error(few, coarse, geometry, incidence, n_streams)

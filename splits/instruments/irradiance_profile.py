@@ -451,21 +451,15 @@ def solve_flux(
         (profile.path_length / thickness, error.path_length / thickness),
         (profile.by_material, error.by_material),
     ]
-
-    def find_largest(errors: IntervalProfile) -> float:
-        limited = [errors.upward[:1], errors.absorptance]
-        limited += [errors.downward, errors.upward] if limit_irradiance else []
-        return float(max(one.max() for one in limited))
-
-    reached = find_largest(error)
+    reached = error.find_largest(limit_irradiance)
     dataset = _make_dataset(results, wavelengths, edges, list(medium.material_columns))
     dataset.attrs = {
         "max_stderr_reached": reached,
         "stop_reason": "converged" if reached <= max_stderr else "solver_error",
         "rays": 0,
         "streams": n_streams,
-        "truncation_error": find_largest(truncation),
-        "optics_error": find_largest(optics_error),
+        "truncation_error": truncation.find_largest(limit_irradiance),
+        "optics_error": optics_error.find_largest(limit_irradiance),
     }
     return dataset
 

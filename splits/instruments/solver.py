@@ -179,11 +179,9 @@ def solve_parameter_derivatives(
 
 def make_estimate(solutions: Sequence[SpectrumSolution], column: int) -> SpectralEstimate:
     """Return solutions in the form of simulations, for one beam or for diffuse light (−1)."""
-    sides = [
-        np.concatenate([getattr(one.budget, name)[..., column] for one in solutions])
-        for name in ("reflectance", "transmittance")
-    ]
-    reflectance, transmittance = (np.clip(side, 0.0, 1.0) for side in sides)
+    reflectance, transmittance = np.concatenate(
+        [_select_totals(one, column) for one in solutions], axis=1
+    )
     mean = np.stack([reflectance, transmittance, 1.0 - reflectance - transmittance])
     parts = np.split(mean, np.cumsum([one.error.size for one in solutions])[:-1], axis=1)
     stderr = np.concatenate(

@@ -21,7 +21,7 @@ from command import run_command
 import splits
 from splits.core.uncertainty import compute_error_parts
 from splits.instruments.flux_tally import FluxTarget
-from splits.instruments.profiles import FluxRequest, simulate_flux
+from splits.instruments.irradiance_profile import simulate_flux
 from splits.simulation.run_options import RunOptions
 
 SPECTRUM_NM = range(400, 2501, 10)
@@ -162,10 +162,10 @@ def profile_errors(
     band_weights = weights / weights.sum()
 
     def run(target: FluxTarget, error: float, seed: int) -> xr.Dataset:
-        request = FluxRequest.from_arguments(
-            snowpack, w, plane_depths, sky.zenith_deg, error, 10**8
-        )
-        return simulate_flux(request, target, RunOptions.start(seed, 1), **PATHS)
+        return simulate_flux(
+            snowpack, w, plane_depths, sky.zenith_deg, error, 10**8, target,
+            RunOptions.start(seed, 1), **PATHS,
+        )  # fmt: skip
 
     irradiance = FluxTarget(True, band_weights[np.newaxis])
     absorbed_power = FluxTarget(False, band_weights[np.newaxis])

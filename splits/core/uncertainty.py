@@ -33,38 +33,34 @@ def make_variable(
     stderr: np.ndarray | None,
     long_name: str,
     units: str = "1",
+    deviations: np.ndarray | None = None,
 ) -> dict[str, Variable]:
-    """Return a variable and its standard error ``…_stderr``, if not None, by name."""
-    attrs = {"long_name": long_name, "units": units}
-    if stderr is None:
-        return {name: (dims, values, attrs)}
-    error_name = f"{name}_stderr"
-    return {
-        name: (dims, values, {**attrs, "ancillary_variables": error_name}),
-        error_name: (dims, stderr, {**attrs, "long_name": f"standard error of {long_name}"}),
-    }
-
-
-def make_deviation_variable(
-    name: str, dims: str | tuple[str, ...], deviations: np.ndarray, long_name: str
-) -> dict[str, Variable]:
-    """Return the variable ``…_batches``, the deviation of a quantity by batch of rays, by name.
+    """Return a variable, its standard error and its deviations by batch of rays, by name.
 
     Parameters
     ----------
-    name, dims, long_name
-        Name, dimensions and long name of the quantity.
-    deviations : float, shape (batches, ...)
-        Deviations, stored in single precision.
+    name, dims, values, long_name, units
+    stderr : float, optional
+        Standard error ``…_stderr``.
+    deviations : float, shape (batches, ...), optional
+        Deviations ``…_batches``, stored in single precision.
     """
-    dims = (dims,) if isinstance(dims, str) else dims
-    attrs = {
-        "long_name": f"deviation of {long_name} by batch of rays",
-        "units": "1",
-        "comment": "sums of products over batches are covariances, without the allowance for "
-        "interpolation between refractive indices in the standard error",
-    }
-    return {f"{name}_batches": (("batch", *dims), deviations.astype(np.float32), attrs)}
+    attrs = {"long_name": long_name, "units": units}
+    variables: dict[str, Variable] = {name: (dims, values, attrs)}
+    if stderr is not None:
+        error_attrs = {**attrs, "long_name": f"standard error of {long_name}"}
+        attrs["ancillary_variables"] = f"{name}_stderr"
+        variables[f"{name}_stderr"] = (dims, stderr, error_attrs)
+    if deviations is not None:
+        by_batch = ("batch", dims) if isinstance(dims, str) else ("batch", *dims)
+        batch_attrs = {
+            "long_name": f"deviation of {long_name} by batch of rays",
+            "units": units,
+            "comment": "sums of products over batches are covariances, without the allowance for "
+            "interpolation between refractive indices in the standard error",
+        }
+        variables[f"{name}_batches"] = (by_batch, deviations.astype(np.float32), batch_attrs)
+    return variables
 
 
 def compute_batch_stderr(batch_means: np.ndarray) -> np.ndarray:

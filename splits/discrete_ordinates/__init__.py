@@ -3,8 +3,8 @@
 Modules, each importing only those above it:
 
 - `homogeneous_layer`: streams, modes, and their reflection and transmission
-- `adding`: layers on top of each other, over a ground, and the light at the levels between them
-- `refraction`: refraction at the boundaries and interfaces of wet layers, directions within layers
+- `adding`: layers on top of each other, over a ground, the light at the levels between them, and
+  refraction at the boundaries and interfaces of wet layers
 - `radiance`: reflected and transmitted radiance of layers
 - `grains`: single scattering by the grains of natural snow, and by other grains, kept on disk
 - `granular_layers`: layers of grains and their optics, also without some of these paths, for errors

@@ -93,7 +93,7 @@ def find_table_obstacle(
 
 def _iterate_layers(medium: Medium) -> Iterator[tuple[str, Any]]:
     """Yield the layers of a medium, each with the beginning of a sentence on it."""
-    layers: Any = medium.scene_layers
+    layers = medium.scene_layers
     for number, layer in enumerate(layers):
         yield f"layers[{number}] " if len(layers) > 1 else "it ", layer
 
@@ -145,14 +145,12 @@ def compute_extent_error(layer: GranularMedium) -> float:
 
 def is_tabulated(medium: Medium) -> bool:
     """Return whether all layers are natural snow, which needs no paths through grains."""
-    layers: Any = medium.scene_layers
-    return all(map(_is_natural_layer, layers))
+    return all(map(_is_natural_layer, medium.scene_layers))
 
 
 def find_direction_obstacle(medium: Medium) -> str | None:
     """Return why a medium without other obstacle has no BRDF by discrete ordinates."""
-    layers: Any = medium.scene_layers
-    for layer in layers:
+    for layer in medium.scene_layers:
         if not layer.has_grains or _is_natural_layer(layer):
             continue
         if layer.wet_fraction > 0.0:

@@ -122,8 +122,7 @@ class ParameterDifference(NamedTuple):
 
 
 def _find_wet_layers(medium: Medium) -> list[bool]:
-    layers: Any = medium.scene_layers
-    return [layer.wet_fraction > 0.0 for layer in layers]
+    return [layer.wet_fraction > 0.0 for layer in medium.scene_layers]
 
 
 class SpectrumDerivatives(NamedTuple):

@@ -9,8 +9,8 @@ import xarray as xr
 
 from splits.core.provenance import hash_physics_sources
 from splits.core.uncertainty import compute_leave_one_out_means
+from splits.discrete_ordinates.adding import WET
 from splits.discrete_ordinates.homogeneous_layer import TINY
-from splits.discrete_ordinates.refraction import WET
 from splits.io.cache import Cache, compute_digest
 from splits.kernels.compiler.cache import find_cache_folder
 from splits.kernels.grains.single_grain import N_SCATTERING_BATCHES
@@ -195,8 +195,7 @@ class GrainTable(NamedTuple):
             "water_index": ("contrast", self.water),
         }
         names = ("contrast", "saturation", "absorption")
-        axes = {name: getattr(self, name).nodes for name in names}
-        return xr.Dataset(variables, axes)
+        return xr.Dataset(variables, {name: getattr(self, name).nodes for name in names})
 
     @classmethod
     def from_dataset(cls, dataset: xr.Dataset) -> GrainTable:
@@ -262,16 +261,22 @@ def load_grains(
         See `choose_rays`.
     threads : int
     """
-    tracing = GrainTracing.from_layer(layer, wavelength_nm, rays)
-    scene, nodes = tracing.scene, tracing.nodes
+    index, absorption = compute_material_constants(layer, wavelength_nm)
+    # Paths in grains do not depend on the absorption by pores, which may contain impurities.
+    absorption[:, :N_PORE_MATERIALS] = 0.0
+    constants = OpticalConstants(index, absorption)
+    tolerance = INTERPOLATION_ERROR_PER_RAY / np.sqrt(rays)
+    nodes = choose_nodes(index, layer.list_interfaces(), tolerance)
+    scene = build_scene(layer, 0.0, False)
     inputs = (
         rays, scene.rules, scene.types, scene.layers.type_cdf, scene.layers.wet_fraction,
-        tracing.constants, nodes.index, nodes.weights, nodes.interpolation_bound,
+        constants, nodes.index, nodes.weights, nodes.interpolation_bound,
     )  # fmt: skip
     digest = compute_digest(inputs)
     cache = Cache(find_cache_folder(), "grains", max_bytes=MAX_CACHE_BYTES, is_optional=True)
     dataset = cache.get(
-        [hash_physics_sources(), inputs], lambda: tracing.trace(digest, threads).to_dataset()
+        [hash_physics_sources(), inputs],
+        lambda: trace_grains(scene, constants, nodes, rays, digest, threads).to_dataset(),
     )
     return TracedGrains.from_dataset(dataset, digest)
 
@@ -385,10 +390,13 @@ class TracedGrains(NamedTuple):
         return ERROR_PER_THINNESS * displacement / depth_m
 
 
-class GrainTracing(NamedTuple):
-    """All that determines the moments of the grains of a layer.
+def trace_grains(
+    scene: Scene, constants: OpticalConstants, nodes: IndexNodes, rays: int, digest: str,
+    threads: int,
+) -> TracedGrains:  # fmt: skip
+    """Trace all types of grains, with random numbers that follow from the digest.
 
-    Attributes
+    Parameters
     ----------
     scene : Scene
     constants : OpticalConstants
@@ -396,95 +404,56 @@ class GrainTracing(NamedTuple):
     nodes : IndexNodes
     rays : int
         Of all types of grains, for each refractive index and pore.
+    digest : str
+        Hexadecimal.
+    threads : int
     """
+    run = RunOptions.start(int(digest[:8], 16), threads)
+    wet_fraction = float(scene.layers.wet_fraction[0])
+    pores = (0.0, 1.0) if wet_fraction > 0.0 else (0.0,)
+    n_replicates, n_pores = 1 + N_SCATTERING_BATCHES, len(pores)
+    n_wavelengths = len(constants.indices)
+    moments = np.zeros((n_replicates, n_wavelengths, n_pores, n_pores, N_TRACED_ORDERS))
+    displacements = np.zeros((n_replicates, 2 + N_DISPLACEMENTS, n_wavelengths))
+    fractions = np.diff(scene.layers.type_cdf[0], prepend=0.0)
+    shares = np.sqrt(fractions.clip(0.0))
+    n_chunks = np.ceil(rays / GRAIN_RAYS_PER_CHUNK * shares / shares.sum()).astype(int)
+    in_pores = (1.0 - wet_fraction, wet_fraction)
+    for source, is_wet in enumerate(pores):
+        lost = np.zeros(moments.shape[:2])
+        for grain_type in np.flatnonzero(fractions > 0.0):
+            n_rays = GRAIN_RAYS_PER_CHUNK * int(n_chunks[grain_type])
+            means = _trace_type(scene, constants, nodes, int(grain_type), is_wet, n_rays, run)
+            every, rest = np.split(means, [N_TRACED_ORDERS], axis=-1)
+            moved, wet = np.split(rest, [N_DISPLACEMENTS], axis=-1)
+            lost += fractions[grain_type] * (1.0 - every[..., 0])
+            moments[..., source, 0, :] += fractions[grain_type] * every
+            weighted = np.concatenate([every[..., :2], moved], axis=-1)
+            share = fractions[grain_type] * in_pores[source]
+            displacements += share * np.moveaxis(weighted, -1, 1)
+            if wet_fraction > 0.0:
+                share = fractions[grain_type] / wet_fraction
+                moments[..., source, 1, :] += share * wet
+        # From the loss, so that grains that absorb nothing lose exactly nothing.
+        moments[..., source, 0, 0] = 1.0 - np.maximum(lost, 0.0)
+    return TracedGrains(moments, displacements, nodes.interpolation_bound, digest)
 
-    scene: Scene
-    constants: OpticalConstants
-    nodes: IndexNodes
-    rays: int
 
-    @classmethod
-    def from_layer(
-        cls, layer: GranularMedium, wavelength_nm: np.ndarray, rays: int
-    ) -> GrainTracing:
-        """Return the tracing of the grains of a layer at wavelengths (nm)."""
-        index, absorption = compute_material_constants(layer, wavelength_nm)
-        # Paths in grains do not depend on the absorption by pores, which may contain impurities.
-        absorption[:, :N_PORE_MATERIALS] = 0.0
-        tolerance = INTERPOLATION_ERROR_PER_RAY / np.sqrt(rays)
-        nodes = choose_nodes(index, layer.list_interfaces(), tolerance)
-        scene = build_scene(layer, 0.0, False)
-        return cls(scene, OpticalConstants(index, absorption), nodes, rays)
-
-    @property
-    def wet_fraction(self) -> float:
-        """Fraction of the pores that are wet."""
-        return float(self.scene.layers.wet_fraction[0])
-
-    @property
-    def pores(self) -> tuple[float, ...]:
-        """Wet fraction of the pores from which light comes: dry ones, and wet ones if any."""
-        return (0.0, 1.0) if self.wet_fraction > 0.0 else (0.0,)
-
-    def compute_shapes(self) -> tuple[tuple[int, ...], ...]:
-        """Return the shapes of the first three attributes of `TracedGrains`."""
-        n_replicates, n_pores = 1 + N_SCATTERING_BATCHES, len(self.pores)
-        n_wavelengths = len(self.constants.indices)
-        return (
-            (n_replicates, n_wavelengths, n_pores, n_pores, N_TRACED_ORDERS),
-            (n_replicates, 2 + N_DISPLACEMENTS, n_wavelengths),
-            (n_wavelengths,),
-        )
-
-    def trace(self, digest: str, threads: int) -> TracedGrains:
-        """Trace all types of grains, with random numbers that follow from the digest.
-
-        Parameters
-        ----------
-        digest : str
-            Hexadecimal.
-        threads : int
-        """
-        run = RunOptions.start(int(digest[:8], 16), threads)
-        shapes = self.compute_shapes()
-        moments, displacements = np.zeros(shapes[0]), np.zeros(shapes[1])
-        fractions = np.diff(self.scene.layers.type_cdf[0], prepend=0.0)
-        shares = np.sqrt(fractions.clip(0.0))
-        n_chunks = np.ceil(self.rays / GRAIN_RAYS_PER_CHUNK * shares / shares.sum()).astype(int)
-        in_pores = (1.0 - self.wet_fraction, self.wet_fraction)
-        for source, is_wet in enumerate(self.pores):
-            lost = np.zeros(moments.shape[:2])
-            for grain_type in np.flatnonzero(fractions > 0.0):
-                n_rays = GRAIN_RAYS_PER_CHUNK * int(n_chunks[grain_type])
-                means = self._trace_type(int(grain_type), is_wet, n_rays, run)
-                every, rest = np.split(means, [N_TRACED_ORDERS], axis=-1)
-                moved, wet = np.split(rest, [N_DISPLACEMENTS], axis=-1)
-                lost += fractions[grain_type] * (1.0 - every[..., 0])
-                moments[..., source, 0, :] += fractions[grain_type] * every
-                weighted = np.concatenate([every[..., :2], moved], axis=-1)
-                share = fractions[grain_type] * in_pores[source]
-                displacements += share * np.moveaxis(weighted, -1, 1)
-                if self.wet_fraction > 0.0:
-                    share = fractions[grain_type] / self.wet_fraction
-                    moments[..., source, 1, :] += share * wet
-            # From the loss, so that grains that absorb nothing lose exactly nothing.
-            moments[..., source, 0, 0] = 1.0 - np.maximum(lost, 0.0)
-        return TracedGrains(moments, displacements, self.nodes.interpolation_bound, digest)
-
-    def _trace_type(
-        self, grain_type: int, is_wet: float, n_rays: int, run: RunOptions
-    ) -> np.ndarray:
-        """Return the means of all scores, shape (replicates, wavelengths, scores)."""
-        scene, n_nodes = self.scene, len(self.nodes.index)
-        type_cdf = (np.arange(scene.layers.type_cdf.shape[1]) >= grain_type).astype(float)
-        single_type = scene._replace(layers=scene.layers._replace(type_cdf=type_cdf[np.newaxis]))
-        tally = SingleScatteringTally(
-            self.nodes, self.constants.absorption, np.full(n_nodes, is_wet), N_TRACED_ORDERS,
-            n_rays, N_TRACED_ORDERS if self.wet_fraction > 0.0 else 1,
-        )  # fmt: skip
-        stop = StoppingRule(0.0, n_rays * n_nodes, fixed=True)
-        simulate(single_type, tally, stop, run._replace(seed=run.seed + grain_type))
-        scale = N_SCATTERING_BATCHES / tally.count_rays()
-        batches = tally.combine_nodes(tally.batch_sums * scale)
-        every = batches.mean(axis=0, keepdims=True)
-        return np.moveaxis(np.concatenate([every, compute_leave_one_out_means(batches)]), 1, -1)
+def _trace_type(
+    scene: Scene, constants: OpticalConstants, nodes: IndexNodes, grain_type: int, is_wet: float,
+    n_rays: int, run: RunOptions,
+) -> np.ndarray:  # fmt: skip
+    """Return the means of all scores, shape (replicates, wavelengths, scores)."""
+    n_nodes = len(nodes.index)
+    type_cdf = (np.arange(scene.layers.type_cdf.shape[1]) >= grain_type).astype(float)
+    single_type = scene._replace(layers=scene.layers._replace(type_cdf=type_cdf[np.newaxis]))
+    tally = SingleScatteringTally(
+        nodes, constants.absorption, np.full(n_nodes, is_wet), N_TRACED_ORDERS,
+        n_rays, N_TRACED_ORDERS if scene.layers.wet_fraction[0] > 0.0 else 1,
+    )  # fmt: skip
+    stop = StoppingRule(0.0, n_rays * n_nodes, fixed=True)
+    simulate(single_type, tally, stop, run._replace(seed=run.seed + grain_type))
+    scale = N_SCATTERING_BATCHES / tally.count_rays()
+    batches = tally.combine_nodes(tally.batch_sums * scale)
+    every = batches.mean(axis=0, keepdims=True)
+    return np.moveaxis(np.concatenate([every, compute_leave_one_out_means(batches)]), 1, -1)

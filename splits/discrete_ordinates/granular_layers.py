@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.core.uncertainty import compute_jackknife_stderr
+from splits.discrete_ordinates.adding import DRY, WET
 from splits.discrete_ordinates.grains import GrainTable, TracedGrains
 from splits.discrete_ordinates.homogeneous_layer import TINY, LayerOptics
-from splits.discrete_ordinates.refraction import DRY, WET
 from splits.kernels.grains.single_grain import N_SCATTERING_BATCHES
 from splits.kernels.scene import DRY_PORE, WET_PORE
 from splits.simulation.scene import compute_material_constants
@@ -172,7 +172,7 @@ class GranularLayer(NamedTuple):
             for values in (self.collisions_per_m, self.depth_m)
         )
         n_states, n_known = self.grains.n_states, self.grains.n_orders
-        moments = self._compute_moments(orders if n_states == 1 else min(orders, n_known))
+        n_orders = orders if n_states == 1 else min(orders, n_known)
         extinction = collisions[..., np.newaxis] + self.pore_absorption[..., :n_states]
         rate = collisions[..., np.newaxis, np.newaxis, np.newaxis]
         if isinstance(self.grains, TracedGrains):
@@ -180,6 +180,12 @@ class GranularLayer(NamedTuple):
             shares = np.stack([1.0 - self.wet_fraction, self.wet_fraction])
             depth = depth * self.grains.compute_packing_ratio(
                 self.collisions_per_m + self.pore_absorption @ shares
+            )
+            moments = self.grains.get_moments(n_orders)
+        else:
+            saturation = 0.0 if n_states == 1 else float(self.wet_fraction)
+            moments = self.grains.compute_moments(
+                self.contrast, self.grain_absorption, saturation, n_orders
             )
         if n_states == 1:
             return LayerOptics(depth, extinction, rate * moments, np.ones((*shape, 1)))
@@ -217,23 +223,6 @@ class GranularLayer(NamedTuple):
             return np.zeros(self.contrast.shape)
         return self.extent_error + self.grains.compute_thinness_error(self.depth_m)
 
-    def _compute_moments(self, orders: int) -> np.ndarray:
-        """Return the moments of the grains, shape (..., wavelengths, states, states, orders)."""
-        table = self.grains
-        if isinstance(table, TracedGrains):
-            return table.get_moments(orders)
-        n_states = table.moments.shape[2]
-        if n_states == 1 or not np.ndim(self.depth_m):
-            wet_fraction = 0.0 if n_states == 1 else float(self.wet_fraction)
-            return table.compute_moments(self.contrast, self.grain_absorption, wet_fraction, orders)
-        moments = np.empty((*self.grain_absorption.shape, n_states, n_states, orders))
-        for position in np.ndindex(self.depth_m.shape):
-            moments[position] = table.compute_moments(
-                self.contrast, self.grain_absorption[position], float(self.wet_fraction[position]),
-                orders,
-            )  # fmt: skip
-        return moments
-
 
 def _balance_states(
     moments: np.ndarray, wet_fraction: np.ndarray, ratio: np.ndarray | None
@@ -262,14 +251,13 @@ def _balance_states(
     fraction = wet_fraction[..., np.newaxis]
     into_wet = fraction * moments[..., DRY, 1, :]
     into_dry = moments[..., WET, 0, :] - fraction * moments[..., WET, 1, :]
+    is_given = ratio is not None
     if ratio is None:
         # Grains that absorb all light exchange none.
         ratio = np.maximum(into_wet[..., 0], TINY) / np.maximum(into_dry[..., 0], TINY)
-        root = np.sqrt(ratio)[..., np.newaxis]
-        exchange = 0.5 * (into_wet / root + into_dry * root)
-    else:
-        root = np.sqrt(ratio)[..., np.newaxis]
-        exchange = 0.5 * (into_wet / root + into_dry * root)
+    root = np.sqrt(ratio)[..., np.newaxis]
+    exchange = 0.5 * (into_wet / root + into_dry * root)
+    if is_given:
         into_wet, into_dry = exchange * root, exchange / root
     scattering = np.empty_like(moments)
     scattering[..., DRY, DRY, :] = moments[..., DRY, 0, :] - into_wet

@@ -15,7 +15,9 @@ from splits.discrete_ordinates.adding import (
     Budget,
     Element,
     compute_budget,
+    make_faces,
     make_isotropic,
+    refract_directions,
 )
 from splits.discrete_ordinates.grains import GrainTable
 from splits.discrete_ordinates.granular_layers import (
@@ -25,7 +27,6 @@ from splits.discrete_ordinates.granular_layers import (
     list_traced,
 )
 from splits.discrete_ordinates.homogeneous_layer import TINY, LayerOptics, Streams, solve_slab
-from splits.discrete_ordinates.refraction import make_faces, refract_directions
 
 STREAM_NUMBERS = (8, 12, 16, 24, 32, 48, 64)
 """Numbers of streams to choose from."""
@@ -188,9 +189,11 @@ class GranularStack(NamedTuple):
             )
             for one, outside, inside in zip(optics, isotropic, own, strict=True)
         ]  # fmt: skip
-        faces = make_faces(len(elements), self.wet_fractions, self.water_index, streams, cosines)
+        interfaces, boundaries = make_faces(
+            len(elements), self.wet_fractions, self.water_index, streams, cosines
+        )
         combined, levels = elements[:1], isotropic[:1]
-        for number, interface in enumerate(faces.interfaces, start=1):
+        for number, interface in enumerate(interfaces, start=1):
             if interface is not None:
                 combined.append(interface)
                 levels.append(isotropic[number - 1])
@@ -198,7 +201,7 @@ class GranularStack(NamedTuple):
             levels.append(isotropic[number])
         levels.append(isotropic[-1])
         n_both = streams.cosines.size * (1 + self.is_wet)
-        return StackElements(combined, levels, faces.boundaries, self.ground, n_both, optics)
+        return StackElements(combined, levels, boundaries, self.ground, n_both, optics)
 
     def solve(self, cosines: np.ndarray, n_streams: int) -> Budget:
         """Return the budget of light for beams, and for diffuse light (last); see `build`."""
@@ -235,27 +238,27 @@ def solve_snowpacks(
     return np.concatenate(solutions)
 
 
-class Truncation(NamedTuple):
-    """Budgets of light with a number of streams, and with twice as many."""
+def measure_truncation(
+    snowpack: GranularStack, cosines: np.ndarray, n_streams: int
+) -> tuple[np.ndarray, Budget, Budget]:
+    """Return the change of a budget of light by twice as many streams.
 
-    coarse: Budget
-    fine: Budget
+    It is that for the beams of `GranularStack.build`, and beside grazing ones.
 
-    @classmethod
-    def measure(cls, snowpack: GranularStack, cosines: np.ndarray, n_streams: int) -> Truncation:
-        """Return the budgets for the beams of `GranularStack.build`, and beside grazing ones."""
-        beams = add_neighbours(cosines)
-        return cls(*(snowpack.solve(beams, number) for number in (n_streams, 2 * n_streams)))
-
-    @property
-    def largest(self) -> np.ndarray:
-        """Largest change of reflectance, transmittance and their sum, shape (..., wavelengths)."""
-        reflected, transmitted = (
-            getattr(self.coarse, name) - getattr(self.fine, name)
-            for name in ("reflectance", "transmittance")
-        )
-        changes = np.abs([reflected, transmitted, reflected + transmitted])
-        return changes.max(axis=(0, -1))
+    Returns
+    -------
+    largest : float, shape (..., wavelengths)
+        Largest change of reflectance, transmittance and their sum.
+    coarse, fine : Budget
+        With the number of streams, and with twice as many.
+    """
+    beams = add_neighbours(cosines)
+    coarse, fine = (snowpack.solve(beams, number) for number in (n_streams, 2 * n_streams))
+    reflected, transmitted = (
+        getattr(coarse, name) - getattr(fine, name) for name in ("reflectance", "transmittance")
+    )
+    changes = np.abs([reflected, transmitted, reflected + transmitted])
+    return changes.max(axis=(0, -1)), coarse, fine
 
 
 def add_neighbours(cosines: np.ndarray) -> np.ndarray:
@@ -287,8 +290,8 @@ class SpectrumSolution(NamedTuple):
     optics_error : float, shape (wavelengths,)
         Error due to single scattering, to the extent of grains, and to the balance of wet and dry
         pores.
-    trial : Truncation
-        At the wavelengths of `choose_trial_wavelengths`.
+    trial : (Budget, Budget)
+        At the wavelengths of `choose_trial_wavelengths`, see `measure_truncation`.
     exponent_error : float, shape (wavelengths,)
         Error of the logarithm of a transmittance T relative to 1 + |ln T|; infinite if the other
         errors are sufficient (`solve_with_exponent_error`).
@@ -298,7 +301,7 @@ class SpectrumSolution(NamedTuple):
     n_streams: int
     truncation: np.ndarray
     optics_error: np.ndarray
-    trial: Truncation
+    trial: tuple[Budget, Budget]
     exponent_error: np.ndarray | float = np.inf
 
     @property
@@ -341,8 +344,8 @@ def solve_spectrum(
     trial = choose_trial_wavelengths(snowpack.ground.size)
     few = snowpack.select(trial)
     for n_streams in STREAM_NUMBERS:
-        truncation = Truncation.measure(few, cosines, n_streams)
-        if truncation.largest.max() <= 0.5 * max_error:
+        largest, coarse, fine = measure_truncation(few, cosines, n_streams)
+        if largest.max() <= 0.5 * max_error:
             break
 
     def spread(error: np.ndarray) -> np.ndarray:
@@ -359,8 +362,8 @@ def solve_spectrum(
     budget = snowpack.solve(cosines, n_streams)
     slab_error = compute_slab_error(snowpack, budget.reflectance, budget.transmittance)
     return SpectrumSolution(
-        budget, n_streams, spread(truncation.largest), np.hypot(optics_error, slab_error),
-        truncation,
+        budget, n_streams, spread(largest), np.hypot(optics_error, slab_error),
+        (coarse, fine),
     )  # fmt: skip
 
 
@@ -504,8 +507,8 @@ def solve_with_exponent_error(
     def solve(layers: Sequence[GranularLayer]) -> np.ndarray:
         return get_logarithm(few._replace(layers=layers).solve(cosines, solution.n_streams))
 
-    fine = get_logarithm(solution.trial.fine)
-    changes = [np.abs(get_logarithm(solution.trial.coarse) - fine)]
+    coarse, fine = map(get_logarithm, solution.trial)
+    changes = [np.abs(coarse - fine)]
     if list_traced(few.layers):
         changes.append(compute_replicate_error(few.layers, solve))
     relative = [(change / (1.0 + np.abs(fine))).max(axis=-1) for change in changes]

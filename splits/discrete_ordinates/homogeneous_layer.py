@@ -41,14 +41,6 @@ class Streams(NamedTuple):
         x, w = leggauss(number // 2)
         return cls(0.5 * (x + 1.0), 0.5 * w)
 
-    @property
-    def flux_vector(self) -> np.ndarray:
-        """Isotropic radiance of 1 in the scaled form of `Modes`.
-
-        Twice the product with a scaled radiance is a flux, in units of that of radiance 1.
-        """
-        return np.sqrt(self.weights * self.cosines)
-
 
 def compute_legendre(cosines: np.ndarray, mode: int, orders: int) -> np.ndarray:
     """Return the associated Legendre functions of one azimuthal mode, shape (orders, ...).
@@ -294,7 +286,9 @@ def _refine_eigenvalue(
     profile = np.sqrt(streams.weights / streams.cosines)
     by_state = vector.reshape(*vector.shape[:-1], root.shape[-1], -1)
     amplitude = ((by_state @ profile) * root).sum(axis=-1) / optics.equilibrium.sum(axis=-1)
-    isotropic = (amplitude[..., np.newaxis] * root)[..., np.newaxis] * streams.flux_vector
+    # Isotropic radiance of 1, in the scaled form.
+    unit = np.sqrt(streams.weights * streams.cosines)
+    isotropic = (amplitude[..., np.newaxis] * root)[..., np.newaxis] * unit
     deviation = by_state - isotropic
     # ∑ √(w/μ) √(w μ) = 1.
     amplitude = amplitude[..., np.newaxis]
@@ -326,24 +320,12 @@ MIN_THICKNESS = 1e-150
 """Thickness of layers of thickness 0."""
 
 
-class LayerMatrices(NamedTuple):
-    """Symmetric matrices of homogeneous layers, each of shape (..., streams, streams).
+def solve_layers(modes: Modes, thickness: np.ndarray) -> list[np.ndarray]:
+    """Return the matrices of layers of the thickness, shape (..., 1), between their streams.
 
-    Attributes
-    ----------
-    reflection, transmission : float
-    even_inverse, odd_inverse : float
-        (1 + Z)⁻¹ of even and of odd light.
+    They are reflection, transmission, and (1 + Z)⁻¹ of even and of odd light, symmetric and each of
+    shape (..., streams, streams).
     """
-
-    reflection: np.ndarray
-    transmission: np.ndarray
-    even_inverse: np.ndarray
-    odd_inverse: np.ndarray
-
-
-def solve_layers(modes: Modes, thickness: np.ndarray) -> LayerMatrices:
-    """Return the matrices of layers of the thickness, shape (..., 1), between their streams."""
     even, odd, difference = compute_impedances(modes.rates, thickness)
     y, y_t = modes.differences, np.swapaxes(modes.differences, -1, -2)
     unit = np.eye(y.shape[-1])
@@ -351,7 +333,7 @@ def solve_layers(modes: Modes, thickness: np.ndarray) -> LayerMatrices:
     odd_inverse = np.linalg.inv(unit + (y * odd[..., np.newaxis, :]) @ y_t)
     transmission = odd_inverse @ (y * difference[..., np.newaxis, :]) @ (y_t @ even_inverse)
     matrices = even_inverse + odd_inverse - unit, transmission, even_inverse, odd_inverse
-    return LayerMatrices(*(0.5 * (one + np.swapaxes(one, -1, -2)) for one in matrices))
+    return [0.5 * (one + np.swapaxes(one, -1, -2)) for one in matrices]
 
 
 class Slab(NamedTuple):
@@ -400,9 +382,9 @@ def solve_slab(
     """
     modes = solve_modes(optics, streams, directions, mode)
     thickness = np.maximum(optics.thickness, MIN_THICKNESS)[..., np.newaxis]
-    layers = solve_layers(modes, thickness)
+    reflection, transmission, even_inverse, odd_inverse = solve_layers(modes, thickness)
     y_t = np.swapaxes(modes.differences, -1, -2)
-    even_map, odd_map = y_t @ layers.even_inverse, y_t @ layers.odd_inverse
+    even_map, odd_map = y_t @ even_inverse, y_t @ odd_inverse
     shape = modes.even_kernel.shape
     rates = (optics.extinction[..., np.newaxis] / directions * rate_factors).reshape(shape[:-1])
     even_row, odd_row, gap_row = integrate_modes(modes, thickness, directions, rates)
@@ -412,10 +394,10 @@ def solve_slab(
     thick_odd = np.where(thick, odd_row, 0.0)
     thin_odd = (odd_row - thick_odd) @ odd_map
     beam_transmission = np.where(thick, gap_row, even_row) @ even_map
-    beam_transmission += thick_odd @ y_t @ layers.transmission - thin_odd
+    beam_transmission += thick_odd @ y_t @ transmission - thin_odd
     beam_reflection = even_row @ even_map + thick_odd @ odd_map + thin_odd
     return Slab(
-        layers.reflection, layers.transmission,
+        reflection, transmission,
         0.5 * beam_reflection, 0.5 * beam_transmission, np.exp(-thickness * rates),
     )  # fmt: skip
 

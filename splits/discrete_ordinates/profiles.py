@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.core.uncertainty import compute_jackknife_stderr
-from splits.discrete_ordinates.adding import apply_rows, iterate_levels
+from splits.discrete_ordinates.adding import DRY, WET, apply_rows, iterate_levels
 from splits.discrete_ordinates.grains import GrainTable
 from splits.discrete_ordinates.granular_layers import iterate_replicates, list_traced
 from splits.discrete_ordinates.granular_stack import (
@@ -21,7 +21,6 @@ from splits.discrete_ordinates.granular_stack import (
     spread_truncation,
 )
 from splits.discrete_ordinates.homogeneous_layer import LayerOptics
-from splits.discrete_ordinates.refraction import DRY, WET
 
 # --------------------------------------------------------------------------------------------------
 # Fluxes, absorption and path lengths within dry and wet layers.
@@ -168,31 +167,17 @@ class IntervalProfile(NamedTuple):
     by_material: np.ndarray
     path_length: np.ndarray
 
-
-class ProfileSolution(NamedTuple):
-    """Profile with its errors.
-
-    Attributes
-    ----------
-    profile, truncation, optics_error : IntervalProfile
-        Values, and errors due to the number of streams and to the tables.
-    n_streams : int
-    """
-
-    profile: IntervalProfile
-    truncation: IntervalProfile
-    optics_error: IntervalProfile
-    n_streams: int
-
-    def compute_error(self) -> IntervalProfile:
-        """Return the combined errors."""
-        return IntervalProfile(*map(np.hypot, self.truncation, self.optics_error))
+    def find_largest(self, limit_irradiance: bool) -> float:
+        """Return the largest error of reflectance and absorptances, or of all irradiances, too."""
+        limited = [self.upward[:1], self.absorptance]
+        limited += [self.downward, self.upward] if limit_irradiance else []
+        return float(max(one.max() for one in limited))
 
 
 def solve_profile(
     parts: GranularStack, geometry: LayerDivision, incidence: float | None, max_error: float,
     limit_irradiance: bool = True,
-) -> ProfileSolution:  # fmt: skip
+) -> tuple[IntervalProfile, IntervalProfile, IntervalProfile, int]:  # fmt: skip
     """Return a profile by as many streams as an error requires.
 
     Parameters
@@ -206,6 +191,12 @@ def solve_profile(
         The number of streams is the first whose truncation error is at most half of this.
     limit_irradiance : bool
         Whether this holds for all irradiances, or only for the reflectance and absorptances.
+
+    Returns
+    -------
+    profile, truncation, optics_error : IntervalProfile
+        Values, and errors due to the number of streams and to the tables.
+    n_streams : int
     """
     n_wavelengths = parts.ground.size
     trial = choose_trial_wavelengths(n_wavelengths)
@@ -216,9 +207,7 @@ def solve_profile(
             for number in (n_streams, 2 * n_streams)
         )
         difference = _subtract(coarse, fine)
-        limited = [difference.upward[:1], difference.absorptance]
-        limited += [difference.downward, difference.upward] if limit_irradiance else []
-        if max(one.max() for one in limited) <= 0.5 * max_error:
+        if difference.find_largest(limit_irradiance) <= 0.5 * max_error:
             break
     profile = _compute_intervals(parts, geometry, incidence, n_streams)
     optics_error = _compute_grain_error(few, coarse, geometry, incidence, n_streams)
@@ -246,7 +235,7 @@ def solve_profile(
             by_material=np.hypot(table_error.by_material, balance),
             path_length=np.hypot(table_error.path_length, WET_ERROR * profile.path_length),
         )
-    return ProfileSolution(profile, truncation, table_error, n_streams)
+    return profile, truncation, table_error, n_streams
 
 
 def _compute_intervals(
@@ -256,9 +245,8 @@ def _compute_intervals(
 
     It is for an irradiance of 1 on the horizontal, under one beam or under diffuse light.
     """
-    cosines = np.array([] if incidence is None else [incidence])
     column = -1 if incidence is None else 0
-    stack = parts.build(cosines, n_streams)
+    stack = parts.build(np.array([] if incidence is None else [incidence]), n_streams)
     budget, (net, downward, upward) = stack.compute_budget(), _compute_levels(stack, column)
     # Levels above the layers: interfaces have none of their own.
     levels = [i for i, element in enumerate(stack.elements) if element.emission is not None]

@@ -17,9 +17,11 @@ from splits.discrete_ordinates.adding import (
     Element,
     Faces,
     add_above,
+    make_faces,
     make_isotropic,
     make_outlet,
     reflect_at_bottom,
+    refract_directions,
 )
 from splits.discrete_ordinates.homogeneous_layer import (
     LayerOptics,
@@ -29,12 +31,94 @@ from splits.discrete_ordinates.homogeneous_layer import (
     convolve_exponentials,
     solve_slab,
 )
-from splits.discrete_ordinates.refraction import (
-    REFLECTED,
-    TRANSMITTED,
-    Geometry,
-    PlaneLayers,
-)
+
+# --------------------------------------------------------------------------------------------------
+# Directions outside plane layers, and the layers with all that refracts light on its way.
+
+REFLECTED, TRANSMITTED = range(2)
+
+
+class Geometry(NamedTuple):
+    """Directions of light and of observation, in air.
+
+    Attributes
+    ----------
+    beams, views : float, shape (beams,) and (views,)
+        Cosines with the normal; of views with the downward normal for transmitted light.
+    azimuths : float, shape (azimuths,)
+        Between the horizontal directions in which the light travels before and after, in radians: 0
+        is forward, π backward.
+    """
+
+    beams: np.ndarray
+    views: np.ndarray
+    azimuths: np.ndarray
+
+    @property
+    def cosines(self) -> np.ndarray:
+        """Cosines of the beams, followed by those of the views."""
+        return np.concatenate([self.beams, self.views])
+
+    def compute_scattering_cosines(
+        self,
+        side: int = REFLECTED,
+        beams: np.ndarray | None = None,
+        views: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Return the cosines of the scattering angle, shape (..., beams, views, azimuths).
+
+        Parameters
+        ----------
+        side : int
+            `REFLECTED` or `TRANSMITTED`.
+        beams, views : float, shape (..., beams) and (..., views), optional
+            Cosines within a layer; by default those in air.
+        """
+        beam = (self.beams if beams is None else beams)[..., :, np.newaxis]
+        view = (self.views if views is None else views)[..., np.newaxis, :]
+        sines = np.sqrt((1.0 - beam**2) * (1.0 - view**2))[..., np.newaxis]
+        vertical = (beam * view)[..., np.newaxis]
+        turned = vertical if side == TRANSMITTED else -vertical
+        return np.clip(sines * np.cos(self.azimuths) + turned, -1.0, 1.0)
+
+
+class PlaneLayers(NamedTuple):
+    """Layers over a Lambertian ground, dry or with water in a part of the pores.
+
+    Attributes
+    ----------
+    optics : LayerOptics
+        Top first, along the first dimension.
+    ground : float, shape (...)
+        Albedo of the ground; 0 for an open lower boundary.
+    wet_fractions : sequence of float
+        Of each layer, above 0; none for layers of one state.
+    water_index : float, shape (...), or None
+        Refractive index of water, where there are two states.
+    """
+
+    optics: LayerOptics
+    ground: np.ndarray
+    wet_fractions: Sequence[float] = ()
+    water_index: np.ndarray | None = None
+
+    def make_faces(self, streams: Streams, cosines: np.ndarray) -> Faces:
+        """Return the interfaces and boundaries, for further directions in air."""
+        n_layers = self.optics.thickness.shape[0]
+        return make_faces(n_layers, self.wet_fractions, self.water_index, streams, cosines)
+
+    def refract(self, cosines: np.ndarray) -> np.ndarray:
+        """Return the cosines within the layers, shape (..., states, directions)."""
+        return refract_directions(cosines, self.water_index)
+
+    def truncate(self, streams: int) -> PlaneLayers:
+        """Return truncated layers (`LayerOptics.truncate`), with moments of 0 if unknown."""
+        optics = self.optics
+        missing = max(streams + 1 - optics.scattering.shape[-1], 0)
+        padding = [(0, 0)] * (optics.scattering.ndim - 1) + [(0, missing)]
+        padded = optics._replace(scattering=np.pad(optics.scattering, padding))
+        return self._replace(optics=padded.truncate(streams))
+
 
 # --------------------------------------------------------------------------------------------------
 # Light that is not scattered, or only once, in plane layers with refracting faces.
@@ -87,23 +171,22 @@ def trace_direct_light(layers: PlaneLayers, cosines: np.ndarray) -> tuple[Direct
         In air.
     """
     optics, directions = layers.optics, layers.refract(cosines)
-    faces = layers.make_faces(Streams.from_number(2), cosines)
+    interfaces, boundaries = layers.make_faces(Streams.from_number(2), cosines)
     depth = (optics.thickness[..., np.newaxis] * optics.extinction)[..., np.newaxis]
     direct = np.swapaxes(np.exp(-depth / directions), -1, -2)
     n_states, shape = direct.shape[-1], direct.shape[1:]
     elements: list[Element] = []
     is_layer: list[bool] = []
-    for passing, interface in zip(direct, [*faces.interfaces, None], strict=True):
+    for passing, interface in zip(direct, [*interfaces, None], strict=True):
         matrix = passing[..., np.newaxis] * np.eye(n_states)
         elements.append(Element(0.0 * matrix, 0.0 * matrix, matrix, matrix, None))
         is_layer.append(True)
         if interface is not None:
             elements.append(_select_directions(interface, n_states))
             is_layer.append(False)
-    root = np.sqrt(optics.equilibrium)
     top, bottom = (
-        _make_end(boundary, root[end], shape)
-        for boundary, end in zip(faces.boundaries, (0, -1), strict=True)
+        _make_end(boundary, np.sqrt(optics.equilibrium)[end], shape)
+        for boundary, end in zip(boundaries, (0, -1), strict=True)
     )
     (falling, rising), outside = _trace(elements, top, bottom)
     from_top = DirectLight(falling[:-1][is_layer], rising[1:][is_layer], *outside)
@@ -155,25 +238,19 @@ def scatter_once(layers: PlaneLayers, geometry: Geometry, evaluate: PhaseFunctio
             cosines = geometry.compute_scattering_cosines(turn, mu, nu)
             source = evaluate(a, b, cosines) / (4.0 * np.pi * product[..., np.newaxis])
             for side, view in enumerate(views):
-                weight = _pair(beam, view, (a, b), turn) * paths[turn]
+                # Scattering that turns light back joins amplitudes of the same direction.
+                same = turn == REFLECTED
+                first, second = (
+                    one[..., a][..., :, np.newaxis] * other[..., b][..., np.newaxis, :]
+                    for one, other in (
+                        (beam.falling, view.falling if same else view.rising),
+                        (beam.rising, view.rising if same else view.falling),
+                    )
+                )
+                weight = (first + second) * paths[turn]
                 if weight.any():
                     total[side] += (weight[..., np.newaxis] * source).sum(axis=0)
     return total
-
-
-def _pair(beam: DirectLight, view: DirectLight, states: tuple[int, int], turn: int) -> np.ndarray:
-    """Return products of amplitudes, shape (layers, ..., beams, views).
-
-    Scattering that turns light back joins amplitudes of the same direction.
-    """
-    pairs = [(beam.falling, view.falling), (beam.rising, view.rising)]
-    if turn == TRANSMITTED:
-        pairs = [(beam.falling, view.rising), (beam.rising, view.falling)]
-    first, second = (
-        one[..., states[0]][..., :, np.newaxis] * other[..., states[1]][..., np.newaxis, :]
-        for one, other in pairs
-    )
-    return first + second
 
 
 def _select_directions(interface: Element, n_states: int) -> Element:
@@ -446,7 +523,7 @@ def _solve_mode(
         layers.optics, streams, beam, view, mode
     )
     n_streams = isotropic.shape[-1] - n_beams * layers.optics.extinction.shape[-1]
-    top, bottom = faces.boundaries
+    interfaces, (top, bottom) = faces
     # A Lambertian ground reflects into mode 0 only.
     ground = layers.ground if mode == 0 else np.zeros_like(layers.ground)
     reflection, _ = reflect_at_bottom(bottom, isotropic[-1], ground, n_streams)
@@ -469,12 +546,11 @@ def _solve_mode(
         2.0 * gain[..., np.newaxis, np.newaxis] * passing * views[0].transmitted[..., np.newaxis, :]
     )
     for layer in reversed(range(len(elements))):
-        interface = faces.interfaces[layer] if layer < len(elements) - 1 else None
+        interface = interfaces[layer] if layer < len(elements) - 1 else None
         if interface is not None:
             reflection, passage = add_above(interface, reflection)
             rising = passage @ rising
         below, (reflection, passage) = reflection, add_above(elements[layer], reflection)
         rising = upward[layer] + passage @ (rising + below @ downward[layer])
-    outlet = make_outlet(reflection, top, isotropic[0], n_streams)[..., :-1, :]
-    leaving = outlet @ rising
+    leaving = make_outlet(reflection, top, isotropic[0], n_streams)[..., :-1, :] @ rising
     return np.stack([leaving[..., :n_views], leaving[..., n_views:]])

@@ -18,11 +18,11 @@ from splits.discrete_ordinates.granular_stack import (
     N_TRIAL_WAVELENGTHS,
     STREAM_NUMBERS,
     GranularStack,
-    Truncation,
     choose_trial_wavelengths,
     compute_optics_error,
     compute_slab_error,
     load_natural_grains,
+    measure_truncation,
     solve_spectrum,
     spread_truncation,
 )
@@ -76,9 +76,9 @@ class SnowPackMaterials(NamedTuple):
 
 def find_spectral_obstacle(wavelength_nm: np.ndarray, *, wet: bool) -> str | None:
     """Return why discrete ordinates do not apply at some wavelength (nm) to any natural snow."""
-    water = 1e-3 if wet else 0.0
     fine = Snow.natural(
-        specific_surface_area_m2_kg=MAX_SURFACE_AREA_M2_KG, liquid_water_content=water
+        specific_surface_area_m2_kg=MAX_SURFACE_AREA_M2_KG,
+        liquid_water_content=1e-3 if wet else 0.0,
     )
     return find_table_obstacle(fine, make_granular_stack(fine, wavelength_nm), wavelength_nm)
 
@@ -214,19 +214,21 @@ def solve_spectra(
         See `splits.discrete_ordinates.granular_stack.solve_spectrum`.
     """
     shape = n_snowpacks, n_wavelengths = snowpacks.ground.shape
-    reflectance, transmittance = np.empty((2, *shape, cosines.shape[-1] + 1))
-    numbers = np.zeros(n_snowpacks, dtype=int)
-    result = SpectraSolution(reflectance, transmittance, numbers, np.empty(shape), np.empty(shape))
     if snowpacks.is_wet:
-        for number in range(n_snowpacks):
-            one = solve_spectrum(snowpacks.select(slice(None), number), cosines[number], max_error)
-            result.reflectance[number] = one.budget.reflectance
-            result.transmittance[number] = one.budget.transmittance
-            result.n_streams[number] = one.n_streams
-            result.truncation[number] = one.truncation
-            result.optics_error[number] = one.optics_error
-        return result
-    result.optics_error[:] = compute_optics_error(snowpacks)
+        solved = [
+            solve_spectrum(snowpacks.select(slice(None), number), cosines[number], max_error)
+            for number in range(n_snowpacks)
+        ]
+        spectra = [
+            (one.budget.reflectance, one.budget.transmittance, one.n_streams, one.truncation,
+             one.optics_error) for one in solved
+        ]  # fmt: skip
+        return SpectraSolution(*map(np.array, zip(*spectra, strict=True)))
+    reflectance, transmittance = np.empty((2, *shape, cosines.shape[-1] + 1))
+    result = SpectraSolution(
+        reflectance, transmittance, np.zeros(n_snowpacks, dtype=int), np.empty(shape),
+        compute_optics_error(snowpacks) + np.zeros(shape),
+    )  # fmt: skip
     _choose_streams(snowpacks, cosines, max_error, result)
     for n_streams in np.unique(result.n_streams):
         group = np.flatnonzero(result.n_streams == n_streams)
@@ -253,7 +255,7 @@ def _choose_streams(
             # All trial wavelengths of a snowpack are in the same part.
             part = snowpacks.select(trial[columns], rows)
             beams = cosines[rows, np.newaxis]
-            difference = Truncation.measure(part, beams, n_streams).largest
+            difference, _, _ = measure_truncation(part, beams, n_streams)
             result.truncation[rows] = spread_truncation(difference, trial, n_wavelengths)
             result.n_streams[rows] = n_streams
             failed.append(rows[difference.max(axis=-1) > 0.5 * max_error])

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.core.uncertainty import MIN_REFERENCE_FRACTION, ErrorTarget
-from splits.discrete_ordinates.adding import Budget
+from splits.discrete_ordinates.adding import WET, Budget
 from splits.discrete_ordinates.granular_layers import (
     N_PEAK_ORDERS,
     estimate_phase_error,
@@ -34,12 +34,13 @@ from splits.discrete_ordinates.granular_stack import (
 from splits.discrete_ordinates.homogeneous_layer import TINY, LayerOptics, Streams
 from splits.discrete_ordinates.radiance import (
     DirectLight,
+    Geometry,
+    PlaneLayers,
     compute_bidirectional,
     scatter_once,
     sum_legendre,
     trace_direct_light,
 )
-from splits.discrete_ordinates.refraction import WET, Geometry, PlaneLayers
 
 MAX_BRDF_STREAMS = 32
 """Largest number of streams of a BRDF: the number of moments of the table minus 1."""
@@ -61,8 +62,8 @@ class BidirectionalSolution(NamedTuple):
 
     Attributes
     ----------
-    values, truncation, optics_error : float, shape (2, wavelengths, beams, views, azimuths)
-        1/sr, reflected and transmitted; errors due to the number of streams, and due to the table
+    values, error : float, shape (2, wavelengths, beams, views, azimuths)
+        1/sr, reflected and transmitted; error due to the number of streams, and due to the table
         of the grains.
     anisotropy, anisotropy_error : float, shape (wavelengths, beams, views, azimuths)
         Anisotropy factor, with the reflectance of the same solution, and its error.
@@ -74,18 +75,12 @@ class BidirectionalSolution(NamedTuple):
     """
 
     values: np.ndarray
-    truncation: np.ndarray
-    optics_error: np.ndarray
+    error: np.ndarray
     anisotropy: np.ndarray
     anisotropy_error: np.ndarray
     n_streams: int
     spectrum: SpectrumSolution
     direct: DirectLight
-
-    @property
-    def error(self) -> np.ndarray:
-        """Errors, shape (2, wavelengths, beams, views, azimuths)."""
-        return np.hypot(self.truncation, self.optics_error)
 
 
 def solve_bidirectional(
@@ -115,13 +110,13 @@ def solve_bidirectional(
     )
     values = _solve(snowpack, geometry, n_streams)
     reference = _compute_relative_reference(values, scattered)
-    truncation = relative * reference
     by_total = _compute_relative_errors(snowpack, geometry, spectrum, totals)
     once = _compute_single_scattering_error(snowpack, geometry, n_streams)
     scale, sensitivity = _compute_anisotropy_scale(snowpack, geometry, n_streams, values[0])
     own = np.hypot(of_factor * reference[0], once[0])
+    error = np.hypot(relative * reference, np.hypot(values * by_total, once))
     return BidirectionalSolution(
-        values, truncation, np.hypot(values * by_total, once), scale * values[0],
+        values, error, scale * values[0],
         scale * np.hypot(own, sensitivity * values[0] * by_total[0]), n_streams, spectrum, direct,
     )  # fmt: skip
 
@@ -196,8 +191,7 @@ def _compute_relative_errors(
         # Distributions assume the equilibrium of air in all layers.
         in_air = snowpack._replace(equilibrium=AIR).solve(geometry.beams, spectrum.n_streams)
         errors = np.hypot(errors, _stack_sides(in_air) - totals)
-    relative: np.ndarray = errors / np.maximum(totals, TINY)
-    return relative[..., np.newaxis, np.newaxis]
+    return (errors / np.maximum(totals, TINY))[..., np.newaxis, np.newaxis]
 
 
 def _compute_anisotropy_scale(
@@ -269,8 +263,7 @@ def _solve(snowpack: GranularStack, geometry: Geometry, n_streams: int) -> np.nd
 def _divide_wavelengths(snowpack: GranularStack, geometry: Geometry) -> list[GranularStack]:
     """Return the snowpack at parts of its wavelengths, which fit into memory."""
     n_directions = geometry.beams.size * geometry.views.size * geometry.azimuths.size
-    n_values = len(snowpack.layers) * n_directions
-    size = max(1, MAX_CHUNK_VALUES // n_values)
+    size = max(1, MAX_CHUNK_VALUES // (len(snowpack.layers) * n_directions))
     wavelengths = np.arange(snowpack.ground.size)
     return [
         snowpack.select(wavelengths[first : first + size])

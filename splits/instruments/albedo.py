@@ -17,10 +17,11 @@ from splits.core.inputs import (
 )
 from splits.core.keywords import instrument
 from splits.core.progress import ProgressCallback
-from splits.core.uncertainty import make_deviation_variable, make_variable
+from splits.core.uncertainty import make_variable
 from splits.illumination.bands import Bands
 from splits.illumination.sky import SkyInput
 from splits.instruments.sky_mixing import (
+    DIRECT_FRACTION,
     as_sky,
     average_over_bands,
     choose_wavelengths,
@@ -117,11 +118,10 @@ def albedo(
     first = next(iter(medium.values())) if isinstance(medium, Mapping) else medium
     attributes = {
         **run.make_attributes("Albedo under a sky", "albedo", first),
-        **make_sky_attributes(sky_spectrum),
+        **make_sky_attributes(sky_spectrum, named),
         "max_stderr": max_stderr,
         **mixed.attrs,
     }
-    attributes |= {f"band_{name}_sha256": one.sha256 for name, one in named.items() if one.sha256}
     axes = {**mixed.coords, "wavelength": make_wavelength_coordinate(wavelengths)}
     axes["band"] = list(named)
     dims = ("medium", "wavelength") if isinstance(medium, Mapping) else ("wavelength",)
@@ -130,11 +130,11 @@ def albedo(
         for suffix in ("", "_stderr", "_batches")
     )
     direct_fraction = sky_spectrum.compute_direct_fraction(wavelengths)
-    direct_attributes = {"long_name": "fraction of direct sunlight", "units": "1"}
     variables = {
-        **make_variable("albedo", dims, values, stderr, "albedo under this sky"),
-        **make_deviation_variable("albedo", dims, deviations, "albedo under this sky"),
-        "direct_fraction": ("wavelength", direct_fraction, direct_attributes),
+        **make_variable(
+            "albedo", dims, values, stderr, "albedo under this sky", deviations=deviations
+        ),
+        "direct_fraction": ("wavelength", direct_fraction, DIRECT_FRACTION.attributes),
     }
     spectrum = xr.Dataset(variables, axes, attributes)
     return spectrum.assign(average_over_bands(spectrum, "albedo", sky_spectrum, named, "albedo"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -327,8 +327,10 @@ class AngularEstimate(NamedTuple):
         """
         stderr = (self.stopping_error if use_stopping_error else self.stderr)[target.side]
         reference = self.compute_reference(target)
-        error = np.zeros_like(reference)
-        np.divide(stderr[:, target.direction_mask], reference, out=error, where=reference != 0.0)
+        error = np.divide(
+            stderr[:, target.direction_mask], reference, out=np.zeros_like(reference),
+            where=reference != 0.0,
+        )  # fmt: skip
         return float(error.max())
 
     def is_truncation_limited(self, target: ErrorTarget, max_error: float) -> bool:
@@ -423,20 +425,16 @@ def estimate_row(
     return estimate, variances
 
 
-def stack_rows(
-    estimates: Sequence[AngularEstimate], interpolation_bound: np.ndarray
+def join_wavelengths(
+    estimates: Sequence[AngularEstimate], join: Callable[..., np.ndarray] = np.concatenate
 ) -> AngularEstimate:
-    """Return the estimates of wavelengths as one, with the error of interpolation."""
-    arrays = zip(AngularEstimate._fields, zip(*estimates, strict=True), strict=True)
-    stacked = {name: np.stack(rows, axis=WAVELENGTH_AXES[name]) for name, rows in arrays}
-    return add_interpolation_error(AngularEstimate(**stacked), interpolation_bound)
+    """Return estimates as one, with the wavelengths of one after those of the other.
 
-
-def join_wavelengths(estimates: Sequence[AngularEstimate]) -> AngularEstimate:
-    """Return estimates as one, with the wavelengths of one after those of the other."""
+    With `numpy.stack`, each estimate is that of one wavelength, without an axis of wavelengths.
+    """
     arrays = zip(AngularEstimate._fields, zip(*estimates, strict=True), strict=True)
     return AngularEstimate(**{
-        name: np.concatenate(rows, axis=WAVELENGTH_AXES[name]) for name, rows in arrays
+        name: join(rows, axis=WAVELENGTH_AXES[name]) for name, rows in arrays
     })  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from splits.instruments.angular_estimate import (
     add_interpolation_error,
     compute_anisotropy,
     estimate_row,
-    stack_rows,
+    join_wavelengths,
 )
 from splits.kernels.scene import NO_MAX_ORDER
 from splits.kernels.tallies.distributions import (
@@ -387,7 +387,8 @@ class ExpansionTally(AngularTally, ExitTally):
             )  # fmt: skip
             estimates.append(estimate)
             all_variances.append((self.node_of_row[used], np.stack(variances)))
-        return stack_rows(estimates, self.nodes.interpolation_bound), all_variances
+        joined = join_wavelengths(estimates, np.stack)
+        return add_interpolation_error(joined, self.nodes.interpolation_bound), all_variances
 
     def evaluate(self, stop: StoppingRule) -> Evaluation:
         """Return the largest relative error, and why tracing stops if no rays would reduce it."""

@@ -147,15 +147,17 @@ class BeamSpreadTally(ExitTally):
         radius = np.sqrt(edges[1:] * edges[:-1])
         pixels = (2.0 * np.arange(self.n_pixels) + 1.0) / self.n_pixels - 1.0
         positions = self.half_width * pixels
-        quantile_attributes = {"long_name": "fraction of the light", "units": "1"}
         coordinates = {
             "side": ("side", list(SIDES), {"long_name": "side of the sample where light leaves"}),
             "wavelength": make_wavelength_coordinate(wavelengths),
-            "quantile": ("quantile", list(RADIUS_QUANTILES), quantile_attributes),
+            "quantile": (
+                "quantile", list(RADIUS_QUANTILES),
+                {"long_name": "fraction of the light", "units": "1"},
+            ),
             "radius": ("radius", radius, {"long_name": "distance from the entry", "units": "m"}),
             "x": ("x", positions, {"long_name": "distance along the beam's travel", "units": "m"}),
             "y": ("y", positions, {"long_name": "distance across the beam's travel", "units": "m"}),
-        }
+        }  # fmt: skip
         return xr.Dataset(variables, coordinates, attributes)
 
 

@@ -138,10 +138,9 @@ def describe_record(
     elif columns is not None:
         attributes = {"pulse_s": float(as_scalar(columns))}
     receiver = {"acceptance_deg": acceptance_deg, "footprint_radius_m": footprint_radius_m}
-    for name, value in receiver.items():
-        if value is not None:
-            attributes[name] = float(as_scalar(value))
-    return attributes
+    return attributes | {
+        name: float(as_scalar(value)) for name, value in receiver.items() if value is not None
+    }
 
 
 def _check_seconds(key: str, delays: np.ndarray) -> None:
@@ -258,9 +257,10 @@ def limit_depths(depth_m: Any, medium: Medium) -> np.ndarray:
     """Return depths that divide light by the largest depth reached (m), after checking them."""
     if depth_m is None:
         return np.zeros(0)
-    depths = np.asarray(depth_m)
-    limits = 0.0, float(medium.depth_m)
-    return check_axis("depth_m", depths, *limits, "m", open_low=True, open_high=True)
+    return check_axis(
+        "depth_m", np.asarray(depth_m), 0.0, float(medium.depth_m), "m", open_low=True,
+        open_high=True,
+    )  # fmt: skip
 
 
 def make_receiver(

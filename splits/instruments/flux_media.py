@@ -54,26 +54,9 @@ CHORD_ERROR = 0.15
 scattering of natural snow, where steps are large."""
 
 
-class AbsorptionSteps(NamedTuple):
-    """Steps in which weights decrease inside a medium, each of shape (intervals, wavelengths).
-
-    Attributes
-    ----------
-    optical_depth : float
-        Largest optical depth of a mean step: through a grain, or through a pore from one grain to
-        the next.
-    absorption_rate : float
-        Smallest fraction of the light absorbed in steps, per metre of path in grains and pores, in
-        the layers of an interval.
-    """
-
-    optical_depth: np.ndarray
-    absorption_rate: np.ndarray
-
-
 def compute_absorption_steps(
     medium: Medium, absorption: np.ndarray, planes_m: np.ndarray
-) -> AbsorptionSteps:
+) -> list[np.ndarray]:
     """Return the steps in which weights decrease inside a medium.
 
     Parameters
@@ -83,18 +66,25 @@ def compute_absorption_steps(
         1/m; see `splits.simulation.scene.OpticalConstants`.
     planes_m : float, shape (intervals + 1,)
         Depths between which intervals lie (m).
+
+    Returns
+    -------
+    optical_depth : float, shape (intervals, wavelengths)
+        Largest optical depth of a mean step: through a grain, or through a pore from one grain to
+        the next.
+    absorption_rate : float, shape (intervals, wavelengths)
+        Smallest fraction of the light absorbed in steps, per metre of path in grains and pores, in
+        the layers of an interval.
     """
     layers = medium.scene_layers
     columns = np.cumsum([len(layer.list_materials()) for layer in layers])
     by_layer = zip(layers, np.split(absorption, columns, axis=1), strict=False)
     steps = np.stack([compute_layer_steps(*one) for one in by_layer], axis=1)
     in_interval = find_layers_between(layers, planes_m)
-    return AbsorptionSteps(
-        *(
-            np.array([reduce(table[inside], axis=0) for inside in in_interval])
-            for table, reduce in zip(steps, (np.max, np.min), strict=True)
-        )
-    )
+    return [
+        np.array([reduce(table[inside], axis=0) for inside in in_interval])
+        for table, reduce in zip(steps, (np.max, np.min), strict=True)
+    ]
 
 
 def find_layers_between(layers: Sequence[Layer], planes_m: np.ndarray) -> np.ndarray:
@@ -104,16 +94,16 @@ def find_layers_between(layers: Sequence[Layer], planes_m: np.ndarray) -> np.nda
     return (begin < bottoms) & (end > np.append(0.0, bottoms[:-1]))
 
 
-def compute_layer_steps(medium: Layer, absorption: np.ndarray) -> AbsorptionSteps:
+def compute_layer_steps(medium: Layer, absorption: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the steps in a layer by wavelength; 0 where particles absorb along paths.
 
+    They are the optical depth and the absorption rate of `compute_absorption_steps`.
     The mean segment between two grains is that of a ray in the pore space.  A ray crosses some
     three thicknesses of a coating on its way in and out; the chord of a sphere is two thirds of the
     diameter.
     """
     if not medium.has_grains:
-        zeros = np.zeros(len(absorption))
-        return AbsorptionSteps(zeros, absorption[:, MATRIX])
+        return np.zeros(len(absorption)), absorption[:, MATRIX]
     grains = medium.make_grain_population()
     segment, types = 1.0 / grains.collision_coefficient, grains.types
     type_fractions = np.diff(grains.type_cdf, prepend=0.0)
@@ -136,7 +126,7 @@ def compute_layer_steps(medium: Layer, absorption: np.ndarray) -> AbsorptionStep
     path = segment * medium.pore_fraction * pore_part
     path += (1.0 - in_pore) * medium.mean_chord_m * grain_part
     largest = np.max([depth for _, depth in pore_depths + grain_depths], axis=0)
-    return AbsorptionSteps(largest, absorbed / path)
+    return largest, absorbed / path
 
 
 def _average_losses(depths: Sequence[tuple[float, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
@@ -213,12 +203,12 @@ def _compute_layer_ratio(
     by weight may be d/(1 − exp(−d)) times as long; above a limit, mean chords are closer.
     """
     absorption = compute_material_constants(layer, wavelength_nm).absorption
-    steps = compute_layer_steps(layer, absorption)
+    optical_depth, absorption_rate = compute_layer_steps(layer, absorption)
     with np.errstate(divide="ignore"):
-        value = 1.0 / steps.absorption_rate
+        value = 1.0 / absorption_rate
     if not layer.has_grains:
         return PathRatio(value, np.zeros_like(value), np.isinf(value))
-    excess = _compute_path_excess(steps.optical_depth)
+    excess = _compute_path_excess(optical_depth)
     by_rays = excess <= MAX_PATH_EXCESS
     error = np.where(by_rays, excess, CHORD_ERROR)
     absorbs = absorption[:, -1] > 0.0
@@ -258,7 +248,7 @@ def _compute_path_excess(optical_depth: np.ndarray) -> np.ndarray:
 
 
 def bound_material_absorptance_error(
-    steps: AbsorptionSteps,
+    optical_depth: np.ndarray,
     absorptance: np.ndarray,
     total_absorptance: np.ndarray,
     unscored_absorptance: np.ndarray,
@@ -270,7 +260,8 @@ def bound_material_absorptance_error(
 
     Parameters
     ----------
-    steps : AbsorptionSteps
+    optical_depth : float, shape (intervals, wavelengths)
+        Of steps, see `compute_absorption_steps`.
     absorptance : float, shape (intervals, materials, wavelengths)
         Absorptance of each material.
     total_absorptance, unscored_absorptance : float, shape (intervals, wavelengths)
@@ -280,7 +271,7 @@ def bound_material_absorptance_error(
     exchangeable = np.minimum(
         absorptance, np.maximum(total_absorptance[:, np.newaxis] - absorptance, 0.0)
     )
-    excess = _compute_path_excess(steps.optical_depth)[:, np.newaxis] * exchangeable
+    excess = _compute_path_excess(optical_depth)[:, np.newaxis] * exchangeable
     return np.minimum(excess + unscored_absorptance[:, np.newaxis], total)
 
 

@@ -446,10 +446,12 @@ class FluxTally(ExitTally):
         ratio, by_rays = path_ratio.value[owners, columns], path_ratio.by_rays[owners, columns]
         has_ratio = by_rays & (mean_scored > 0.0)
         by_rays = has_ratio | np.isinf(ratio)
-        scale = np.ones_like(ratio)
-        np.divide(absorbed.mean(axis=0), mean_scored, out=scale, where=has_ratio)
-        ratio = np.where(by_rays, 0.0, ratio)
-        np.divide(mean_path, mean_scored, out=ratio, where=has_ratio)
+        scale = np.divide(
+            absorbed.mean(axis=0), mean_scored, out=np.ones_like(ratio), where=has_ratio
+        )
+        ratio = np.divide(
+            mean_path, mean_scored, out=np.where(by_rays, 0.0, ratio), where=has_ratio
+        )
         # The ratio of the rays varies by batch to first order.
         deviation = np.where(by_rays, scale * (scored_path - ratio * scored), 0.0)
         return ratio * absorbed + deviation

@@ -29,10 +29,8 @@ from splits.core.inputs import (
 from splits.core.keywords import instrument
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import ErrorTarget, Variable, make_variable
-from splits.core.validation import (
-    check_integer,
-    invalid,
-)
+from splits.core.validation import check_integer, invalid
+from splits.discrete_ordinates.applicability import find_direction_obstacle
 from splits.instruments.angular_estimate import AngularEstimate, AngularTally, make_direction_grid
 from splits.instruments.angular_tallies import (
     DEFAULT_N_BINS,
@@ -45,14 +43,12 @@ from splits.instruments.detector_tally import DetectorTally, get_detected_layers
 from splits.instruments.solver import (
     AUTO,
     MONTE_CARLO,
-    AngularRequest,
-    AngularResult,
+    PHASE_FUNCTION_FACTOR,
     Choice,
-    choose_angular_solver,
-    solve_angular_results,
+    choose_solver,
+    solve_angular_distributions,
 )
 from splits.instruments.spectrophotometer import MAX_ATTEMPTS, SpectralRequest
-from splits.kernels.scene import Scene
 from splits.kernels.tallies.distributions import make_basis
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
@@ -361,8 +357,7 @@ def goniophotometer(
     wavelengths, incidence = np.asarray(wavelength_nm), incidence_deg
     ground_albedo = get_ground_albedo(medium)
     has_ground = medium.reflecting_ground is not None and ground_albedo is None
-    side = TARGET_SIDES[target]
-    if has_ground and side == 1:
+    if has_ground and target == "btdf":
         raise invalid("target", target, "brdf over a ground", "no light leaves through a ground")
     run = RunOptions.start(seed, threads, kernel, progress)
     polarization = check_stokes(stokes, medium, incidence)
@@ -388,74 +383,71 @@ def goniophotometer(
             f"{n_directions} directions each; {MAX_DATASET_VALUES} values fit into memory",
         )  # fmt: skip
     direction_mask = make_direction_mask(polar, azimuth) | (estimator == "next_event")
-    request = AngularRequest(
-        wavelengths, polar, azimuth, relative_stderr, ErrorTarget(side, direction_mask)
-    )
+    error_target = ErrorTarget(TARGET_SIDES[target], direction_mask)
     obstacle = "a number of rays needs paths" if rays is not None else None
     if estimator != "expansion":
         obstacle = f"the estimator {estimator} needs paths"
-    choice = choose_angular_solver(solver, medium, request, run.threads, obstacle)
+    choice = choose_solver(
+        solver, [medium], wavelengths, PHASE_FUNCTION_FACTOR * relative_stderr, run.threads,
+        obstacle=obstacle, find_further_obstacle=find_direction_obstacle,
+    )  # fmt: skip
+    estimate: AngularEstimate
+    polarized: Mapping[str, tuple[np.ndarray, np.ndarray]] = {}
+    undefined: tuple[str, ...] = TRANSMITTED_VARIABLES if has_ground else ()
     for stack in choice.stacks:
-        (result,) = solve_angular_results(stack, request, [incidence])
+        ((estimate, described),) = solve_angular_distributions(
+            stack, polar, azimuth, relative_stderr, error_target, [incidence]
+        )
         # Paths need a finite medium.
-        if solver == AUTO and not (medium.is_semi_infinite or result.is_converged):
-            choice = Choice.of_missed_error(result.estimate.compute_max_error(request.target))
+        is_missed = described["stop_reason"] != "converged"
+        if solver == AUTO and is_missed and not medium.is_semi_infinite:
+            choice = Choice.of_missed_error(estimate.compute_max_error(error_target))
     if choice.solver == MONTE_CARLO:
         check_medium(medium)
         scene = build_scene(medium, incidence, False, polarization, ground_albedo)
-        tally = _make_angular_tally(medium, scene, incidence, request, estimator, bins)
+        if estimator == "next_event":
+            layers = get_detected_layers(medium)
+            detectors = make_detectors(layers, scene, polar, azimuth)
+            tally: AngularTally = DetectorTally(
+                layers, scene, detectors, error_target, len(wavelengths)
+            )
+        else:
+            is_counted = scene.ground_albedo is None
+            compute = compute_optical_constants if is_counted else compute_material_constants
+            index, absorption = compute(medium, wavelengths)
+            tolerance = INTERPOLATION_FRACTION * relative_stderr
+            nodes = choose_nodes(index, medium.list_interfaces(), tolerance)
+            if bins is not None:
+                tally = AngularBinTally(nodes, absorption, bins, scene.stokes is not None)
+            else:
+                directions = make_direction_grid(polar, azimuth, make_basis(MAX_DEGREE))
+                tally = ExpansionTally(nodes, absorption, directions, incidence, error_target)
         # Bins have no error that a run could reach.
         is_fixed = rays is not None or bins is not None
         limit = (rays or DEFAULT_BIN_RAYS) if is_fixed else max_rays
         stop = StoppingRule(relative_stderr, limit, fixed=is_fixed)
         evaluation = simulate(scene, tally, stop, run)
-        result = AngularResult(
-            evaluation.estimate, tally.make_stokes(), tally.undefined_variables,
-            {"degree": evaluation.estimate.degree[side],
-             **tally.describe_run(evaluation.stop_reason)},
-        )  # fmt: skip
+        estimate, polarized = evaluation.estimate, tally.make_stokes()
+        undefined += tally.undefined_variables
+        described = {
+            "degree": estimate.degree[error_target.side],
+            **tally.describe_run(evaluation.stop_reason),
+        }
     attributes = {
         **run.make_attributes("Virtual goniophotometer", "goniophotometer", medium),
         "incidence_deg": incidence,
         **describe_polarization(polarization),
         "estimator": estimator,
         "target": target,
-        "relative_stderr_reached": result.estimate.compute_max_error(request.target),
+        "relative_stderr_reached": estimate.compute_max_error(error_target),
         "relative_stderr": relative_stderr,
         "max_rays": max_rays,
         **choice.attributes,
-        **result.attributes,
+        **described,
     }
-    undefined = {*result.undefined, *(TRANSMITTED_VARIABLES if has_ground else ())}
-    angles = polar, azimuth
     return make_angular_dataset(
-        result.estimate, result.stokes, wavelengths, angles, attributes, undefined
+        estimate, polarized, wavelengths, (polar, azimuth), attributes, undefined
     )
-
-
-def _make_angular_tally(
-    medium: Medium,
-    scene: Scene,
-    incidence: float | str,
-    request: AngularRequest,
-    estimator: str,
-    bins: tuple[int, int] | None,
-) -> AngularTally:
-    """Return the tally of an estimator, see `goniophotometer`."""
-    wavelengths, polar, azimuth, relative_stderr, target = request
-    if estimator == "next_event":
-        layers = get_detected_layers(medium)
-        detectors = make_detectors(layers, scene, polar, azimuth)
-        return DetectorTally(layers, scene, detectors, target, len(wavelengths))
-    is_counted = scene.ground_albedo is None
-    compute = compute_optical_constants if is_counted else compute_material_constants
-    index, absorption = compute(medium, wavelengths)
-    tolerance = INTERPOLATION_FRACTION * relative_stderr
-    nodes = choose_nodes(index, medium.list_interfaces(), tolerance)
-    if bins is not None:
-        return AngularBinTally(nodes, absorption, bins, scene.stokes is not None)
-    directions = make_direction_grid(polar, azimuth, make_basis(MAX_DEGREE))
-    return ExpansionTally(nodes, absorption, directions, incidence, target)
 
 
 def make_direction_mask(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:

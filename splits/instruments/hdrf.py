@@ -122,11 +122,13 @@ def hdrf(
     dims = ("wavelength", "polar_deg", "azimuth_deg")
     mean, stderr = (mixed[key].transpose(*dims).values for key in (name, f"{name}_stderr"))
     mixed = mixed.assign(make_variable(name, dims, mean, stderr, term))
-    attributes = run.make_attributes("Reflectance factor under a sky", "hdrf", medium)
-    requested = {"relative_stderr": relative_stderr, **mixed.attrs}
     mixed = mixed.assign_coords(wavelength=make_wavelength_coordinate(wavelengths))
-    attributes |= {f"band_{key}_sha256": one.sha256 for key, one in named.items() if one.sha256}
-    mixed = mixed.assign_attrs(attributes | make_sky_attributes(sky_spectrum) | requested)
+    mixed.attrs = {
+        **run.make_attributes("Reflectance factor under a sky", "hdrf", medium),
+        **make_sky_attributes(sky_spectrum, named),
+        "relative_stderr": relative_stderr,
+        **mixed.attrs,
+    }
     if not named:
         return mixed
     means = average_over_bands(mixed, name, sky_spectrum, named, "reflectance factor")

@@ -33,7 +33,6 @@ from splits.media.kinds import check_medium
 from splits.media.particle_layer import ParticleLayer
 from splits.simulation.run_options import RunOptions
 
-DEFAULT_RAYS = 360
 MAX_SCREEN_POINTS = 10_000_000
 """Largest number of points on screens, and of images, in one result."""
 MIN_DETECTED_FRACTION = 0.5
@@ -72,7 +71,7 @@ def lens(
     radius_m: RingRadius,
     centre_on: RingCentre = "crest",
     half_width_m: SearchHalfWidth = None,
-    rays: RingRays = DEFAULT_RAYS,
+    rays: RingRays = 360,
     realizations: Realizations = 1,
     seed: Seed = 1,
     waves: Any = None,

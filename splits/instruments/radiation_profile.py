@@ -23,8 +23,7 @@ from splits.core.uncertainty import Variable, compute_weighted_error, make_varia
 from splits.illumination.bands import Bands
 from splits.illumination.sky import SkyInput
 from splits.instruments.flux_tally import FluxTarget
-from splits.instruments.profiles import (
-    FluxRequest,
+from splits.instruments.irradiance_profile import (
     ProfileDepths,
     check_profile_depths,
     simulate_flux,
@@ -146,7 +145,6 @@ def radiation_profile(
     wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 2)
     run = RunOptions.start(seed, threads, kernel, progress)
     depths = check_profile_depths(depth_m, medium)
-    request = FluxRequest(medium, wavelengths, depths, "diffuse", max_stderr, max_rays)
     named = sky_spectrum.make_bands(bands)
     sky_spectrum.check_bands(named, wavelengths)
     weights, band_irradiance = compute_band_weights(sky_spectrum, named, wavelengths)
@@ -154,15 +152,18 @@ def radiation_profile(
     targets = make_sky_targets(direct_fraction, weights, target == "irradiance")
 
     def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
-        component = request._replace(incidence=incidence)
         component_run = run._replace(seed=run.seed + number)
-        return simulate_flux(component, targets[number], component_run, solver)
+        return simulate_flux(
+            medium, wavelengths, depths, incidence, max_stderr, max_rays, targets[number],
+            component_run, solver,
+        )  # fmt: skip
 
     dataset = mix_direct_and_diffuse(
         sky_spectrum, wavelengths, simulate_component, list(OUTPUT_VARIABLES)
     )
-    error_weights = compute_band_error_weights(sky_spectrum, named, wavelengths)
-    error_weights = error_weights * weights.sum(axis=1, keepdims=True)
+    error_weights = weights.sum(axis=1, keepdims=True) * compute_band_error_weights(
+        sky_spectrum, named, wavelengths
+    )
     axes = {"wavelength": wavelengths}
     band_weights = xr.DataArray(weights, axes, ("band", "wavelength"))
     between = xr.DataArray(error_weights, axes, ("estimate", "band", "wavelength"))
@@ -178,11 +179,11 @@ def radiation_profile(
     variables |= make_coverage_variable(weights, band_irradiance)
     attributes = {
         **run.make_attributes("Sunlight inside", "radiation_profile", medium),
-        **make_sky_attributes(sky_spectrum),
+        **make_sky_attributes(sky_spectrum, named),
         "irradiance_w_m2": band_irradiance[0],
-        "max_stderr": request.max_stderr,
+        "max_stderr": max_stderr,
         "target": target,
-        "max_rays": request.max_rays,
+        "max_rays": max_rays,
         **dataset.attrs,
     }
     coordinates: dict[str, Any] = {

@@ -174,11 +174,13 @@ def single_scattering(
                 variables |= make_variable(
                     f"{name}{suffix}", all_dims, values[name + suffix], None, label, units
                 )
-    order_attributes = {"long_name": "order of the Legendre moment", "units": "1"}
     coordinates = {
         "wavelength": make_wavelength_coordinate(wavelengths),
-        "order": ("order", np.arange(moments + 1), order_attributes),
-    }
+        "order": (
+            "order", np.arange(moments + 1),
+            {"long_name": "order of the Legendre moment", "units": "1"},
+        ),
+    }  # fmt: skip
     dataset = xr.Dataset(variables, coordinates, attributes)
     if not stokes:
         return dataset
@@ -187,6 +189,5 @@ def single_scattering(
     for name, element, stderr in zip(ELEMENTS, elements, stderrs, strict=True):
         label = f"element {name} of the scattering matrix"
         matrix |= make_variable(name, ("wavelength", ANGLE), element, stderr, label)
-    angle_attributes = {"long_name": "scattering angle", "units": "degree"}
-    angle = (ANGLE, MATRIX_ANGLES_DEG, angle_attributes)
+    angle = (ANGLE, MATRIX_ANGLES_DEG, {"long_name": "scattering angle", "units": "degree"})
     return dataset.assign(matrix).assign_coords({ANGLE: angle})

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.core.declarations import Quantity
 from splits.core.inputs import check_wavelengths
 from splits.core.keywords import REACHED_ATTRIBUTES
 from splits.core.uncertainty import (
     Variable,
     compute_weighted_error,
-    make_deviation_variable,
     make_variable,
 )
 from splits.core.validation import invalid
@@ -23,6 +23,8 @@ from splits.illumination.sky import Sky, sky
 from splits.instruments.solver import DISCRETE_ORDINATES
 from splits.simulation.strata import STOP_REASONS
 
+DIRECT_FRACTION = Quantity("fraction of direct sunlight", "1")
+COVERED_FRACTION = Quantity("fraction of the band's light within the wavelengths", "1")
 DEFAULT_STEP_NM = 10.0
 MAX_DEFAULT_NM = 2495.0
 """Last wavelength by default: less than a hundredth of sunlight lies above it."""
@@ -106,16 +108,17 @@ def mix_direct_and_diffuse(
         if deviations:
             variables[f"{name}_batches"] = xr.concat(deviations, "batch")
     attributes = [dataset.attrs for _, dataset in runs]
-    stop_reason = max((one["stop_reason"] for one in attributes), key=STOP_REASONS.index)
-    rays = sum(one["rays"] for one in attributes)
-    # With "auto", both runs may differ in their solver.
-    solver = " and ".join(dict.fromkeys(str(one["solver"]) for one in attributes))
     reached: dict[str, Any] = {
         name: max(float(one[name]) for one in attributes)
         for name in REACHED_ATTRIBUTES
         if name in attributes[0]
     }
-    reached |= {"solver": solver, "stop_reason": stop_reason, "rays": rays}
+    reached |= {
+        # With "auto", both runs may differ in their solver.
+        "solver": " and ".join(dict.fromkeys(str(one["solver"]) for one in attributes)),
+        "stop_reason": max((one["stop_reason"] for one in attributes), key=STOP_REASONS.index),
+        "rays": sum(one["rays"] for one in attributes),
+    }
     return xr.Dataset(variables, {"sky": make_sky_coordinate(sky)}, reached)
 
 
@@ -151,11 +154,10 @@ def compute_band_error_weights(
         with np.errstate(invalid="ignore"):
             return weights / weights.sum()
 
-    rows = [
+    return np.stack([
         compute_mean_error_weights(partial(make_weights, band), wavelength_nm)
         for band in bands.values()
-    ]
-    return np.stack(rows, axis=1)
+    ], axis=1)  # fmt: skip
 
 
 def average_over_bands(
@@ -192,18 +194,18 @@ def average_over_bands(
             (error**2 + (between**2).sum("estimate")) ** 0.5,
         )
     )
-    variables = make_variable(f"band_{name}", dims, values, stderr, label)
+    by_batch = None
     if f"{name}_batches" in spectrum:
         deviations = (normalized * spectrum[f"{name}_batches"]).sum("wavelength")
-        rows = deviations.transpose("batch", *dims).values
-        variables |= make_deviation_variable(f"band_{name}", dims, rows, label)
-    return variables | make_coverage_variable(weights, band_irradiance)
+        by_batch = deviations.transpose("batch", *dims).values
+    means = make_variable(f"band_{name}", dims, values, stderr, label, deviations=by_batch)
+    return means | make_coverage_variable(weights, band_irradiance)
 
 
 def make_coverage_variable(weights: np.ndarray, band_irradiance: np.ndarray) -> dict[str, Variable]:
     """Return the fraction of the light of bands that is covered, see `compute_band_weights`."""
-    attributes = {"long_name": "fraction of the band's light within the wavelengths", "units": "1"}
-    return {"irradiance_covered": ("band", weights.sum(axis=1) / band_irradiance, attributes)}
+    covered = weights.sum(axis=1) / band_irradiance
+    return {"irradiance_covered": ("band", covered, COVERED_FRACTION.attributes)}
 
 
 def make_sky_coordinate(sky: Sky) -> Variable:
@@ -211,7 +213,9 @@ def make_sky_coordinate(sky: Sky) -> Variable:
     return (), np.array(sky.name), {"long_name": "sky"}
 
 
-def make_sky_attributes(sky: Sky) -> dict[str, Any]:
-    """Return the attributes of a sky."""
-    attributes = {"sky": sky.name, "sky_source": sky.source, "zenith_deg": sky.zenith_deg}
-    return attributes | ({"sky_sha256": sky.sha256} if sky.sha256 else {})
+def make_sky_attributes(sky: Sky, bands: Mapping[str, SpectralBand]) -> dict[str, Any]:
+    """Return the attributes of a sky, and of bands."""
+    files: dict[str, Sky | SpectralBand] = {"sky": sky}
+    files |= {f"band_{name}": band for name, band in bands.items()}
+    hashes = {f"{name}_sha256": one.sha256 for name, one in files.items() if one.sha256}
+    return {"sky": sky.name, "sky_source": sky.source, "zenith_deg": sky.zenith_deg, **hashes}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -26,6 +27,8 @@ from splits.discrete_ordinates.snow_packs import (
 from splits.illumination.bands import SpectralBand
 from splits.illumination.sky import ASTM_G173, BROADBAND, CLEAR_SKY, MAX_ZENITH_DEG, Sky, sky
 from splits.instruments.sky_mixing import (
+    COVERED_FRACTION,
+    DIRECT_FRACTION,
     as_sky,
     choose_wavelengths,
     compute_band_error_weights,
@@ -99,14 +102,6 @@ class SnowPackSpectra(NamedTuple):
         return np.minimum(self.error, np.maximum(values, np.finfo(float).eps))
 
 
-def check_snow_pack_solver(solver: Any) -> None:
-    """Check the solver for snowpacks, which are discrete ordinates."""
-    if solver != MONTE_CARLO:
-        return
-    hint = "paths are for one snowpack: packs.make_stack(label)"
-    raise invalid("solver", solver, f"'{DISCRETE_ORDINATES}' or 'auto' for SnowPacks", hint)
-
-
 def compute_beam_cosines(packs: SnowPacks, incidence: float | str) -> np.ndarray:
     """Return the cosines of the beams of the good snowpacks, shape (good, beams)."""
     n_good = int(packs.is_good.sum())
@@ -120,8 +115,8 @@ def compute_beam_cosines(packs: SnowPacks, incidence: float | str) -> np.ndarray
 
 
 def solve_snow_packs(
-    packs: SnowPacks, wavelength_nm: np.ndarray, cosines: np.ndarray, max_error: float,
-    run: RunOptions,
+    packs: SnowPacks, wavelength_nm: np.ndarray, incidence: float | str, max_error: float,
+    solver: str, run: RunOptions,
 ) -> SnowPackSpectra:  # fmt: skip
     """Return the spectra of all good snowpacks.
 
@@ -129,17 +124,22 @@ def solve_snow_packs(
     ----------
     packs : SnowPacks
     wavelength_nm : float, shape (wavelengths,)
-    cosines : float, shape (good, beams)
+    incidence : float or "diffuse" or "sun"
     max_error : float
         Determines the number of streams of each snowpack.
+    solver : str
+        As given by the user.
     run : RunOptions
 
     Raises
     ------
     ValueError
-        For wavelengths at which discrete ordinates apply to no snow.
+        For wavelengths at which discrete ordinates apply to no snow, or another solver.
     """
-    arrays = packs.to_arrays()
+    if solver == MONTE_CARLO:
+        hint = "paths are for one snowpack: packs.make_stack(label)"
+        raise invalid("solver", solver, f"'{DISCRETE_ORDINATES}' or 'auto' for SnowPacks", hint)
+    arrays, cosines = packs.to_arrays(), compute_beam_cosines(packs, incidence)
     is_wet = np.any(arrays.liquid_water_content > 0.0, axis=1)
     for wet in np.unique(is_wet).tolist():
         obstacle = find_spectral_obstacle(wavelength_nm, wet=wet)
@@ -168,10 +168,9 @@ def solve_snow_packs(
         DaemonThreadPool(run.threads) as pool,
     ):
         # Only a few parts are submitted in advance, so that few solutions wait in memory.
-        jobs = [pool.submit(solve, rows) for rows in parts[:n_ahead]]
+        jobs = deque(pool.submit(solve, rows) for rows in parts[:n_ahead])
         for number, rows in enumerate(parts):
-            solution = jobs[number].result()
-            jobs[number] = None  # type: ignore[call-overload]
+            solution = jobs.popleft().result()
             if number + n_ahead < len(parts):
                 jobs.append(pool.submit(solve, parts[number + n_ahead]))
             where = arrays.positions[rows]
@@ -253,7 +252,6 @@ def compute_snow_pack_spectra(
         As given by the user.
     run : RunOptions
     """
-    check_snow_pack_solver(solver)
     incidence: float | str = SUN
     if isinstance(incidence_deg, str) and incidence_deg == SUN:
         if ZENITH_KEY not in packs.dataset:
@@ -264,8 +262,7 @@ def compute_snow_pack_spectra(
         packs = packs.with_sun_zenith(incidence_deg)
     else:
         incidence = incidence_deg
-    cosines = compute_beam_cosines(packs, incidence)
-    spectra = solve_snow_packs(packs, wavelength_nm, cosines, max_stderr, run)
+    spectra = solve_snow_packs(packs, wavelength_nm, incidence, max_stderr, solver, run)
     illumination = "hemispherical" if incidence == DIFFUSE else "directional"
     column = -1 if incidence == DIFFUSE else 0
     reflectance, transmittance = (
@@ -281,9 +278,16 @@ def compute_snow_pack_spectra(
         np.nanmax(variables[f"{name}_stderr"][1], initial=0.0) for name in QUANTITY_LABELS
     )
     attributes = {
-        **make_snow_pack_attributes(packs, run, "Virtual spectrophotometer", "spectrophotometer"),
+        **make_snow_pack_attributes(
+            packs,
+            run,
+            "Virtual spectrophotometer",
+            "spectrophotometer",
+            spectra,
+            max_stderr,
+            float(largest),
+        ),
         "incidence_deg": "sun zenith of each snowpack" if incidence == SUN else incidence,
-        **make_error_attributes(spectra, max_stderr, float(largest)),
     }
     if incidence == SUN:
         angles = make_incidence_coordinate(packs.dataset[ZENITH_KEY].values, (packs.label,))
@@ -293,30 +297,17 @@ def compute_snow_pack_spectra(
     return make_snow_pack_dataset(packs, spectra.flags, variables, axes).assign_attrs(attributes)
 
 
-def check_no_paths(estimator: Any, jacobian: Any) -> None:
-    """Check that options of simulations with paths are left out for snowpacks."""
-    if estimator != "spectral":
-        raise invalid("estimator", estimator, "left out for SnowPacks", "it needs paths")
-    if np.size(jacobian):
-        raise invalid("jacobian", list(jacobian), "left out for SnowPacks")
-
-
 def make_snow_pack_attributes(
-    packs: SnowPacks, run: RunOptions, title: str, instrument: str
-) -> dict[str, Any]:
-    """Return the attributes of a dataset of snowpacks at the end of a run."""
+    packs: SnowPacks, run: RunOptions, title: str, instrument: str, spectra: SnowPackSpectra,
+    max_stderr: float, max_stderr_reached: float,
+) -> dict[str, Any]:  # fmt: skip
+    """Return the attributes of a dataset of snowpacks at the end of a run, and of its errors."""
     medium: Any = packs
     attributes = run.make_attributes(title, instrument, medium)
     # No random numbers are used.
     del attributes["seed"]
-    return attributes
-
-
-def make_error_attributes(
-    spectra: SnowPackSpectra, max_stderr: float, max_stderr_reached: float
-) -> dict[str, Any]:
-    """Return the attributes of the solver and of its errors."""
     return {
+        **attributes,
         "max_stderr": max_stderr,
         "stop_reason": "converged" if max_stderr_reached <= max_stderr else "solver_error",
         "max_stderr_reached": max_stderr_reached,
@@ -391,15 +382,13 @@ def compute_snow_pack_albedo(
         As given by the user.
     run : RunOptions
     """
-    check_snow_pack_solver(solver)
     skies, number, incidence = make_skies(sky, packs)
     wavelengths = choose_wavelengths(wavelength_nm, skies[0], 2)
     for one in skies:
         one.check_coverage(wavelengths)
     named = skies[0].make_bands(bands)
     skies[0].check_bands(named, wavelengths)
-    cosines = compute_beam_cosines(packs, incidence)
-    spectra = solve_snow_packs(packs, wavelengths, cosines, max_stderr, run)
+    spectra = solve_snow_packs(packs, wavelengths, incidence, max_stderr, solver, run)
     good = np.flatnonzero(packs.is_good)
     # Without direct light there is no beam, and both columns are that of diffuse light.
     beam, diffuse = (spectra.reflectance[..., column] for column in (0, -1))
@@ -426,26 +415,28 @@ def compute_snow_pack_albedo(
         between = compute_band_error_weights(one, own_bands, wavelengths) @ albedo[members].T
         band_stderr[members] = np.sqrt(common**2 + (between**2).sum(axis=0).T)
     dims, band_dims = (packs.label, "wavelength"), (packs.label, "band")
-    direct_attributes = {"long_name": "fraction of direct sunlight", "units": "1"}
     label = "albedo over a band, weighted by irradiance"
-    covered_attributes = {
-        "long_name": "fraction of the band's light within the wavelengths", "units": "1",
-    }  # fmt: skip
     variables: dict[str, Any] = {
         **make_variable("albedo", dims, albedo, stderr, "albedo under this sky"),
-        "direct_fraction": (dims, fraction, direct_attributes),
+        "direct_fraction": (dims, fraction, DIRECT_FRACTION.attributes),
         **make_variable("band_albedo", band_dims, band_albedo, band_stderr, label),
-        "irradiance_covered": (band_dims, covered, covered_attributes),
+        "irradiance_covered": (band_dims, covered, COVERED_FRACTION.attributes),
     }
     attributes = {
-        **make_snow_pack_attributes(packs, run, "Albedo under a sky", "albedo"),
-        **make_sky_attributes(skies[0]),
+        **make_snow_pack_attributes(
+            packs,
+            run,
+            "Albedo under a sky",
+            "albedo",
+            spectra,
+            max_stderr,
+            float(np.nanmax(stderr, initial=0.0)),
+        ),
+        **make_sky_attributes(skies[0], named),
     }
     if incidence == SUN:
         attributes["zenith_deg"] = "sun zenith of each snowpack"
         attributes["sky_zenith_step_deg"] = ZENITH_STEP_DEG
-    attributes |= make_error_attributes(spectra, max_stderr, float(np.nanmax(stderr, initial=0.0)))
-    attributes |= {f"band_{name}_sha256": one.sha256 for name, one in named.items() if one.sha256}
     axes = {
         "wavelength": make_wavelength_coordinate(wavelengths),
         "band": list(named),

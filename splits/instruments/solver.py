@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -11,7 +11,6 @@ from splits.core.uncertainty import ErrorTarget
 from splits.core.validation import invalid
 from splits.discrete_ordinates.applicability import (
     DEFAULT_ERROR,
-    find_direction_obstacle,
     find_obstacle,
     find_table_obstacle,
     is_tabulated,
@@ -26,7 +25,7 @@ from splits.discrete_ordinates.granular_stack import (
     solve_with_exponent_error,
 )
 from splits.discrete_ordinates.homogeneous_layer import TINY
-from splits.discrete_ordinates.refraction import Geometry
+from splits.discrete_ordinates.radiance import Geometry
 from splits.discrete_ordinates.stack_brdf import solve_bidirectional, solve_relative_spectrum
 from splits.instruments.angular_estimate import AngularEstimate, compute_anisotropy
 from splits.media.medium import Medium
@@ -180,11 +179,9 @@ def solve_parameter_derivatives(
 
 def make_estimate(solutions: Sequence[SpectrumSolution], column: int) -> SpectralEstimate:
     """Return solutions in the form of simulations, for one beam or for diffuse light (−1)."""
-    sides = [
-        np.concatenate([getattr(one.budget, name)[..., column] for one in solutions])
-        for name in ("reflectance", "transmittance")
-    ]
-    reflectance, transmittance = (np.clip(side, 0.0, 1.0) for side in sides)
+    reflectance, transmittance = np.concatenate(
+        [_select_totals(one, column) for one in solutions], axis=1
+    )
     mean = np.stack([reflectance, transmittance, 1.0 - reflectance - transmittance])
     parts = np.split(mean, np.cumsum([one.error.size for one in solutions])[:-1], axis=1)
     stderr = np.concatenate(
@@ -206,65 +203,14 @@ PHASE_FUNCTION_FACTOR = 0.06
 give a phase function with that error."""
 
 
-class AngularRequest(NamedTuple):
-    """Directions, and the error of their values.
-
-    Attributes
-    ----------
-    wavelengths : float, shape (wavelengths,)
-        nm.
-    polar, azimuth : float, shape (angles,)
-        Degrees.
-    max_error : float
-    target : ErrorTarget
-        What the error applies to; the azimuth of directions runs fastest.
-    """
-
-    wavelengths: np.ndarray
-    polar: np.ndarray
-    azimuth: np.ndarray
-    max_error: float
-    target: ErrorTarget
+AngularSolution = tuple[AngularEstimate, dict[str, Any]]
+"""Angular distributions by discrete ordinates, with their attributes."""
 
 
-class AngularResult(NamedTuple):
-    """Result of a goniophotometer.
-
-    Attributes
-    ----------
-    estimate : AngularEstimate
-    stokes : dict
-        See `splits.instruments.goniophotometer.make_angular_dataset`.
-    undefined : tuple of str
-        Variables of the dataset that are left out.
-    attributes : dict
-    """
-
-    estimate: AngularEstimate
-    stokes: Mapping[str, tuple[np.ndarray, np.ndarray]]
-    undefined: tuple[str, ...]
-    attributes: dict[str, Any]
-
-    @property
-    def is_converged(self) -> bool:
-        """Whether the requested error is reached."""
-        return bool(self.attributes["stop_reason"] == "converged")
-
-
-def choose_angular_solver(
-    solver: str, medium: Medium, request: AngularRequest, threads: int,
-    obstacle: str | None = None,
-) -> Choice:  # fmt: skip
-    """Choose the solver of angular distributions, see `choose_solver`."""
-    return choose_solver(
-        solver, [medium], request.wavelengths, PHASE_FUNCTION_FACTOR * request.max_error, threads,
-        obstacle=obstacle, find_further_obstacle=find_direction_obstacle,
-    )  # fmt: skip
-
-
-def solve_angular_results(
-    snowpack: GranularStack, request: AngularRequest, incidences: Sequence[float | str]
-) -> list[AngularResult]:
+def solve_angular_distributions(
+    snowpack: GranularStack, polar: np.ndarray, azimuth: np.ndarray, max_error: float,
+    target: ErrorTarget, incidences: Sequence[float | str],
+) -> list[AngularSolution]:  # fmt: skip
     """Return angular distributions by discrete ordinates, for each incidence.
 
     The beams are solved together, so that the requested error determines one number of streams for
@@ -273,30 +219,41 @@ def solve_angular_results(
     Parameters
     ----------
     snowpack : GranularStack
-    request : AngularRequest
+    polar, azimuth : float, shape (angles,)
+        Degrees.
+    max_error : float
+    target : ErrorTarget
+        What the error applies to; the azimuth of directions runs fastest.
     incidences : sequence of float or "diffuse"
         Degrees, or isotropic light.
     """
     beams = [float(incidence) for incidence in incidences if incidence != "diffuse"]
     with limit_blas_threads():
-        by_beam = iter(_solve_beams(snowpack, request, beams) if beams else [])
+        by_beam = iter(
+            _solve_beams(snowpack, polar, azimuth, max_error, target, beams) if beams else []
+        )
         return [
-            _solve_diffuse(snowpack, request) if incidence == "diffuse" else next(by_beam)
+            _solve_diffuse(snowpack, polar, azimuth.size, max_error, target)
+            if incidence == "diffuse"
+            else next(by_beam)
             for incidence in incidences
         ]
 
 
-def _solve_diffuse(snowpack: GranularStack, request: AngularRequest) -> AngularResult:
+def _solve_diffuse(
+    snowpack: GranularStack, polar: np.ndarray, n_azimuths: int, max_error: float,
+    target: ErrorTarget,
+) -> AngularSolution:  # fmt: skip
     """Return factors under diffuse light, by reciprocity.
 
     The reflectance factor in a direction is the reflectance of a beam from there, and the
     transmittance factor is the transmittance of a beam from there through the inverted snowpack.
     """
-    cosines = np.cos(np.radians(request.polar))
+    cosines = np.cos(np.radians(polar))
     reversed_stack = snowpack._replace(equilibrium=REVERSED)
     inverted = reversed_stack._replace(layers=snowpack.layers[::-1])
     spectrum, above, below = (
-        solve_relative_spectrum(one, cosines, request.max_error, request.target.side)
+        solve_relative_spectrum(one, cosines, max_error, target.side)
         for one in (snowpack, reversed_stack, inverted)
     )
     values = np.stack([above.budget.reflectance, below.budget.transmittance])[..., :-1]
@@ -304,30 +261,30 @@ def _solve_diffuse(snowpack: GranularStack, request: AngularRequest) -> AngularR
         np.stack([one.bound_errors(values[..., i])[side] for i in range(cosines.size)], axis=-1)
         for side, one in enumerate((above, below))
     ])  # fmt: skip
-    mean, stderr = (
-        np.repeat(one / np.pi, request.azimuth.size, axis=-1) for one in (values, errors)
-    )
+    mean, stderr = (np.repeat(one / np.pi, n_azimuths, axis=-1) for one in (values, errors))
     totals = _select_totals(spectrum, -1)
     relative = spectrum.bound_errors(totals)[0] / np.maximum(totals[0], TINY)
     independent = np.hypot(stderr[0], mean[0] * relative[:, np.newaxis])
     anisotropy = compute_anisotropy(mean[0], independent, totals[0])
     n_streams = max(one.n_streams for one in (spectrum, above, below))
-    return _make_result(request, [mean, stderr, *anisotropy], spectrum, -1, 0.0, n_streams)
+    by_direction = [mean, stderr, *anisotropy]
+    return _make_solution(by_direction, spectrum, -1, 0.0, n_streams, max_error, target)
 
 
 def _solve_beams(
-    snowpack: GranularStack, request: AngularRequest, incidence_deg: list[float]
-) -> list[AngularResult]:
+    snowpack: GranularStack, polar: np.ndarray, azimuth: np.ndarray, max_error: float,
+    target: ErrorTarget, incidence_deg: list[float],
+) -> list[AngularSolution]:  # fmt: skip
     """Return the BRDF and the BTDF under each of several beams."""
     # Both are symmetric in the azimuth.
     azimuths, first, columns = np.unique(
-        np.minimum(request.azimuth, 360.0 - request.azimuth), return_index=True, return_inverse=True
+        np.minimum(azimuth, 360.0 - azimuth), return_index=True, return_inverse=True
     )
-    cosines, views = (np.cos(np.radians(one)) for one in (incidence_deg, request.polar))
-    mask = request.target.direction_mask.reshape(request.polar.size, -1)[:, first]
+    cosines, views = (np.cos(np.radians(one)) for one in (incidence_deg, polar))
+    mask = target.direction_mask.reshape(polar.size, -1)[:, first]
     solution = solve_bidirectional(
-        snowpack, Geometry(cosines, views, np.radians(azimuths)), request.max_error,
-        request.target._replace(direction_mask=mask.ravel()),
+        snowpack, Geometry(cosines, views, np.radians(azimuths)), max_error,
+        target._replace(direction_mask=mask.ravel()),
     )  # fmt: skip
     n_streams = max(solution.n_streams, solution.spectrum.n_streams)
     results = []
@@ -344,29 +301,28 @@ def _solve_beams(
         direct = np.stack([
             solution.direct.reflected[..., beam], solution.direct.transmitted[..., beam]
         ])  # fmt: skip
-        results.append(
-            _make_result(request, by_direction, solution.spectrum, beam, direct, n_streams)
-        )
+        results.append(_make_solution(
+            by_direction, solution.spectrum, beam, direct, n_streams, max_error, target
+        ))  # fmt: skip
     return results
 
 
 def _select_totals(spectrum: SpectrumSolution, column: int) -> np.ndarray:
-    """Return reflectance and transmittance, shape (2, wavelengths); see `_make_result`."""
+    """Return reflectance and transmittance, shape (2, wavelengths); see `_make_solution`."""
     return np.stack([
         np.clip(side[..., column], 0.0, 1.0)
         for side in (spectrum.budget.reflectance, spectrum.budget.transmittance)
     ])  # fmt: skip
 
 
-def _make_result(
-    request: AngularRequest, by_direction: Sequence[np.ndarray], spectrum: SpectrumSolution,
-    column: int, direct: Any, n_streams: int,
-) -> AngularResult:  # fmt: skip
+def _make_solution(
+    by_direction: Sequence[np.ndarray], spectrum: SpectrumSolution, column: int, direct: Any,
+    n_streams: int, max_error: float, target: ErrorTarget,
+) -> AngularSolution:  # fmt: skip
     """Return a solution in the form of simulations.
 
     Parameters
     ----------
-    request : AngularRequest
     by_direction : float, shapes (2, wavelengths, directions) and (wavelengths, directions)
         Values (1/sr), reflected and transmitted, and their errors; anisotropy factors and theirs.
     spectrum : SpectrumSolution
@@ -375,6 +331,8 @@ def _make_result(
     direct : float, shape (2, wavelengths)
         Reflectance and transmittance without scattering.
     n_streams : int
+    max_error, target
+        See `solve_angular_distributions`.
     """
     mean, stderr, anisotropy, anisotropy_stderr = by_direction
     totals = _select_totals(spectrum, column)
@@ -384,12 +342,11 @@ def _make_result(
         np.zeros(totals.shape), np.zeros(totals.shape, dtype=int), np.zeros_like(mean),
         np.maximum(anisotropy, 0.0), anisotropy_stderr,
     )  # fmt: skip
-    reached = estimate.compute_max_error(request.target)
-    attributes = {
-        "stop_reason": "converged" if reached <= request.max_error else "solver_error",
+    reached = estimate.compute_max_error(target)
+    return estimate, {
+        "stop_reason": "converged" if reached <= max_error else "solver_error",
         "rays": 0,
         "streams": n_streams,
         "truncation_error": float(spectrum.truncation.max()),
         "optics_error": float(spectrum.optics_error.max()),
     }
-    return AngularResult(estimate, {}, (), attributes)

@@ -26,10 +26,10 @@ from splits.core.inputs import (
 )
 from splits.core.keywords import instrument
 from splits.core.progress import ProgressCallback
-from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
+from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import invalid, to_text_keys
 from splits.discrete_ordinates.applicability import find_parameter_obstacle
-from splits.instruments.snow_packs import SUN, check_no_paths, compute_snow_pack_spectra
+from splits.instruments.snow_packs import SUN, compute_snow_pack_spectra
 from splits.instruments.solver import (
     choose_solver,
     solve_estimate,
@@ -235,13 +235,16 @@ def spectrophotometer(
     run = RunOptions.start(seed, threads, kernel, progress)
     wavelengths = np.asarray(wavelength_nm)
     if isinstance(medium, SnowPacks):
-        check_no_paths(estimator, jacobian)
+        if estimator != "spectral":
+            raise invalid("estimator", estimator, "left out for SnowPacks", "it needs paths")
+        if np.size(jacobian):
+            raise invalid("jacobian", list(jacobian), "left out for SnowPacks")
         return compute_snow_pack_spectra(
             medium, wavelengths, incidence_deg, max_stderr, solver, run
         )
     incidence = check_incidence("incidence_deg", incidence_deg)
     is_mapping, analog = isinstance(medium, Mapping), estimator == "analog"
-    media: dict[str, Medium] = {}
+    parameters: tuple[str, ...] = ()
     if isinstance(medium, Mapping):
         if not medium:
             raise invalid(
@@ -251,21 +254,19 @@ def spectrophotometer(
         for name, one in media.items():
             check_medium(one, allow_semi_infinite=True, key=f"medium[{name!r}]")
         check_path_sharing(media)
+        if analog:
+            raise invalid("estimator", estimator, "'spectral' for several media")
+        if not isinstance(jacobian, Sequence) or len(jacobian):
+            raise invalid("jacobian", jacobian, "left out for several media")
     else:
-        check_medium(medium, allow_semi_infinite=estimator == "spectral")
-        media[""] = medium
+        check_medium(medium, allow_semi_infinite=not analog)
+        media = {"": medium}
+        parameters = check_jacobian(medium, incidence, jacobian)
+        if parameters and analog:
+            raise invalid("jacobian", list(parameters), "left out for this estimator")
     first = next(iter(media.values()))
     polarization = check_stokes(stokes, first, incidence)
     request = SpectralRequest(wavelengths, incidence, max_stderr, max_rays, run, polarization)
-    parameters: tuple[str, ...] = ()
-    if not is_mapping:
-        parameters = check_jacobian(first, incidence, jacobian)
-        if parameters and analog:
-            raise invalid("jacobian", list(parameters), "left out for this estimator")
-    elif analog:
-        raise invalid("estimator", estimator, "'spectral' for several media")
-    elif not isinstance(jacobian, Sequence) or len(jacobian):
-        raise invalid("jacobian", jacobian, "left out for several media")
     choice = choose_solver(
         solver, media.values(), wavelengths, max_stderr, run.threads, max_stderr=max_stderr,
         obstacle=find_path_obstacle(estimator, stokes),
@@ -274,7 +275,6 @@ def spectrophotometer(
     perturbations, truncation = NO_PERTURBATIONS, None
     if choice.stacks:
         estimate, solutions = solve_estimate(choice.stacks, incidence, max_stderr)
-        derivatives = estimate.derivatives
         if parameters:
             derivatives = solve_parameter_derivatives(
                 first, solutions[0], wavelengths, incidence, parameters
@@ -470,10 +470,10 @@ def make_spectrum(
     for row, (name, label) in enumerate(QUANTITY_LABELS.items()):
         long_name = label if name == "absorptance" else f"{illumination}-{label}"
         mean, stderr = estimate.mean[row].reshape(shape), estimate.stderr[row].reshape(shape)
-        variables |= make_variable(name, dims, mean, stderr, long_name)
+        deviations = None
         if name in SIDE_QUANTITIES:
             deviations = estimate.batch_deviations[:, row].reshape(N_BATCHES, *shape)
-            variables |= make_deviation_variable(name, dims, deviations, long_name)
+        variables |= make_variable(name, dims, mean, stderr, long_name, deviations=deviations)
     attributes = {
         **request.run.make_attributes("Virtual spectrophotometer", "spectrophotometer", medium),
         "solver": "monte_carlo",

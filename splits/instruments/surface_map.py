@@ -19,14 +19,12 @@ from splits.media.kinds import check_medium
 from splits.media.particle_layer import ParticleLayer
 from splits.simulation.run_options import RunOptions
 
-DEFAULT_POINTS = 201
-MAX_REALIZATIONS = 10_000_000
 MapHalfWidth = Annotated[
     float, Quantity("half the side length of the map", "m", low=1e-9, high=1e9)
 ]
 MapPoints = Annotated[int, Quantity("number of points per side", low=2, high=3000)]
 MapRealizations = Annotated[
-    int, Quantity("number of realizations of the surface", low=2, high=MAX_REALIZATIONS)
+    int, Quantity("number of realizations of the surface", low=2, high=10_000_000)
 ]
 
 
@@ -35,7 +33,7 @@ def surface_map(
     medium: ParticleLayer,
     *,
     half_width_m: MapHalfWidth,
-    points: MapPoints = DEFAULT_POINTS,
+    points: MapPoints = 201,
     realizations: MapRealizations = 100,
     seed: Seed = 1,
 ) -> xr.Dataset:
@@ -84,8 +82,7 @@ def surface_map(
         if realization == 0:
             height = compute_heights_and_slopes(waves, x, y).height.reshape(points, points)
         z, slope = compute_heights_and_slopes(waves, u, v)
-        mean_squares = np.mean(z**2), np.mean(slope.x**2 + slope.y**2)
-        roughness[:, realization] = np.sqrt(mean_squares)
+        roughness[:, realization] = np.sqrt([np.mean(z**2), np.mean(slope.x**2 + slope.y**2)])
     attributes = {
         **run.make_attributes("Rough surface", "surface_map", medium),
         "realizations": realizations,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -68,33 +68,6 @@ MAX_DEPTH_M = 9_000.0
 """Largest depth that replaces an infinite one."""
 LATE_LIGHT_ERRORS = (1e-4, 0.05)
 """Limits of the requested error of all reflected light."""
-
-NO_DEPTHS = np.zeros(0)
-"""Depths of records that do not divide light by the largest depth reached."""
-
-
-class DelayRequest(NamedTuple):
-    """Validated settings of a record of delays.
-
-    Attributes
-    ----------
-    incidence : float or "diffuse"
-        Degrees.
-    rays : int
-    receiver : Receiver
-    edges : float, shape (bins + 1,)
-        Delays between bins (s).
-    end_s : float
-        End of the record (s).
-    pulse : Pulse
-    """
-
-    incidence: float | str
-    rays: int
-    receiver: Receiver
-    edges: np.ndarray
-    end_s: float
-    pulse: Pulse
 
 
 @instrument
@@ -197,9 +170,10 @@ def time_of_flight(
     record_pulse = Pulse.from_argument(pulse)
     edges, end = check_record(np.asarray(delay_s), end_s, record_pulse)
     receiver = make_receiver(incidence, acceptance_deg, footprint_radius_m)
-    request = DelayRequest(incidence, rays, receiver, edges, end, record_pulse)
-    depths = limit_depths(depth_m, medium)
-    dataset = simulate_delays(medium, wavelengths, request, run, depths)
+    dataset = simulate_delays(
+        medium, wavelengths, incidence, rays, receiver, edges, end, record_pulse, run,
+        limit_depths(depth_m, medium),
+    )  # fmt: skip
     dataset.attrs |= describe_record(pulse, acceptance_deg, footprint_radius_m)
     if acceptance_deg is None and footprint_radius_m is None and math.isfinite(end):
         # Some semi-infinite media have no solution without an end of the record.
@@ -209,8 +183,9 @@ def time_of_flight(
 
 
 def simulate_delays(
-    medium: Medium, wavelengths: np.ndarray, request: DelayRequest, run: RunOptions,
-    depths_m: np.ndarray = NO_DEPTHS,
+    medium: Medium, wavelengths: np.ndarray, incidence: float | str, rays: int,
+    receiver: Receiver, edges: np.ndarray, end_s: float, pulse: Pulse, run: RunOptions,
+    depths_m: np.ndarray,
 ) -> xr.Dataset:  # fmt: skip
     """Return the dataset of `time_of_flight` without later light, from validated arguments.
 
@@ -219,29 +194,35 @@ def simulate_delays(
     medium : Medium
     wavelengths : float, shape (wavelengths,)
         nm.
-    request : DelayRequest
+    incidence : float or "diffuse"
+        Degrees.
+    rays : int
+    receiver : Receiver
+    edges : float, shape (bins + 1,)
+        Delays between bins (s).
+    end_s : float
+        End of the record (s).
+    pulse : Pulse
     run : RunOptions
     depths_m : float, shape (depths,)
         Increasing depths (m) that divide light by the largest depth reached.
     """
-    last_s = request.end_s - float(request.pulse.delay_s[0])
+    last_s = end_s - float(pulse.delay_s[0])
     traced = _limit_depth(medium, last_s, float(depths_m.max(initial=0.0)))
     slowness = compute_slowness(traced, wavelengths)
     index, absorption = compute_optical_constants(traced, wavelengths)
     nodes = choose_nodes(index, traced.list_interfaces(), NODE_TOLERANCE)
-    scene = build_scene(traced, request.incidence, False)
-    max_order = compute_max_order(traced, scene.layers, request.receiver, last_s)
+    scene = build_scene(traced, incidence, False)
+    max_order = compute_max_order(traced, scene.layers, receiver, last_s)
     if depths_m.size:
         scene = add_recording_planes(scene, depths_m.tolist())
     interval = np.searchsorted(depths_m, -scene.layers.boundaries, side="right")
-    record = DelayRecord(
-        request.receiver, request.edges, request.end_s, np.stack(request.pulse), interval
-    )
+    record = DelayRecord(receiver, edges, end_s, np.stack(pulse), interval)
     tally = DelayTally(nodes, absorption, slowness.value, record, max_order)
-    evaluation = simulate(scene, tally, StoppingRule(0.0, request.rays, fixed=True), run)
+    evaluation = simulate(scene, tally, StoppingRule(0.0, rays, fixed=True), run)
     attributes = {
         **run.make_attributes("Time of flight", "time_of_flight", medium),
-        "incidence_deg": request.incidence,
+        "incidence_deg": incidence,
         **tally.describe_run(evaluation.stop_reason),
     }
     return make_delay_dataset(tally, medium, wavelengths, slowness, depths_m, attributes)
@@ -424,11 +405,12 @@ def make_delay_dataset(
     )  # fmt: skip
     variables |= _add_moment_flag(path_length, FLAG_NAME, dims, is_known[..., 0])
     centres = 0.5 * (edges[1:] + edges[:-1])
-    delay_attributes = {"long_name": "delay", "units": "s", "bounds": "delay_bounds"}
     coordinates: dict[str, Any] = {
         "side": ("side", list(SIDES), {"long_name": "side of the sample where light leaves"}),
         "wavelength": make_wavelength_coordinate(wavelengths),
-        "delay_s": ("delay_s", centres, delay_attributes),
+        "delay_s": (
+            "delay_s", centres, {"long_name": "delay", "units": "s", "bounds": "delay_bounds"},
+        ),
         "delay_bounds": (("delay_s", "bounds"), np.column_stack([edges[:-1], edges[1:]])),
         "range": (
             "delay_s", 0.5 * SPEED_OF_LIGHT * centres,
@@ -441,9 +423,11 @@ def make_delay_dataset(
         variables |= _make_moment_variables(
             tally, by_depth, depth_dims, "_by_depth", index_error[0]
         )
-        label = "smallest depth of the interval of the largest depth reached"
-        interval_attributes = {"long_name": label, "units": "m"}
-        coordinates["depth_interval"] = ("depth_interval", [0.0, *depths_m], interval_attributes)
+        coordinates["depth_interval"] = (
+            "depth_interval", [0.0, *depths_m],
+            {"long_name": "smallest depth of the interval of the largest depth reached",
+             "units": "m"},
+        )  # fmt: skip
     return xr.Dataset(variables, coordinates, attributes)
 
 

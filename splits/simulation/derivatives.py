@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
+from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import InvalidValue, invalid
 from splits.media.medium import Medium
 from splits.media.parameters import (
@@ -162,9 +162,8 @@ def add_jacobian(
         label = f"derivative of {name} with respect to the parameter, in the inverse of its unit"
         key = f"{name}_jacobian"
         mean, stderr = derivatives.mean[side], derivatives.stderr[side]
-        variables |= make_variable(key, dims, mean, stderr, label)
         deviations = derivatives.batch_deviations[:, side]
-        variables |= make_deviation_variable(key, dims, deviations, label)
+        variables |= make_variable(key, dims, mean, stderr, label, deviations=deviations)
     units = [get_derivative_unit(parameter) for parameter in parameters]
     coordinates = {
         "parameter": ("parameter", list(parameters), {"long_name": "parameter of the medium"}),

@@ -22,9 +22,8 @@ from splits.instruments.solver import (
     DISCRETE_ORDINATES,
     MONTE_CARLO,
     PHASE_FUNCTION_FACTOR,
-    AngularRequest,
     make_estimate,
-    solve_angular_results,
+    solve_angular_distributions,
 )
 from splits.instruments.spectrophotometer import SpectralRequest
 from splits.io.netcdf import make_provenance
@@ -74,8 +73,10 @@ def prepare_media(group: PathGroup, request: TableRequest) -> Any:
     stacks = [make_granular_stack(medium, wavelengths, error, threads) for medium in media]
     if request.views is not None:
         target = _make_target(request.views)
-        angular_request = AngularRequest(wavelengths, *request.views, max_stderr, target)
-        return [solve_angular_results(one, angular_request, group.incidences) for one in stacks]
+        return [
+            solve_angular_distributions(one, *request.views, max_stderr, target, group.incidences)
+            for one in stacks
+        ]
     angles = [float(incidence) for incidence in group.incidences if incidence != DIFFUSE]
     cosines = np.cos(np.radians(angles))
 
@@ -164,9 +165,9 @@ def _compute_directions(
     if request.solver == DISCRETE_ORDINATES:
         column = group.incidences.index(group.incidence)
         results = [by_incidence[column] for by_incidence in prepared]
-        estimate = join_wavelengths([result.estimate for result in results])
+        estimate = join_wavelengths([estimate for estimate, _ in results])
         attributes = {"rays": 0} | {
-            name: max(result.attributes[name] for result in results)
+            name: max(described[name] for _, described in results)
             for name in ("streams", "truncation_error", "optics_error")
         }
         otherwise = "solver_error"

@@ -19,9 +19,10 @@ from splits.instruments.delay_record import (
     check_granular_layers,
     check_record,
     describe_record,
+    limit_depths,
     make_receiver,
 )
-from splits.instruments.time_of_flight import FLAG_NAME, DelayRequest, simulate_delays
+from splits.instruments.time_of_flight import FLAG_NAME, simulate_delays
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.simulation.run_options import RunOptions
 from splits.tables.axes import INCIDENCE, Grid, GridIncidence, MakeMedium, ParameterGrid
@@ -114,16 +115,19 @@ def build_return_table(
     for parameters in axes.iterate_points():
         incidence = beams[parameters.pop(INCIDENCE, incidence_deg)]
         receiver = make_receiver(incidence, acceptance_deg, footprint_radius_m)
-        request = DelayRequest(incidence, rays, receiver, edges, end, pulse)
-        points.append((make_point_medium(make, parameters, check_granular_layers), request))
+        medium = make_point_medium(make, parameters, check_granular_layers)
+        points.append((medium, incidence, receiver))
     names = [f"{name}{suffix}" for name in RETURN_QUANTITIES for suffix in ("", "_stderr")]
     spectra = []
-    for number, (medium, request) in enumerate(points):
+    for number, (medium, incidence, receiver) in enumerate(points):
         show = report_whole_table(progress, start_time, number, len(points) - number - 1)
         parts = []
         for step, wavelength in enumerate(wavelengths):
             own_run = run._replace(progress=show, seed=(run.seed + step * SEED_STEP) % 2**63)
-            part = simulate_delays(medium, np.array([wavelength]), request, own_run)
+            part = simulate_delays(
+                medium, np.array([wavelength]), incidence, rays, receiver, edges, end, pulse,
+                own_run, limit_depths(None, medium),
+            )  # fmt: skip
             parts.append(part[[*names, FLAG_NAME]].sel(side="reflected", drop=True))
         joined = xr.concat(parts, "wavelength", data_vars="minimal").drop_attrs(deep=False)
         spectra.append(joined.assign_coords(delay_bounds=part.delay_bounds))

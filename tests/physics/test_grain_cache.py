@@ -6,7 +6,7 @@ from chi2 import NEEDS_JIT
 
 import splits
 from splits.discrete_ordinates import grains
-from splits.discrete_ordinates.grains import MIN_RAYS, GrainTracing, load_grains
+from splits.discrete_ordinates.grains import MIN_RAYS, load_grains, trace_grains
 
 WAVELENGTHS = np.array([1300.0])
 SNOW = splits.Snow(interpretation="radiative_transfer", saturation=0.0)
@@ -23,13 +23,13 @@ def folder(tmp_path, monkeypatch):
 @pytest.fixture
 def traced(monkeypatch):
     """Return the digests of the grains that are traced."""
-    digests, trace = [], GrainTracing.trace
+    digests = []
 
-    def count(self, digest, threads):
+    def count(scene, constants, nodes, rays, digest, threads):
         digests.append(digest)
-        return trace(self, digest, threads)
+        return trace_grains(scene, constants, nodes, rays, digest, threads)
 
-    monkeypatch.setattr(GrainTracing, "trace", count)
+    monkeypatch.setattr(grains, "trace_grains", count)
     return digests
 
 

@@ -332,7 +332,7 @@ def test_transmission_without_absorption_decreases_as_inverse_thickness():
     streams = Streams.from_number(n)
     optics = LayerOptics.from_albedo(thickness, np.ones(4), moments).truncate(n)
     slab = solve_slab(optics, streams, np.empty((1, 0)))
-    lambertian = streams.flux_vector
+    lambertian = np.sqrt(streams.weights * streams.cosines)
     resistance = 1.0 / (2.0 * slab.transmission @ lambertian @ lambertian)
     slope = np.diff(resistance) / np.diff(thickness)
     np.testing.assert_allclose(slope, 0.75 * (1.0 - 0.8), rtol=1e-9)

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from test_ordinates_snow import WATER, N, Stack, make_wet_optics
 
-from splits.discrete_ordinates.adding import Boundary, Element, compute_budget, make_isotropic
+from splits.discrete_ordinates.adding import (
+    Boundary,
+    Element,
+    compute_budget,
+    compute_reflectance,
+    make_isotropic,
+)
 from splits.discrete_ordinates.granular_layers import (
     N_PEAK_ORDERS,
     estimate_phase_error,
@@ -12,15 +18,12 @@ from splits.discrete_ordinates.granular_layers import (
 )
 from splits.discrete_ordinates.homogeneous_layer import LayerOptics, Streams, solve_slab
 from splits.discrete_ordinates.radiance import (
-    compute_bidirectional,
-    sum_legendre,
-    trace_direct_light,
-)
-from splits.discrete_ordinates.refraction import (
     TRANSMITTED,
     Geometry,
     PlaneLayers,
-    compute_reflectance,
+    compute_bidirectional,
+    sum_legendre,
+    trace_direct_light,
 )
 
 ORDERS = 400

@@ -11,20 +11,18 @@ import splits
 from splits.discrete_ordinates.adding import (
     Boundary,
     Element,
+    RefractingCells,
     compute_budget,
     make_isotropic,
+    make_wet_boundary,
+    make_wet_interface,
     reflect_at_bottom,
+    refract_directions,
 )
 from splits.discrete_ordinates.grain_tabulation import TableAxes, tabulate_grains
 from splits.discrete_ordinates.grains import Axis
 from splits.discrete_ordinates.granular_stack import load_natural_grains
 from splits.discrete_ordinates.homogeneous_layer import LayerOptics, Streams, solve_slab
-from splits.discrete_ordinates.refraction import (
-    RefractingCells,
-    make_wet_boundary,
-    make_wet_interface,
-    refract_directions,
-)
 from splits.instruments.solver import choose_solver
 from splits.simulation.grain_optics import GRAIN_RAYS_PER_CHUNK
 from splits.simulation.run_options import RunOptions

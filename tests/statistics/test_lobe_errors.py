@@ -6,10 +6,11 @@ import pytest
 from splits.core.uncertainty import ErrorTarget
 from splits.instruments.angular_estimate import (
     N_ANGULAR_BATCHES,
+    add_interpolation_error,
     estimate_row,
     is_significant,
+    join_wavelengths,
     make_direction_grid,
-    stack_rows,
 )
 from splits.kernels.tallies.distributions import make_basis
 
@@ -40,7 +41,7 @@ class SyntheticExits:
         target = ErrorTarget(0, np.ones(len(ANGLES.polynomials), dtype=bool))
         unscattered = np.zeros((N_ANGULAR_BATCHES, 2))
         estimate, _ = estimate_row([self.batches], unscattered, n_rays, ANGLES, False, target)
-        return stack_rows([estimate], np.zeros(1))
+        return add_interpolation_error(join_wavelengths([estimate], np.stack), np.zeros(1))
 
 
 def evaluate_forward_lobe(polar, azimuth, width):

@@ -1,4 +1,4 @@
-"""Linear and interpolated forward models, the noise of Jacobians, and nonlinearity.
+"""Nonlinearity of forward models, refined posteriors, and the noise of Jacobians.
 
 The deviation of a model from its linearization is interpolated by radial functions (of the fifth
 power, with a quadratic polynomial; Wendland 2005, Scattered Data Approximation, chapter 8) between
@@ -10,12 +10,12 @@ first turn includes alternative solutions, which draws around the best one may n
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
+from splits.retrieval.forward_model import InterpolatedModel, LinearizedModel, compute_whitening
+from splits.retrieval.gauss_newton import BOUND_MARGIN
 from splits.retrieval.optimal_estimation import Solution
-from splits.retrieval.state_vector import StateVector
 
 RANGE_INFORMATION = 12.0
 """Fisher information of a coordinate equal to that of its range."""
@@ -25,55 +25,6 @@ MIN_SIGNAL_TO_NOISE, CERTAIN_SIGNAL_TO_NOISE = 6.0, 10.0
 The ratio plus one is that of an F test: for six Jacobians with noise in three independent parts of
 the spectrum, it exceeds 7 by chance in one case of 300.
 """
-BOUND_MARGIN = 1e-3
-"""Distance of coordinates from the bounds, where derivatives may be infinite."""
-
-
-class Linearization(NamedTuple):
-    """Value and Jacobian of a forward model at one state.
-
-    Attributes
-    ----------
-    state : float, shape (parameters,)
-        Coordinates.
-    modelled : float, shape (n,)
-        Modelled measurement.
-    jacobian : float, shape (n, parameters)
-    error_covariance : float, shape (n, n)
-        Covariance of the forward-model error.
-    """
-
-    state: np.ndarray
-    modelled: np.ndarray
-    jacobian: np.ndarray
-    error_covariance: np.ndarray
-
-
-class LinearizedModel:
-    """Forward model linearized about one state; see `splits.retrieval.forward_model`."""
-
-    def __init__(self, state_vector: StateVector, linearization: Linearization) -> None:
-        self.state_vector, self.linearization = state_vector, linearization
-
-    def evaluate(self, states: np.ndarray) -> np.ndarray:
-        """Return modelled measurements, shape (states, n)."""
-        modelled: np.ndarray = (
-            self.linearization.modelled
-            + (states - self.linearization.state) @ self.linearization.jacobian.T
-        )
-        return modelled
-
-    def evaluate_with_jacobian(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the modelled measurement, shape (n,), and its Jacobian, shape (n, parameters)."""
-        return self.evaluate(state[np.newaxis])[0], self.linearization.jacobian
-
-    def compute_error_covariance(self, state: np.ndarray) -> np.ndarray:
-        """Return the covariance of the forward-model error, shape (n, n)."""
-        return self.linearization.error_covariance
-
-    def evaluate_first_guesses(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the state of the linearization, and its modelled measurement."""
-        return self.linearization.state[np.newaxis], self.linearization.modelled[np.newaxis]
 
 
 def estimate_nonlinearity(
@@ -170,50 +121,6 @@ MAX_DEVIATION = 0.5
 MAX_TURNS = 8
 MIN_NEW_STATES = 16
 """Smallest number of states of a turn; there are as many as a quadratic polynomial has terms."""
-MIN_SPREAD = 1e-5
-"""Smallest standard deviation of coordinates."""
-GRADIENT_STEP = 1e-4
-"""Step of coordinates for derivatives."""
-
-
-class InterpolatedModel(LinearizedModel):
-    """Forward model that interpolates between states; see `splits.retrieval.forward_model`.
-
-    Parameters
-    ----------
-    linear_model : LinearizedModel
-    states : float, shape (states, parameters)
-    values : float, shape (states, n)
-        Modelled measurements.
-    """
-
-    def __init__(
-        self, linear_model: LinearizedModel, states: np.ndarray, values: np.ndarray
-    ) -> None:
-        from scipy.interpolate import RBFInterpolator
-
-        super().__init__(linear_model.state_vector, linear_model.linearization)
-        self.states, self.values, self._whiten = states, values, _compute_whitening(states)
-        deviation = values - linear_model.evaluate(states)
-        self._deviation = RBFInterpolator(
-            states @ self._whiten, deviation, kernel="quintic", degree=2
-        )
-
-    def evaluate(self, states: np.ndarray) -> np.ndarray:
-        """Return modelled measurements, shape (states, n)."""
-        deviation: np.ndarray = self._deviation(states @ self._whiten)
-        return super().evaluate(states) + deviation
-
-    def evaluate_with_jacobian(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the modelled measurement, shape (n,), and its Jacobian, shape (n, parameters)."""
-        steps = GRADIENT_STEP * np.eye(len(state))
-        values = self.evaluate(state + np.concatenate([0.0 * steps[:1], steps, -steps]))
-        high, low = np.split(values[1:], 2)
-        return values[0], (high - low).T / (2.0 * GRADIENT_STEP)
-
-    def evaluate_first_guesses(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the states, and their modelled measurements."""
-        return self.states, self.values
 
 
 def refine_posterior(
@@ -237,10 +144,9 @@ def refine_posterior(
     alternatives : sequence of float, shape (parameters,)
         Alternative solutions of the model.
     """
-    start = linear_model.linearization
-    n_parameters = len(start.state)
+    n_parameters = len(linear_model.state)
     n_new = max(MIN_NEW_STATES, (n_parameters + 1) * (n_parameters + 2) // 2)
-    states, values = start.state[np.newaxis], start.modelled[np.newaxis]
+    states, values = linear_model.evaluate_first_guesses()
     model = linear_model
     for turn in range(MAX_TURNS):
         draws = np.clip(solution.draws.states, BOUND_MARGIN, 1.0 - BOUND_MARGIN)
@@ -261,7 +167,7 @@ def refine_posterior(
 
 def _choose_far_states(draws: np.ndarray, states: np.ndarray, number: int) -> np.ndarray:
     """Return draws that are far from each other and from other states."""
-    whiten = _compute_whitening(draws)
+    whiten = compute_whitening(draws)
     points, chosen = draws @ whiten, []
     distance = np.full(len(draws), np.inf)
     others = list(states @ whiten)
@@ -271,11 +177,3 @@ def _choose_far_states(draws: np.ndarray, states: np.ndarray, number: int) -> np
         chosen.append(int(distance.argmax()))
         others = [points[chosen[-1]]]
     return draws[chosen]
-
-
-def _compute_whitening(states: np.ndarray) -> np.ndarray:
-    """Return the matrix that makes the coordinates of states independent, with variances of 1."""
-    covariance = np.cov(states, rowvar=False).reshape(states.shape[1], -1)
-    floor = MIN_SPREAD**2 * np.eye(len(covariance))
-    whitening: np.ndarray = np.linalg.inv(np.linalg.cholesky(covariance + floor)).T
-    return whitening

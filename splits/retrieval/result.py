@@ -15,10 +15,13 @@ from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.media.parameters import describe_parameter
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.optimal_estimation import (
+    ALTERNATIVE_CHI2,
+    MAX_PRIOR_TENSION,
+    MIN_EFFECTIVE_DRAWS,
+    MIN_SEPARATION,
     N_DRAWS,
     Solution,
     compute_fit_degrees_of_freedom,
-    list_warnings,
 )
 from splits.retrieval.state_vector import SCALE, StateVector
 from splits.simulation.run_options import make_wavelength_coordinate
@@ -65,6 +68,85 @@ def describe_parameters(
         },
         "seed": seed,
     }
+
+
+BOUND_DISTANCE = 0.01
+"""Distance of a coordinate from a bound below which a value lies at it."""
+MAX_NONLINEARITY = 1.0
+"""Deviation of linear or interpolated reflectances, in units of noise, which is reported."""
+
+
+def list_warnings(
+    state_vector: StateVector, solution: Solution, constrained: np.ndarray
+) -> list[str]:
+    """Return the warnings about a result."""
+    estimates, _, draws, variance_inflation, tension, *_ = solution
+    best, warnings = estimates[0], []
+    if variance_inflation > 1.0:
+        warnings.append(
+            f"the model does not fit the measurement within its noise: errors are multiplied by "
+            f"{np.sqrt(variance_inflation):.3g}, and may still be too small"
+        )
+    unconstrained = [
+        name
+        for name, is_constrained in zip(state_vector.names, constrained, strict=True)
+        if not is_constrained
+    ]
+    if unconstrained:
+        warnings.append(f"not constrained by the measurement: {', '.join(unconstrained)}")
+    for name, tension_sigma in zip(state_vector.names, tension, strict=True):
+        if tension_sigma > MAX_PRIOR_TENSION:
+            warnings.append(
+                f"{name}: prior and measurement are {tension_sigma:.1f} standard deviations apart"
+            )
+    for i, name in enumerate(state_vector.names):
+        low, high = (
+            float(state_vector.to_physical(np.full(len(state_vector.names), x))[i])
+            for x in (0.0, 1.0)
+        )
+        if not (constrained[i] or best.active_bounds[i]):
+            continue
+        if best.state[i] < BOUND_DISTANCE and low != 0.0:
+            warnings.append(f"{name} lies at the low end of its range, {low:g}")
+        if best.state[i] > 1.0 - BOUND_DISTANCE:
+            warnings.append(f"{name} lies at the high end of its range, {high:g}")
+    warnings += _list_alternatives(state_vector, solution)
+    if solution.nonlinearity > MAX_NONLINEARITY:
+        warnings.append(
+            "errors are approximate: they use linear or interpolated reflectances, which deviate "
+            f"from those of the model by up to {solution.nonlinearity:.1f} times the noise"
+        )
+    if draws.n_effective < MIN_EFFECTIVE_DRAWS:
+        warnings.append(f"quantiles are imprecise: {draws.n_effective:.0f} effective draws")
+    return warnings
+
+
+def _list_alternatives(state_vector: StateVector, solution: Solution) -> list[str]:
+    """Return the warnings about distinct alternative solutions."""
+    best, *others = (estimate.state for estimate in solution.estimates)
+    listed, warnings = [best], []
+    for alternative in [*others[:1], *solution.alternatives]:
+        difference = alternative - best
+        is_within_error = (
+            difference @ np.linalg.solve(solution.posterior.covariance, difference)
+            < ALTERNATIVE_CHI2
+        )
+        distances = [np.abs(alternative - state).max() for state in listed]
+        if is_within_error or min(distances) < MIN_SEPARATION:
+            continue
+        listed.append(alternative)
+        is_near = np.abs(solution.draws.states - alternative).max(axis=1) < 0.5 * distances[0]
+        coverage = "" if is_near.any() else ", but draws do not cover it"
+        values = [
+            f"{parameter} {value:.3g}"
+            for parameter, value in zip(
+                state_vector.names, state_vector.to_physical(alternative), strict=True
+            )
+        ]
+        warnings.append(
+            f"an alternative solution fits nearly as well{coverage}: {', '.join(values)}"
+        )
+    return warnings
 
 
 QUANTILES = (0.025, 0.16, 0.5, 0.84, 0.975)

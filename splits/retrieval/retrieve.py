@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from splits.core.inputs import Kernel, MaxRays, Seed, Solver, StandardError, Threads
 from splits.core.keywords import declare_function
 from splits.core.progress import ProgressCallback
@@ -19,16 +17,10 @@ from splits.media.parameters import INCIDENCE_KEY
 from splits.retrieval.forward_model import (
     TableForwardModel,
     choose_quantity,
-    drop_priors,
     get_table_ranges,
 )
 from splits.retrieval.least_squares import retrieve_without_noise
-from splits.retrieval.linearization import (
-    MAX_DEVIATION,
-    LinearizedModel,
-    estimate_nonlinearity,
-    refine_posterior,
-)
+from splits.retrieval.linearization import MAX_DEVIATION, estimate_nonlinearity, refine_posterior
 from splits.retrieval.measurement import Measurement, check_modelled_quantity
 from splits.retrieval.medium_model import (
     MediumForwardModel,
@@ -37,17 +29,7 @@ from splits.retrieval.medium_model import (
     make_medium_model,
     make_medium_state_vector,
 )
-from splits.retrieval.optimal_estimation import (
-    ALTERNATIVE_CHI2,
-    MAX_PRIOR_TENSION,
-    Solution,
-    compute_prior_tension,
-    compute_variance_inflation,
-    draw_posterior,
-    find_distinct_map_estimates,
-    find_map_estimate,
-    summarize_posterior,
-)
+from splits.retrieval.optimal_estimation import ALTERNATIVE_CHI2, Solution, solve_for_known_noise
 from splits.retrieval.result import (
     TABLE_SOLVER,
     RetrievalResult,
@@ -199,10 +181,10 @@ def retrieve(
         state_vector = make_medium_state_vector(model, free, prior, incidence)
         fixed_values = {} if INCIDENCE_KEY in state_vector.names else {INCIDENCE_KEY: incidence}
         check_modelled_quantity("measured", measured, "reflectance", fixed_values)
-        options = {"max_rays": max_rays, "threads": threads, "kernel": kernel}
         forward_model = make_medium_model(
-            model, measurement, state_vector, incidence, solver, max_stderr, seed, progress, options
-        )
+            model, measurement, state_vector, incidence, solver, max_stderr, seed, progress,
+            max_rays=max_rays, threads=threads, kernel=kernel,
+        )  # fmt: skip
         settings = describe_model(model, forward_model.solver)
     if not measurement.noise_known:
         solution, measurement = retrieve_without_noise(forward_model, measurement, seed)
@@ -217,7 +199,7 @@ def retrieve(
 def _solve_from_medium(model: MediumForwardModel, measurement: Measurement, seed: int) -> Solution:
     """Return the solution from a medium for known noise."""
     converged = model.find_minima()
-    linear_model = LinearizedModel(model.state_vector, converged.linearize(measurement.covariance))
+    linear_model = converged.linearize(model.state_vector, measurement.covariance)
     solution = solve_for_known_noise(linear_model, measurement, seed)
     noise = solution.variance_inflation * (measurement.covariance + converged.model_covariance)
     nonlinearity = estimate_nonlinearity(
@@ -239,41 +221,3 @@ def _solve_from_medium(model: MediumForwardModel, measurement: Measurement, seed
             alternatives,
         )
     return solution._replace(alternatives=alternatives)
-
-
-def solve_for_known_noise(
-    model: TableForwardModel | LinearizedModel, measurement: Measurement, seed: int
-) -> Solution:
-    """Return the solution: estimates, posterior and draws."""
-    state_vector, first_guesses = model.state_vector, model.evaluate_first_guesses()
-    estimates = find_distinct_map_estimates(model, measurement, *first_guesses)
-    # A prior that contradicts the measurement must not inflate the variances.
-    without_priors = estimates[0]
-    if np.isfinite(state_vector.prior_sd).any():
-        without_priors = find_map_estimate(drop_priors(model), measurement, estimates[0].state)
-    reference = estimates[0] if estimates[0].chi2 <= without_priors.chi2 else without_priors
-    variance_inflation = compute_variance_inflation(reference, state_vector)
-    if variance_inflation > 1.0:
-        estimates = find_distinct_map_estimates(
-            model, measurement, *first_guesses, variance_inflation
-        )
-    spread = summarize_posterior(
-        without_priors._replace(
-            error_covariance=variance_inflation * without_priors.error_covariance
-        ),
-        state_vector.without_priors(),
-    ).covariance
-    tension = compute_prior_tension(state_vector, without_priors.state, np.diag(spread))
-    if estimates[0].chi2 - reference.chi2 / variance_inflation < MAX_PRIOR_TENSION**2:
-        # The priors do not contradict the measurement if the misfit is as good without them.
-        tension = np.zeros_like(tension)
-    draws = draw_posterior(model, measurement, estimates, seed)
-    model_error = np.sqrt(np.diag(model.compute_error_covariance(estimates[0].state)))
-    return Solution(
-        estimates,
-        summarize_posterior(estimates[0], state_vector),
-        draws,
-        variance_inflation,
-        tension,
-        model_error,
-    )

@@ -33,6 +33,7 @@ from splits.illumination.bands import SpectralOperator
 from splits.instruments.delay_record import Pulse, PulseInput, describe_record
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.measurement import Measurement, check_conditions, is_same_label
+from splits.retrieval.optimal_estimation import solve_for_known_noise
 from splits.retrieval.result import (
     TABLE_SOLVER,
     RetrievalResult,
@@ -40,7 +41,6 @@ from splits.retrieval.result import (
     describe_parameters,
     make_result,
 )
-from splits.retrieval.retrieve import solve_for_known_noise
 from splits.retrieval.state_vector import SCALE, StateVector
 from splits.tables.axes import INCIDENCE
 from splits.tables.return_table import TITLE

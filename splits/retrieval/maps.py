@@ -48,14 +48,16 @@ class TableGrid(NamedTuple):
     axis_nodes : float64[axes, max_nodes]
         Coordinates.
     n_nodes : int64[axes]
-    steps : int64[axes]
-        Every step along an axis is a node of the table; the others are interpolated.
+    start_states : float64[starts, axes]
+        Coordinates at which descents may start.
+    start_values : float64[starts, columns]
     """
 
     node_values: np.ndarray
     axis_nodes: np.ndarray
     n_nodes: np.ndarray
-    steps: np.ndarray
+    start_states: np.ndarray
+    start_values: np.ndarray
 
 
 @entry_point
@@ -92,37 +94,18 @@ def project_spectra(spectra, mean_spectrum, projection, whitening, components, r
 
 
 @entry_point
-def find_nearest_node(grid, measurement, prior_mean, prior_precision, state):
-    """Set the state to the node of the table in the ranges with the smallest cost."""
-    node_values, axis_nodes, n_nodes, steps = grid
-    axes = len(n_nodes)
+def find_best_start(grid, measurement, prior_mean, prior_precision, state):
+    """Set the state to the start with the smallest cost."""
     min_cost = np.inf
-    coordinates = np.empty(axes)
-    n_table_nodes = 1
-    for a in range(axes):
-        n_table_nodes *= (n_nodes[a] - 1) // steps[a] + 1
-    for table_node in range(n_table_nodes):
-        rest, inside, cost = table_node, True, 0.0
-        node, stride = 0, 1
-        for a in range(axes - 1, -1, -1):
-            n_axis_nodes = (n_nodes[a] - 1) // steps[a] + 1
-            index = rest % n_axis_nodes * steps[a]
-            rest //= n_axis_nodes
-            node += index * stride
-            stride *= n_nodes[a]
-            coordinates[a] = axis_nodes[a, index]
-            inside = inside and -1e-9 <= coordinates[a] <= 1.0 + 1e-9
-            cost += prior_precision[a] * (coordinates[a] - prior_mean[a]) ** 2
-        if not inside:
-            continue
+    for start in range(len(grid.start_states)):
+        cost = 0.0
+        for a in range(len(state)):
+            cost += prior_precision[a] * (grid.start_states[start, a] - prior_mean[a]) ** 2
         for column in range(len(measurement)):
-            cost += (node_values[node, column] - measurement[column]) ** 2
+            cost += (grid.start_values[start, column] - measurement[column]) ** 2
         if cost < min_cost:
             min_cost = cost
-            for a in range(axes):
-                state[a] = min(max(coordinates[a], 0.0), 1.0)
-    if min_cost == np.inf:
-        state[:] = 0.5
+            state[:] = grid.start_states[start]
 
 
 @entry_point
@@ -255,7 +238,7 @@ def retrieve_spectra(
     second_state = np.empty(axes)
     for row in range(len(measurements)):
         state = states[row]
-        find_nearest_node(grid, measurements[row], prior_mean, prior_precision, state)
+        find_best_start(grid, measurements[row], prior_mean, prior_precision, state)
         # Derivatives may vanish at bounds, so a second descent starts away from them.
         for a in range(axes):
             second_state[a] = min(max(state[a], SECOND_START_MARGIN), 1.0 - SECOND_START_MARGIN)
@@ -522,8 +505,13 @@ class _MapRetrieval(NamedTuple):
         min_value = np.sqrt(MIN_COMPONENT_VARIANCE) * np.sqrt(len(whitened_nodes))
         n_significant = max(int((singular_values > min_value).sum()), len(model.axes))
         projection = directions[: min(n_significant, MAX_COMPONENTS)] @ whitening
-        components = np.ascontiguousarray((model.node_values - mean_spectrum) @ projection.T)
-        grid = TableGrid(components, model.axis_nodes, model.n_nodes, model.steps)
+        states, spectra = model.evaluate_first_guesses()
+        node_values, start_values = (
+            np.ascontiguousarray((values - mean_spectrum) @ projection.T)
+            for values in (model.node_values, spectra)
+        )
+        states = np.clip(states, 0.0, 1.0)
+        grid = TableGrid(node_values, model.axis_nodes, model.n_nodes, states, start_values)
         return cls(model, grid, mean_spectrum, projection, whitening, threads, is_lazy)
 
     @property

@@ -19,7 +19,6 @@ from splits.tables.axes import (
     DIFFUSE_PREFIX,
     INCIDENCE,
     VIEW_AXES,
-    ParameterGrid,
     check_axis_values,
 )
 from splits.tables.interpolation import (
@@ -83,7 +82,14 @@ class TableForwardModel:
         operator: SpectralOperator | None = None,
     ) -> None:
         self.state_vector, self.table, self.quantity = state_vector, table, quantity
-        self.fixed = _check_fixed_axes(table, state_vector, fixed)
+        self.fixed = check_axis_values(
+            fixed, table.axes[:-1], "fixed.", free_axes=state_vector.names
+        )
+        for name in table.axes[:-1]:
+            is_given = name in state_vector.names or name in self.fixed
+            if not is_given and table.dataset[name].size > 1:
+                hint = "an axis of the table that is not free"
+                raise invalid(f"fixed.{name}", None, "given", hint)
         self.measurement = measurement
         self.operator = operator or make_measurement_operator(
             measurement, table.dataset.wavelength.values
@@ -342,33 +348,14 @@ def choose_quantity(table: Table, quantity: str | None) -> str:
 
 def get_table_ranges(table: Table) -> dict[str, ParameterRange]:
     """Return the ranges of all axes of a table that may be free, and of the scale."""
-    grid = {name: tuple(table.dataset[name].values.tolist()) for name in table.axes[:-1]}
-    return get_grid_ranges(ParameterGrid(grid), has_direction=table.has_direction)
-
-
-def get_grid_ranges(
-    grid: ParameterGrid, *, has_direction: bool = False
-) -> dict[str, ParameterRange]:
-    """Return the ranges of `get_table_ranges` for the axes of a table."""
     ranges = {}
-    for name, row in grid.items():
-        if len(row) > 1 and not isinstance(row[0], str) and name not in VIEW_AXES:
-            transform, _ = transform_axis(
-                name, np.array(row, dtype=float), has_direction=has_direction
-            )
-            ranges[name] = ParameterRange(float(row[0]), float(row[-1]), transform)
-    return ranges | {SCALE: ParameterRange(*SCALE_RANGE, "identity")}
-
-
-def _check_fixed_axes(
-    table: Table, state_vector: StateVector, fixed: Mapping[str, Any] | None
-) -> dict[str, Any]:
-    """Return the values of the axes that are not free; reject invalid ones."""
-    values = check_axis_values(fixed, table.axes[:-1], "fixed.", free_axes=state_vector.names)
     for name in table.axes[:-1]:
-        if name not in state_vector.names and name not in values and table.dataset[name].size > 1:
-            raise invalid(f"fixed.{name}", None, "given", "an axis of the table that is not free")
-    return values
+        row = table.dataset[name].values
+        if row.size > 1 and row.dtype.kind in "biuf" and name not in VIEW_AXES:
+            nodes = row.astype(float)
+            transform, _ = transform_axis(name, nodes, has_direction=table.has_direction)
+            ranges[name] = ParameterRange(float(nodes[0]), float(nodes[-1]), transform)
+    return ranges | {SCALE: ParameterRange(*SCALE_RANGE, "identity")}
 
 
 def _resample_table(

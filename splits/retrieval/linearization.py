@@ -1,4 +1,4 @@
-"""Nonlinearity of forward models, refined posteriors, and the noise of Jacobians.
+"""Gauss-Newton descents, the noise of Jacobians, nonlinearity, and refined posteriors.
 
 The deviation of a model from its linearization is interpolated by radial functions (of the fifth
 power, with a quadratic polynomial; Wendland 2005, Scattered Data Approximation, chapter 8) between
@@ -10,12 +10,98 @@ first turn includes alternative solutions, which draws around the best one may n
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from splits.retrieval.forward_model import InterpolatedModel, LinearizedModel, compute_whitening
-from splits.retrieval.gauss_newton import BOUND_MARGIN
-from splits.retrieval.optimal_estimation import Solution
+from splits.retrieval.optimal_estimation import Objective, Solution
+
+MIN_RADIUS = 0.02
+MIN_RELATIVE_GAIN = 0.003
+"""A descent ends once its trust region or the predicted relative gain is below these limits."""
+MIN_GAIN_PER_VALUE = 0.1
+"""Limit of the predicted gain relative to the mean square, a third of a standard error."""
+BOUND_MARGIN = 1e-3
+"""Distance of coordinates from the bounds, where derivatives may be infinite."""
+
+
+class LocalMinimum(NamedTuple):
+    """Final state of a descent and its sum of squares."""
+
+    cost: float
+    state: np.ndarray
+
+
+def minimize_gauss_newton(
+    evaluate: Callable[[np.ndarray], np.ndarray],
+    compute_jacobian: Callable[[np.ndarray], np.ndarray],
+    start: np.ndarray,
+    objective: Objective,
+    max_evaluations: int,
+    radius: float,
+) -> LocalMinimum:
+    """Minimize an objective with simulations as the forward model by Gauss-Newton steps.
+
+    All simulations of a descent use the same random numbers, so the modelled spectrum is a smooth
+    function of the state, with the bias of their noise.
+
+    Every step minimizes the linear model within the unit cube and a trust region around the best
+    state so far.  The Jacobian is updated after Broyden (1965) as long as it predicts the misfit,
+    which saves simulations.
+
+    Parameters
+    ----------
+    evaluate : callable
+        From a state to the modelled measurement, shape (n,).
+    compute_jacobian : callable
+        From a state to the Jacobian with respect to the coordinates, shape (n, parameters).
+    start : float, shape (parameters,)
+    objective : Objective
+    max_evaluations : int
+        Approximate limit of simulations; a Jacobian counts as one per coordinate.
+    radius : float
+        Half the edge of the first trust region, 0 to 1.
+    """
+    from scipy.optimize import lsq_linear
+
+    lower_bound, upper_bound = BOUND_MARGIN, 1.0 - BOUND_MARGIN
+    state = np.clip(start, lower_bound, upper_bound)
+    residuals = objective.compute_residuals(evaluate(state), state)
+    cost = float(residuals @ residuals)
+    n_evaluations, is_stale = 1, True
+    jacobian = np.empty((len(residuals), len(state)))
+    while n_evaluations < max_evaluations and radius >= MIN_RADIUS:
+        is_fresh = is_stale
+        if is_stale:
+            jacobian = objective.compute_residual_jacobian(compute_jacobian(state))
+            n_evaluations += len(state)
+            is_stale = False
+        low = np.maximum(lower_bound - state, -radius)
+        high = np.minimum(upper_bound - state, radius)
+        step = lsq_linear(jacobian, -residuals, (low - 1e-9, high + 1e-9)).x
+        step = np.clip(state + step, lower_bound, upper_bound) - state
+        predicted = residuals + jacobian @ step
+        predicted_gain = cost - float(predicted @ predicted)
+        # Both sides are 0 where the fit is exact.
+        if predicted_gain <= cost * min(MIN_RELATIVE_GAIN, MIN_GAIN_PER_VALUE / len(residuals)):
+            if is_fresh:
+                break
+            is_stale = True
+            continue
+        new_residuals = objective.compute_residuals(evaluate(state + step), state + step)
+        n_evaluations += 1
+        gain = cost - float(new_residuals @ new_residuals)
+        jacobian += np.outer(new_residuals - predicted, step) / (step @ step)
+        if gain < 0.25 * predicted_gain:
+            radius *= 0.5
+        elif gain > 0.75 * predicted_gain:
+            radius = min(2.0 * radius, 0.5)
+        is_stale = gain < 0.5 * predicted_gain and not (is_fresh and gain <= 0.0)
+        if gain > 0.0:
+            state, residuals, cost = state + step, new_residuals, cost - gain
+    return LocalMinimum(cost, state)
+
 
 RANGE_INFORMATION = 12.0
 """Fisher information of a coordinate equal to that of its range."""

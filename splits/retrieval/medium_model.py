@@ -55,8 +55,13 @@ from splits.retrieval.forward_model import (
     LinearizedModel,
     make_measurement_operator,
 )
-from splits.retrieval.gauss_newton import BOUND_MARGIN, LocalMinimum, minimize_gauss_newton
-from splits.retrieval.linearization import is_jacobian_noisy, remove_jacobian_noise
+from splits.retrieval.linearization import (
+    BOUND_MARGIN,
+    LocalMinimum,
+    is_jacobian_noisy,
+    minimize_gauss_newton,
+    remove_jacobian_noise,
+)
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.optimal_estimation import (
     ALTERNATIVE_CHI2,

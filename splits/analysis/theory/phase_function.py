@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Annotated, Any
 
 import numpy as np
 import xarray as xr
+from numpy.polynomial.legendre import legvander
 
 from splits.core.arrays import as_1d_array, check_array_range, check_no_gaps
 from splits.core.declarations import Quantity
@@ -182,20 +182,8 @@ def phase_function(
 
 def _make_legendre_terms(mu: np.ndarray, max_order: int) -> np.ndarray:
     """Return the factors of moments, shape (orders, angles)."""
-    damping = _compute_damping_factors(max_order)
-    terms = np.empty((max_order + 1, mu.size))
-    for order, polynomial in enumerate(_generate_legendre_polynomials(mu, max_order)):
-        terms[order] = (2.0 * order + 1.0) * damping[order] / (4.0 * np.pi) * polynomial
-    return terms
-
-
-def _generate_legendre_polynomials(mu: np.ndarray, max_order: int) -> Iterator[np.ndarray]:
-    """Yield the Legendre polynomials of increasing order."""
-    previous, last = np.zeros_like(mu), np.ones_like(mu)
-    yield last
-    for n in range(1, max_order + 1):
-        previous, last = last, ((2 * n - 1) * mu * last - (n - 1) * previous) / n
-        yield last
+    factors = (2.0 * np.arange(max_order + 1) + 1.0) * _compute_damping_factors(max_order)
+    return np.asarray(factors[:, np.newaxis] / (4.0 * np.pi) * legvander(mu, max_order).T)
 
 
 def _compute_damping_factors(max_order: int) -> np.ndarray:
@@ -205,44 +193,16 @@ def _compute_damping_factors(max_order: int) -> np.ndarray:
     largest mean cosine x, the largest zero of the next polynomial, where Gauss quadrature puts all
     of its weight on one node.
     """
+    from scipy.special import roots_legendre
+
     half = max_order // 2
-    x = np.array([_find_largest_zero(half + 1)])
-    # Fejér quadrature is exact for polynomials of a lower order than its number of nodes.
-    count = 2 * max_order + 2
-    angle = (np.arange(count) + 0.5) * np.pi / count
-    weight = np.full(count, 2.0 / count)
-    for k in range(1, count // 2 + 1):
-        weight -= 4.0 / count * np.cos(2.0 * k * angle) / (4.0 * k * k - 1.0)
-    mu = np.cos(angle)
-    root = np.zeros(count)
-    for k, (at_zero, at_node) in enumerate(
-        zip(
-            _generate_legendre_polynomials(x, half),
-            _generate_legendre_polynomials(mu, half),
-            strict=True,
-        )
-    ):
-        root += (2.0 * k + 1.0) * at_zero * at_node
-    peak = weight * root**2
-    moments = np.array(
-        [(peak * polynomial).sum() for polynomial in _generate_legendre_polynomials(mu, max_order)]
-    )
+    zeros, _ = roots_legendre(half + 1)
+    at_zero = legvander(zeros[-1:], half)[0]
+    mu, weight = roots_legendre(max_order + 1)
+    polynomials = legvander(mu, max_order)
+    root = polynomials[:, : half + 1] @ ((2.0 * np.arange(half + 1) + 1.0) * at_zero)
+    moments = (weight * root**2) @ polynomials
     return np.asarray(moments / moments[0])
-
-
-def _find_largest_zero(order: int) -> float:
-    """Return the largest zero of a Legendre polynomial, by Newton steps from a zero of J_0."""
-    x = np.cos(2.404825557695773 / (order + 0.5))
-    for _ in range(20):
-        *_, previous, last = [
-            1.0,
-            *(float(p[0]) for p in _generate_legendre_polynomials(np.array([x]), order)),
-        ]
-        step = last * (1.0 - x * x) / (order * (previous - x * last))
-        x -= step
-        if abs(step) < 1e-15:
-            break
-    return float(x)
 
 
 def choose_resolving_angles(n_moments: int) -> np.ndarray:

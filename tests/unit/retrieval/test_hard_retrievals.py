@@ -6,8 +6,11 @@ from formula_tables import W, evaluate_spectrum, make_snowlike_table, make_table
 from scipy.stats import binom, f
 
 import splits
-from splits.retrieval.gauss_newton import minimize_gauss_newton
-from splits.retrieval.linearization import is_jacobian_noisy, remove_jacobian_noise
+from splits.retrieval.linearization import (
+    is_jacobian_noisy,
+    minimize_gauss_newton,
+    remove_jacobian_noise,
+)
 from splits.retrieval.optimal_estimation import Objective
 from splits.retrieval.state_vector import ParameterRange, StateVector
 

@@ -38,8 +38,7 @@ from splits.materials.csv_table import read_numeric_csv
 from splits.media.kinds import MEDIUM_CLASSES, get_kind
 from splits.media.medium import Medium
 from splits.media.parameters import describe_parameter
-from splits.retrieval.result import RetrievalResult
-from splits.retrieval.retrieve import retrieve
+from splits.retrieval.retrieve import RetrievalResult, retrieve
 from splits.retrieval.retrieve_return import retrieve_return
 from splits.retrieval.state_vector import SCALE
 from splits.tables.axes import INCIDENCE

@@ -34,7 +34,7 @@ from splits.instruments.delay_record import Pulse, PulseInput, describe_record
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.measurement import Measurement, check_conditions, is_same_label
 from splits.retrieval.optimal_estimation import solve_for_known_noise
-from splits.retrieval.result import (
+from splits.retrieval.retrieve import (
     TABLE_SOLVER,
     RetrievalResult,
     describe_model,

@@ -20,7 +20,7 @@ from splits.retrieval.optimal_estimation import (
     PosteriorSummary,
     Solution,
 )
-from splits.retrieval.result import list_warnings
+from splits.retrieval.retrieve import list_warnings
 from splits.retrieval.state_vector import ParameterRange, StateVector
 
 SIZE, SOOT = "optical_radius_um", "impurities_ng_g.black_carbon"

@@ -163,7 +163,7 @@ def make_retrieval_table(
         for name in map(str, ds.parameter.values):
             part = ds.sel(parameter=name)
             low, below, middle, above, high = part.quantiles.values
-            row = {
+            rows.append({
                 "model": retrieval.model,
                 "sample": retrieval.sample,
                 "parameter": name,
@@ -184,8 +184,7 @@ def make_retrieval_table(
                 "chi2 expected": ds.attrs["chi2_expected"],
                 "error inflation": ds.attrs["error_inflation"],
                 "warnings": ds.attrs["warnings"],
-            }
-            rows.append(row)
+            })  # fmt: skip
     table = pd.DataFrame(rows)
     return table if table.model.any() else table.drop(columns="model")
 

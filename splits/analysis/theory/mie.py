@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from types import ModuleType
 from typing import Annotated, Any, NamedTuple
 
@@ -203,12 +203,12 @@ class GivenSizes:
     ----------
     radius_um : float, shape (radii,)
         Increasing.
-    number : float, shape (radii,)
+    number_density : float, shape (radii,)
         Numbers of spheres, at least one of them above 0.
     """
 
     radius_um: np.ndarray
-    number: np.ndarray
+    number_density: np.ndarray
 
     @classmethod
     def from_input(cls, radius_um: Any, number_density: Any) -> GivenSizes:
@@ -238,12 +238,8 @@ class GivenSizes:
         self, index: complex, size_per_um: float, functions: AngularFunctions
     ) -> tuple[SphereSums, int]:
         """Return sums over the spheres, and the number of radii; see `GammaSizes.sum_spheres`."""
-        area = self.number * self.radius_um**2
+        area = self.number_density * self.radius_um**2
         return sum_spheres(index, size_per_um * self.radius_um, area, functions), area.size
-
-    def describe(self) -> dict[str, Any]:
-        """Return the attributes of a dataset."""
-        return {"radius_um": self.radius_um, "number_density": self.number}
 
 
 @dataclass(frozen=True)
@@ -329,14 +325,6 @@ class GammaSizes:
         hint = "or a larger effective_variance, smaller spheres"
         allowed = f"one that {MAX_INTERVALS + 1} radii reach"
         raise invalid("tolerance", self.tolerance, allowed, hint)
-
-    def describe(self) -> dict[str, Any]:
-        """Return the attributes of a dataset."""
-        return {
-            "effective_radius_um": self.effective_radius_um,
-            "effective_variance": self.effective_variance,
-            "tolerance": self.tolerance,
-        }
 
 
 MATERIAL = "spheres"
@@ -498,7 +486,7 @@ def compute_mie_matrix(
         "diffraction": "included",
         "refractive_index_real": indices.real,
         "refractive_index_imaginary": indices.imag,
-        **sizes.describe(),
+        **asdict(sizes),
         "radii": radii,
         **make_provenance("compute_mie_matrix"),
     }

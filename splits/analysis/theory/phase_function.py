@@ -12,7 +12,7 @@ from splits.core.arrays import as_1d_array, check_array_range, check_no_gaps
 from splits.core.declarations import Quantity
 from splits.core.inputs import NUMBERS_SCHEMA, Numbers
 from splits.core.keywords import declare_function
-from splits.core.uncertainty import compute_jackknife_stderr, make_variable
+from splits.core.uncertainty import Variable, compute_jackknife_stderr, make_variable
 from splits.core.validation import invalid, join_names
 from splits.io.netcdf import to_netcdf_attributes
 
@@ -72,45 +72,45 @@ def with_diffraction(optics: xr.Dataset, radius_um: SphereRadius = None) -> xr.D
     grains = float(optics.attrs["extinction_by_grains_per_m"])
     peak = compute_diffraction_moments(radius_um, optics.wavelength.values, optics.order.values)
     extinction = optics.extinction.values
+    total_extinction = extinction + grains
     scattered = optics[ALBEDO].values * extinction
 
     def mix(albedo: np.ndarray, moment: np.ndarray) -> np.ndarray:
         """Return moments of all scattered light."""
-        medium_radius = (albedo * extinction)[..., np.newaxis]
-        return np.asarray((medium_radius * moment + grains * peak) / (medium_radius + grains))
+        by_optics = (albedo * extinction)[..., np.newaxis]
+        return np.asarray((by_optics * moment + grains * peak) / (by_optics + grains))
 
+    jackknife_name, bound_name = f"{MOMENT}_jackknife", f"{MOMENT}_interpolation_error_bound"
     moment = mix(optics[ALBEDO].values, optics[MOMENT].values)
-    jackknife = mix(optics[f"{ALBEDO}_jackknife"].values, optics[f"{MOMENT}_jackknife"].values)
+    jackknife = mix(optics[f"{ALBEDO}_jackknife"].values, optics[jackknife_name].values)
     fraction = (scattered / (scattered + grains))[:, np.newaxis]
-    bound = fraction * optics[f"{MOMENT}_interpolation_error_bound"].values
-    total_extinction = extinction + grains
-    extinction_ratio = extinction / total_extinction
-    variables: dict[str, Any] = {}
-    variables |= make_variable("extinction", "wavelength", total_extinction, None,
-                      "extinction coefficient", "m-1")  # fmt: skip
-    if "optical_thickness" in optics:
-        thickness = optics.optical_thickness.values * total_extinction / extinction
-        variables |= make_variable("optical_thickness", "wavelength", thickness, None,
-                          "optical thickness of extinction")  # fmt: skip
-    albedo = (scattered + grains) / total_extinction
-    error = extinction_ratio * optics[f"{ALBEDO}_stderr"].values
-    variables |= make_variable(ALBEDO, "wavelength", albedo, error, "single-scattering albedo")
+    bound = fraction * optics[bound_name].values
     error = np.hypot(compute_jackknife_stderr(jackknife), bound)
+    albedo_error = extinction / total_extinction * optics[f"{ALBEDO}_stderr"].values
+    thickness: dict[str, Variable] = {}
+    if "optical_thickness" in optics:
+        thickness = make_variable(
+            "optical_thickness", "wavelength",
+            optics.optical_thickness.values * total_extinction / extinction, None,
+            "optical thickness of extinction",
+        )  # fmt: skip
     dims = ("wavelength", "order")
-    variables |= make_variable(
-        ASYMMETRY, "wavelength", moment[:, 1], error[:, 1], "asymmetry parameter"
-    )
-    variables |= make_variable(MOMENT, dims, moment, error, "Legendre moment of the phase function")
-    variables[f"{MOMENT}_jackknife"] = (
-        ("batch", *dims),
-        jackknife,
-        optics[f"{MOMENT}_jackknife"].attrs,
-    )
-    variables[f"{MOMENT}_interpolation_error_bound"] = (
-        dims,
-        bound,
-        optics[f"{MOMENT}_interpolation_error_bound"].attrs,
-    )
+    variables = {
+        **make_variable(
+            "extinction", "wavelength", total_extinction, None, "extinction coefficient", "m-1"
+        ),
+        **thickness,
+        **make_variable(
+            ALBEDO, "wavelength", (scattered + grains) / total_extinction, albedo_error,
+            "single-scattering albedo",
+        ),
+        **make_variable(
+            ASYMMETRY, "wavelength", moment[:, 1], error[:, 1], "asymmetry parameter"
+        ),
+        **make_variable(MOMENT, dims, moment, error, "Legendre moment of the phase function"),
+        jackknife_name: (("batch", *dims), jackknife, optics[jackknife_name].attrs),
+        bound_name: (dims, bound, optics[bound_name].attrs),
+    }  # fmt: skip
     attributes = {**optics.attrs, "diffraction": f"Fraunhofer, radius {radius_um:g} um"}
     coordinates = {name: optics.coords[name] for name in ("wavelength", "order")}
     return xr.Dataset(variables, coordinates, to_netcdf_attributes(attributes))

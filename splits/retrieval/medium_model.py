@@ -37,6 +37,7 @@ from splits.discrete_ordinates.granular_stack import (
     solve_snowpacks,
     solve_spectrum,
 )
+from splits.illumination.bands import choose_band_wavelengths
 from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO, choose_solver
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.media.kinds import check_medium
@@ -110,8 +111,6 @@ DESCENT_STAGES = (
 """Stages of descents: from the best states of the survey, which is stage 0, and with the final
 accuracy near the minimum.  Each stage has its own random numbers and more rays."""
 LAST_STAGE = len(DESCENT_STAGES)
-BAND_STEP_NM = 10.0
-"""Step of wavelengths within bands (nm)."""
 
 
 def count_survey(n_parameters: int) -> int:
@@ -179,7 +178,11 @@ class MediumForwardModel(ABC):
     ) -> None:  # fmt: skip
         self.medium, self.measurement, self.state_vector = medium, measurement, state_vector
         self.incidence, self.seed = incidence, seed
-        self.wavelengths = select_simulation_wavelengths(measurement)
+        self.wavelengths = (
+            choose_band_wavelengths(measurement.bands)
+            if measurement.bands
+            else np.unique(measurement.wavelength_nm)
+        )
         self.operator = make_measurement_operator(measurement, self.wavelengths).weights
         self.names = [name for name in state_vector.names if name != SCALE]
         self.rows = [state_vector.names.index(name) for name in self.names]
@@ -274,15 +277,6 @@ class MediumForwardModel(ABC):
         values, covariance = self.evaluate_with_covariance(best.state, LAST_STAGE)
         jacobians = self.compute_final_jacobians(best.state, covariance)
         return ConvergedMinima(minima, values, covariance, jacobians)
-
-
-def select_simulation_wavelengths(measurement: Measurement) -> np.ndarray:
-    """Return the wavelengths (nm) to simulate: those measured, or a grid across all bands."""
-    if not measurement.bands:
-        return np.unique(measurement.wavelength_nm)
-    limits = np.array([band.limits_nm for band in measurement.bands.values()])
-    low, high = float(limits.min()), float(limits.max())
-    return np.linspace(low, high, 1 + int(np.ceil((high - low) / BAND_STEP_NM)))
 
 
 MAX_ERROR = 1e-3

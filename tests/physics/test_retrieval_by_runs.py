@@ -9,12 +9,10 @@ from splits.core.progress import Progress
 from splits.core.validation import InvalidValue
 from splits.retrieval.forward_model import LinearizedModel
 from splits.retrieval.linearization import estimate_nonlinearity
-from splits.retrieval.measurement import Measurement
 from splits.retrieval.medium_model import (
     ProgressTracker,
     count_survey,
     make_medium_state_vector,
-    select_simulation_wavelengths,
 )
 
 pytestmark = pytest.mark.long
@@ -218,9 +216,3 @@ def test_invalid_input_is_rejected(name):
              "free": {SIZE: (50, 200)}, "noise": 0.01}  # fmt: skip
     with pytest.raises(InvalidValue, match=message):
         splits.retrieve(**(arguments | changes))
-
-
-def test_simulation_wavelengths_cover_the_bands():
-    bands = {"a": (500.0, 540.0), "b": (800.0, 1003.0)}
-    w = select_simulation_wavelengths(Measurement.from_input([0.5, 0.5], 0.01, bands))
-    assert w[0] == 500.0 and w[-1] == 1003.0 and np.diff(w).max() <= 10.0

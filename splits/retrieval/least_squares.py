@@ -152,7 +152,12 @@ def retrieve_without_noise(
     model: TableForwardModel | MediumForwardModel, measurement: Measurement, seed: int
 ) -> tuple[Solution, Measurement]:
     """Return the solution for unknown noise, and the measurement with the noise found."""
-    check_enough_values(len(model.state_vector.names), measurement)
+    n_values, min_values = measurement.values.size, len(model.state_vector.names) + MIN_RESIDUAL_DOF
+    if n_values < min_values:
+        hint = (
+            f"{n_values} values are too few to estimate it from the misfit, {min_values} are needed"
+        )
+        raise invalid("noise", None, "given", hint)
     without_priors = drop_priors(model)
     converged = (
         without_priors.find_minima()
@@ -204,13 +209,3 @@ def _find_table_minima(model: TableForwardModel, measurement: Measurement) -> Co
     best = minima[0]
     covariance = model.compute_error_covariance(best.state)
     return ConvergedMinima(minima, best.modelled, covariance, [best.jacobian] * 2)
-
-
-def check_enough_values(n_parameters: int, measurement: Measurement) -> None:
-    """Reject a measurement of unknown noise with too few values for its free parameters."""
-    min_values, n_values = n_parameters + MIN_RESIDUAL_DOF, measurement.values.size
-    if not measurement.noise_known and n_values < min_values:
-        hint = (
-            f"{n_values} values are too few to estimate it from the misfit, {min_values} are needed"
-        )
-        raise invalid("noise", None, "given", hint)

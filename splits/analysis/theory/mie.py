@@ -153,8 +153,13 @@ def sum_spheres(
     matrix = np.zeros((4, functions.pi.shape[1]))
     for start in range(0, size.size, BATCH):
         part = slice(start, start + BATCH)
-        amplitudes = _compute_amplitudes(index, size[part], functions)
-        matrix += _multiply_amplitudes(4.0 * area[part] / size[part] ** 2, *amplitudes)
+        s1, s2 = _compute_amplitudes(index, size[part], functions)
+        weight = 4.0 * area[part] / size[part] ** 2
+        perpendicular, parallel = weight @ np.abs(s1) ** 2, weight @ np.abs(s2) ** 2
+        product = weight @ (s2 * s1.conj())
+        mean, difference = 0.5 * (parallel + perpendicular), 0.5 * (parallel - perpendicular)
+        # P11, P12, P33 and P34.
+        matrix += np.stack([mean, difference, product.real, product.imag])
     return SphereSums(
         area.sum(), area @ extinction, area @ scattering, area @ (scattering * asymmetry), matrix
     )
@@ -177,14 +182,6 @@ def _compute_amplitudes(
         return np.asarray(terms.real @ function + 1j * (terms.imag @ function))
 
     return multiply(a, pi) + multiply(b, tau), multiply(a, tau) + multiply(b, pi)
-
-
-def _multiply_amplitudes(weight: np.ndarray, s1: np.ndarray, s2: np.ndarray) -> np.ndarray:
-    """Return weighted sums of P11, P12, P33 and P34 over spheres, shape (4, angles)."""
-    perpendicular, parallel = weight @ np.abs(s1) ** 2, weight @ np.abs(s2) ** 2
-    product = weight @ (s2 * s1.conj())
-    mean, difference = 0.5 * (parallel + perpendicular), 0.5 * (parallel - perpendicular)
-    return np.stack([mean, difference, product.real, product.imag])
 
 
 RADIUS_RANGE_UM = (1e-4, 1e5)

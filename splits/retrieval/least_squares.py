@@ -14,7 +14,11 @@ import numpy as np
 
 from splits.core.validation import invalid
 from splits.retrieval.forward_model import LinearizedModel, TableForwardModel, drop_priors
-from splits.retrieval.linearization import average_cross_products, estimate_nonlinearity
+from splits.retrieval.linearization import (
+    average_cross_products,
+    decompose_information,
+    estimate_nonlinearity,
+)
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.medium_model import ConvergedMinima, MediumForwardModel
 from splits.retrieval.optimal_estimation import (
@@ -140,11 +144,8 @@ def _split_directions(
     jacobians: Sequence[np.ndarray], misfit: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return constrained directions, scaled to unit effect, and unconstrained ones, as columns."""
-    values, vectors = np.linalg.eigh(average_cross_products(jacobians, jacobians))
-    mean_square = np.mean(
-        [((jacobian @ vectors) ** 2).sum(axis=0) for jacobian in jacobians], axis=0
-    )
-    is_constrained = values > np.maximum(np.mean(misfit**2), mean_square - values)
+    values, vectors, noise = decompose_information(jacobians, np.eye(misfit.size))
+    is_constrained = values > np.maximum(np.mean(misfit**2), len(jacobians) * noise)
     return vectors[:, is_constrained] / np.sqrt(values[is_constrained]), vectors[:, ~is_constrained]
 
 

@@ -159,7 +159,7 @@ def remove_jacobian_noise(
     error_covariance : float, shape (n, n)
         Covariance S of measurement and model.
     """
-    values, vectors, noise = _decompose_information(jacobians, error_covariance)
+    values, vectors, noise = decompose_information(jacobians, error_covariance)
     mean: np.ndarray = np.mean(jacobians, axis=0)
     root = (
         vectors * np.sqrt(np.where(values > MIN_SIGNAL_TO_NOISE * noise, values, 0.0))
@@ -173,13 +173,13 @@ def remove_jacobian_noise(
 
 def is_jacobian_noisy(jacobians: Sequence[np.ndarray], error_covariance: np.ndarray) -> bool:
     """Return whether noise of the Jacobians may decide which parameters are constrained."""
-    values, _, noise = _decompose_information(jacobians, error_covariance)
+    values, _, noise = decompose_information(jacobians, error_covariance)
     return bool(
         ((values + noise > RANGE_INFORMATION) & (values < CERTAIN_SIGNAL_TO_NOISE * noise)).any()
     )
 
 
-def _decompose_information(
+def decompose_information(
     jacobians: Sequence[np.ndarray], error_covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the eigenvalues and eigenvectors of the information, and the noise along them."""

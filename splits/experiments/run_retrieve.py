@@ -38,8 +38,7 @@ from splits.materials.csv_table import read_numeric_csv
 from splits.media.kinds import MEDIUM_CLASSES, get_kind
 from splits.media.medium import Medium
 from splits.media.parameters import describe_parameter
-from splits.retrieval.result import RetrievalResult
-from splits.retrieval.retrieve import retrieve
+from splits.retrieval.retrieve import RetrievalResult, retrieve
 from splits.retrieval.retrieve_return import retrieve_return
 from splits.retrieval.state_vector import SCALE
 from splits.tables.axes import INCIDENCE
@@ -164,7 +163,7 @@ def make_retrieval_table(
         for name in map(str, ds.parameter.values):
             part = ds.sel(parameter=name)
             low, below, middle, above, high = part.quantiles.values
-            row = {
+            rows.append({
                 "model": retrieval.model,
                 "sample": retrieval.sample,
                 "parameter": name,
@@ -185,8 +184,7 @@ def make_retrieval_table(
                 "chi2 expected": ds.attrs["chi2_expected"],
                 "error inflation": ds.attrs["error_inflation"],
                 "warnings": ds.attrs["warnings"],
-            }
-            rows.append(row)
+            })  # fmt: skip
     table = pd.DataFrame(rows)
     return table if table.model.any() else table.drop(columns="model")
 

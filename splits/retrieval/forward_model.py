@@ -1,11 +1,12 @@
-"""Forward models of a measurement, and the model that interpolates a table."""
+"""Forward models of a measurement: a table, a linear model, and one interpolated between states."""
 
 from __future__ import annotations
 
 import copy
 import math
 from collections.abc import Mapping
-from typing import Any, Protocol, TypeVar
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,7 +19,6 @@ from splits.tables.axes import (
     DIFFUSE_PREFIX,
     INCIDENCE,
     VIEW_AXES,
-    ParameterGrid,
     check_axis_values,
 )
 from splits.tables.interpolation import (
@@ -39,34 +39,6 @@ MAX_RESAMPLED_VALUES = 20_000_000
 fewer."""
 SCALE_RANGE = (0.2, 5.0)
 """Widest range of the scale factor."""
-
-
-class ForwardModel(Protocol):
-    """Protocol of a forward model over states in coordinates."""
-
-    state_vector: StateVector
-
-    def evaluate(self, states: np.ndarray) -> np.ndarray:
-        """Return modelled measurements, shape (states, n)."""
-        ...
-
-    def evaluate_with_jacobian(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the modelled measurement, shape (n,), and its Jacobian, shape (n, parameters)."""
-        ...
-
-    def compute_error_covariance(self, state: np.ndarray) -> np.ndarray:
-        """Return the covariance of the forward-model error, shape (n, n)."""
-        ...
-
-
-Model = TypeVar("Model")
-
-
-def drop_priors(model: Model) -> Model:
-    """Return a forward model whose state vector has no priors; it shares all else."""
-    changed: Any = copy.copy(model)
-    changed.state_vector = changed.state_vector.without_priors()
-    return changed
 
 
 def make_measurement_operator(
@@ -110,7 +82,14 @@ class TableForwardModel:
         operator: SpectralOperator | None = None,
     ) -> None:
         self.state_vector, self.table, self.quantity = state_vector, table, quantity
-        self.fixed = _check_fixed_axes(table, state_vector, fixed)
+        self.fixed = check_axis_values(
+            fixed, table.axes[:-1], "fixed.", free_axes=state_vector.names
+        )
+        for name in table.axes[:-1]:
+            is_given = name in state_vector.names or name in self.fixed
+            if not is_given and table.dataset[name].size > 1:
+                hint = "an axis of the table that is not free"
+                raise invalid(f"fixed.{name}", None, "given", hint)
         self.measurement = measurement
         self.operator = operator or make_measurement_operator(
             measurement, table.dataset.wavelength.values
@@ -241,26 +220,120 @@ class TableForwardModel:
 
     def evaluate_first_guesses(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the states of all nodes in the ranges, and their modelled measurements."""
+        low, high = self.state_vector.low, self.state_vector.high
         grids = np.meshgrid(*(self.table.dataset[name].values for name in self.axes), indexing="ij")
-        physical = np.zeros((grids[0].size, len(self.state_vector.names)))
-        for i, grid in zip(self._axis_indices, grids, strict=True):
-            physical[:, i] = grid.ravel()
-        if self._scale_index is not None:
-            physical[:, self._scale_index] = np.clip(
-                1.0,
-                self.state_vector.low[self._scale_index],
-                self.state_vector.high[self._scale_index],
-            )
-        inside = ((physical >= self.state_vector.low) & (physical <= self.state_vector.high)).all(
-            axis=1
+        # The scale is 1, or its limit.
+        physical = np.tile(np.clip(1.0, low, high), (grids[0].size, 1))
+        physical[:, self._axis_indices] = np.stack([grid.ravel() for grid in grids], axis=-1)
+        inside = ((physical >= low) & (physical <= high)).all(axis=1)
+        middle = np.full((1, len(low)), 0.5)
+        states = self.state_vector.to_coordinates(physical[inside]) if inside.any() else middle
+        return states, self.evaluate(states)
+
+
+MIN_SPREAD = 1e-5
+"""Smallest standard deviation of coordinates."""
+GRADIENT_STEP = 1e-4
+"""Step of coordinates for derivatives."""
+
+
+@dataclass
+class LinearizedModel:
+    """Forward model linearized about one state.
+
+    Attributes
+    ----------
+    state_vector : StateVector
+    state : float, shape (parameters,)
+        Coordinates.
+    modelled : float, shape (n,)
+        Modelled measurement.
+    jacobian : float, shape (n, parameters)
+    error_covariance : float, shape (n, n)
+        Covariance of the forward-model error.
+    """
+
+    state_vector: StateVector
+    state: np.ndarray
+    modelled: np.ndarray
+    jacobian: np.ndarray
+    error_covariance: np.ndarray
+
+    def evaluate(self, states: np.ndarray) -> np.ndarray:
+        """Return modelled measurements, shape (states, n)."""
+        modelled: np.ndarray = self.modelled + (states - self.state) @ self.jacobian.T
+        return modelled
+
+    def evaluate_with_jacobian(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the modelled measurement, shape (n,), and its Jacobian, shape (n, parameters)."""
+        return self.evaluate(state[np.newaxis])[0], self.jacobian
+
+    def compute_error_covariance(self, state: np.ndarray) -> np.ndarray:
+        """Return the covariance of the forward-model error, shape (n, n)."""
+        return self.error_covariance
+
+    def evaluate_first_guesses(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the state of the linearization, and its modelled measurement."""
+        return self.state[np.newaxis], self.modelled[np.newaxis]
+
+
+class InterpolatedModel(LinearizedModel):
+    """Forward model that interpolates between states.
+
+    Parameters
+    ----------
+    linear_model : LinearizedModel
+    states : float, shape (states, parameters)
+    values : float, shape (states, n)
+        Modelled measurements.
+    """
+
+    def __init__(
+        self, linear_model: LinearizedModel, states: np.ndarray, values: np.ndarray
+    ) -> None:
+        from scipy.interpolate import RBFInterpolator
+
+        super().__init__(**vars(linear_model))
+        self._states, self._values, self._whiten = states, values, compute_whitening(states)
+        deviation = values - linear_model.evaluate(states)
+        self._deviation = RBFInterpolator(
+            states @ self._whiten, deviation, kernel="quintic", degree=2
         )
-        if not inside.any():
-            states = np.full((1, len(self.state_vector.names)), 0.5)
-            return states, self.evaluate(states)
-        scale = physical[inside, self._scale_index] if self._scale_index is not None else 1.0
-        return self.state_vector.to_coordinates(physical[inside]), (
-            self.table_node_values[inside].T * scale
-        ).T
+
+    def evaluate(self, states: np.ndarray) -> np.ndarray:
+        """Return modelled measurements, shape (states, n)."""
+        deviation: np.ndarray = self._deviation(states @ self._whiten)
+        return super().evaluate(states) + deviation
+
+    def evaluate_with_jacobian(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the modelled measurement, shape (n,), and its Jacobian, shape (n, parameters)."""
+        steps = GRADIENT_STEP * np.eye(len(state))
+        values = self.evaluate(state + np.concatenate([0.0 * steps[:1], steps, -steps]))
+        high, low = np.split(values[1:], 2)
+        return values[0], (high - low).T / (2.0 * GRADIENT_STEP)
+
+    def evaluate_first_guesses(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the states, and their modelled measurements."""
+        return self._states, self._values
+
+
+def compute_whitening(states: np.ndarray) -> np.ndarray:
+    """Return the matrix that makes the coordinates of states independent, with variances of 1."""
+    covariance = np.cov(states, rowvar=False).reshape(states.shape[1], -1)
+    floor = MIN_SPREAD**2 * np.eye(len(covariance))
+    whitening: np.ndarray = np.linalg.inv(np.linalg.cholesky(covariance + floor)).T
+    return whitening
+
+
+ForwardModel = TableForwardModel | LinearizedModel
+Model = TypeVar("Model")
+
+
+def drop_priors(model: Model) -> Model:
+    """Return a forward model whose state vector has no priors; it shares all else."""
+    changed: Any = copy.copy(model)
+    changed.state_vector = changed.state_vector.without_priors()
+    return changed  # type: ignore[no-any-return]
 
 
 def choose_quantity(table: Table, quantity: str | None) -> str:
@@ -273,33 +346,14 @@ def choose_quantity(table: Table, quantity: str | None) -> str:
 
 def get_table_ranges(table: Table) -> dict[str, ParameterRange]:
     """Return the ranges of all axes of a table that may be free, and of the scale."""
-    grid = {name: tuple(table.dataset[name].values.tolist()) for name in table.axes[:-1]}
-    return get_grid_ranges(ParameterGrid(grid), has_direction=table.has_direction)
-
-
-def get_grid_ranges(
-    grid: ParameterGrid, *, has_direction: bool = False
-) -> dict[str, ParameterRange]:
-    """Return the ranges of `get_table_ranges` for the axes of a table."""
     ranges = {}
-    for name, row in grid.items():
-        if len(row) > 1 and not isinstance(row[0], str) and name not in VIEW_AXES:
-            transform, _ = transform_axis(
-                name, np.array(row, dtype=float), has_direction=has_direction
-            )
-            ranges[name] = ParameterRange(float(row[0]), float(row[-1]), transform)
-    return ranges | {SCALE: ParameterRange(*SCALE_RANGE, "identity")}
-
-
-def _check_fixed_axes(
-    table: Table, state_vector: StateVector, fixed: Mapping[str, Any] | None
-) -> dict[str, Any]:
-    """Return the values of the axes that are not free; reject invalid ones."""
-    values = check_axis_values(fixed, table.axes[:-1], "fixed.", free_axes=state_vector.names)
     for name in table.axes[:-1]:
-        if name not in state_vector.names and name not in values and table.dataset[name].size > 1:
-            raise invalid(f"fixed.{name}", None, "given", "an axis of the table that is not free")
-    return values
+        row = table.dataset[name].values
+        if row.size > 1 and row.dtype.kind in "biuf" and name not in VIEW_AXES:
+            nodes = row.astype(float)
+            transform, _ = transform_axis(name, nodes, has_direction=table.has_direction)
+            ranges[name] = ParameterRange(float(nodes[0]), float(nodes[-1]), transform)
+    return ranges | {SCALE: ParameterRange(*SCALE_RANGE, "identity")}
 
 
 def _resample_table(

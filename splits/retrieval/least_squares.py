@@ -13,12 +13,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from splits.core.validation import invalid
-from splits.retrieval.forward_model import TableForwardModel, drop_priors
-from splits.retrieval.gauss_newton import LocalMinimum
+from splits.retrieval.forward_model import LinearizedModel, TableForwardModel, drop_priors
 from splits.retrieval.linearization import (
-    Linearization,
-    LinearizedModel,
     average_cross_products,
+    decompose_information,
     estimate_nonlinearity,
 )
 from splits.retrieval.measurement import Measurement
@@ -27,11 +25,9 @@ from splits.retrieval.optimal_estimation import (
     ALTERNATIVE_CHI2,
     MAPEstimate,
     Solution,
-    compute_prior_tension,
-    draw_posterior,
     find_active_bounds,
     find_distinct_map_estimates,
-    summarize_posterior,
+    solve_for_known_noise,
 )
 from splits.retrieval.state_vector import StateVector
 
@@ -147,99 +143,69 @@ def _split_directions(
     jacobians: Sequence[np.ndarray], misfit: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return constrained directions, scaled to unit effect, and unconstrained ones, as columns."""
-    values, vectors = np.linalg.eigh(average_cross_products(jacobians, jacobians))
-    mean_square = np.mean(
-        [((jacobian @ vectors) ** 2).sum(axis=0) for jacobian in jacobians], axis=0
-    )
-    is_constrained = values > np.maximum(np.mean(misfit**2), mean_square - values)
+    values, vectors, noise = decompose_information(jacobians, np.eye(misfit.size))
+    is_constrained = values > np.maximum(np.mean(misfit**2), len(jacobians) * noise)
     return vectors[:, is_constrained] / np.sqrt(values[is_constrained]), vectors[:, ~is_constrained]
-
-
-def apply_priors(
-    state_vector: StateVector, state: np.ndarray, covariance: np.ndarray, seed: int
-) -> Solution:
-    """Return the solution for an estimate of the coordinates, within their ranges and priors.
-
-    Parameters
-    ----------
-    state_vector : StateVector
-    state : float, shape (parameters,)
-    covariance : float, shape (parameters, parameters)
-        See `splits.retrieval.least_squares.estimate_fit_covariance`.
-    seed : int
-        Seed of the draws.
-    """
-    n_parameters = len(state)
-    measurement = Measurement(state, np.arange(n_parameters, dtype=float), covariance, {})
-    linear_model = LinearizedModel(
-        state_vector,
-        Linearization(state, state, np.eye(n_parameters), np.zeros((n_parameters, n_parameters))),
-    )
-    estimates = find_distinct_map_estimates(
-        linear_model, measurement, *linear_model.evaluate_first_guesses()
-    )
-    return Solution(
-        estimates,
-        summarize_posterior(estimates[0], state_vector),
-        draw_posterior(linear_model, measurement, estimates, seed),
-        variance_inflation=1.0,
-        prior_tension=compute_prior_tension(state_vector, state, np.diag(covariance)),
-        forward_model_error=np.zeros(n_parameters),
-    )
 
 
 def retrieve_without_noise(
     model: TableForwardModel | MediumForwardModel, measurement: Measurement, seed: int
 ) -> tuple[Solution, Measurement]:
     """Return the solution for unknown noise, and the measurement with the noise found."""
-    check_enough_values(len(model.state_vector.names), measurement)
+    n_values, min_values = measurement.values.size, len(model.state_vector.names) + MIN_RESIDUAL_DOF
+    if n_values < min_values:
+        hint = (
+            f"{n_values} values are too few to estimate it from the misfit, {min_values} are needed"
+        )
+        raise invalid("noise", None, "given", hint)
     without_priors = drop_priors(model)
     converged = (
         without_priors.find_minima()
         if isinstance(without_priors, MediumForwardModel)
         else _find_table_minima(without_priors, measurement)
     )
-    best = converged.linearize(measurement.covariance)
+    best = converged.linearize(model.state_vector, measurement.covariance)
     residual = best.modelled - measurement.values
     active_bounds = find_active_bounds(best.state, best.jacobian.T @ residual)
     state_covariance, noise = estimate_fit_covariance(
         converged.jacobians, residual, best.error_covariance, active_bounds
     )
-    solution = apply_priors(model.state_vector, best.state, state_covariance, seed)
-    state = solution.estimates[0].state
-    modelled = model.evaluate_state(state)
-    residual = modelled - measurement.values
-    covariance = noise + best.error_covariance
-    weighted = np.linalg.solve(covariance, residual)
-    chi2 = float(residual @ weighted)
-    active_bounds = find_active_bounds(state, best.jacobian.T @ weighted)
-    estimate = MAPEstimate(state, modelled, best.jacobian, covariance, chi2, chi2, active_bounds)
-    linear_model = LinearizedModel(model.state_vector, best)
+    solution = solve_for_state(model.state_vector, best.state, state_covariance, seed)
+    state, covariance = solution.estimates[0].state, noise + best.error_covariance
+    estimate = MAPEstimate.from_fit(
+        state,
+        model.evaluate_state(state),
+        best.jacobian,
+        covariance,
+        measurement.values,
+        without_priors.state_vector,
+    )
     solution = solution._replace(
         estimates=[estimate],
         forward_model_error=np.sqrt(np.diag(best.error_covariance)),
         alternatives=converged.find_alternatives(ALTERNATIVE_CHI2 * float(noise[0, 0])),
         nonlinearity=estimate_nonlinearity(
-            model.evaluate_state, linear_model, state, solution.posterior.covariance, covariance
+            model.evaluate_state, best, state, solution.posterior.covariance, covariance
         ),
     )
     return solution, measurement._replace(covariance=noise)
 
 
+def solve_for_state(
+    state_vector: StateVector, state: np.ndarray, covariance: np.ndarray, seed: int
+) -> Solution:
+    """Return the solution for measured coordinates and their covariance."""
+    size = len(state)
+    identity = LinearizedModel(state_vector, state, state, np.eye(size), np.zeros((size, size)))
+    measurement = Measurement(state, np.arange(size, dtype=float), covariance, {})
+    return solve_for_known_noise(identity, measurement, seed)
+
+
 def _find_table_minima(model: TableForwardModel, measurement: Measurement) -> ConvergedMinima:
     """Return the minima in a table."""
-    estimates = find_distinct_map_estimates(model, measurement, *model.evaluate_first_guesses())
-    best, *others = sorted(estimates, key=lambda estimate: estimate.cost)
-    minima = [LocalMinimum(estimate.cost, estimate.state) for estimate in (best, *others)]
+    minima = sorted(
+        find_distinct_map_estimates(model, measurement), key=lambda estimate: estimate.cost
+    )
+    best = minima[0]
     covariance = model.compute_error_covariance(best.state)
     return ConvergedMinima(minima, best.modelled, covariance, [best.jacobian] * 2)
-
-
-def check_enough_values(n_parameters: int, measurement: Measurement) -> None:
-    """Reject a measurement of unknown noise with too few values for its free parameters."""
-    min_values, n_values = n_parameters + MIN_RESIDUAL_DOF, measurement.values.size
-    if not measurement.noise_known and n_values < min_values:
-        hint = (
-            f"{n_values} values are too few to estimate it from the misfit, {min_values} are needed"
-        )
-        raise invalid("noise", None, "given", hint)

@@ -1,4 +1,4 @@
-"""Linear and interpolated forward models, the noise of Jacobians, and nonlinearity.
+"""Gauss-Newton descents, the noise of Jacobians, nonlinearity, and refined posteriors.
 
 The deviation of a model from its linearization is interpolated by radial functions (of the fifth
 power, with a quadratic polynomial; Wendland 2005, Scattered Data Approximation, chapter 8) between
@@ -14,8 +14,94 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.retrieval.optimal_estimation import Solution
-from splits.retrieval.state_vector import StateVector
+from splits.retrieval.forward_model import InterpolatedModel, LinearizedModel, compute_whitening
+from splits.retrieval.optimal_estimation import Objective, Solution
+
+MIN_RADIUS = 0.02
+MIN_RELATIVE_GAIN = 0.003
+"""A descent ends once its trust region or the predicted relative gain is below these limits."""
+MIN_GAIN_PER_VALUE = 0.1
+"""Limit of the predicted gain relative to the mean square, a third of a standard error."""
+BOUND_MARGIN = 1e-3
+"""Distance of coordinates from the bounds, where derivatives may be infinite."""
+
+
+class LocalMinimum(NamedTuple):
+    """Final state of a descent and its sum of squares."""
+
+    cost: float
+    state: np.ndarray
+
+
+def minimize_gauss_newton(
+    evaluate: Callable[[np.ndarray], np.ndarray],
+    compute_jacobian: Callable[[np.ndarray], np.ndarray],
+    start: np.ndarray,
+    objective: Objective,
+    max_evaluations: int,
+    radius: float,
+) -> LocalMinimum:
+    """Minimize an objective with simulations as the forward model by Gauss-Newton steps.
+
+    All simulations of a descent use the same random numbers, so the modelled spectrum is a smooth
+    function of the state, with the bias of their noise.
+
+    Every step minimizes the linear model within the unit cube and a trust region around the best
+    state so far.  The Jacobian is updated after Broyden (1965) as long as it predicts the misfit,
+    which saves simulations.
+
+    Parameters
+    ----------
+    evaluate : callable
+        From a state to the modelled measurement, shape (n,).
+    compute_jacobian : callable
+        From a state to the Jacobian with respect to the coordinates, shape (n, parameters).
+    start : float, shape (parameters,)
+    objective : Objective
+    max_evaluations : int
+        Approximate limit of simulations; a Jacobian counts as one per coordinate.
+    radius : float
+        Half the edge of the first trust region, 0 to 1.
+    """
+    from scipy.optimize import lsq_linear
+
+    lower_bound, upper_bound = BOUND_MARGIN, 1.0 - BOUND_MARGIN
+    state = np.clip(start, lower_bound, upper_bound)
+    residuals = objective.compute_residuals(evaluate(state), state)
+    cost = float(residuals @ residuals)
+    n_evaluations, is_stale = 1, True
+    jacobian = np.empty((len(residuals), len(state)))
+    while n_evaluations < max_evaluations and radius >= MIN_RADIUS:
+        is_fresh = is_stale
+        if is_stale:
+            jacobian = objective.compute_residual_jacobian(compute_jacobian(state))
+            n_evaluations += len(state)
+            is_stale = False
+        low = np.maximum(lower_bound - state, -radius)
+        high = np.minimum(upper_bound - state, radius)
+        step = lsq_linear(jacobian, -residuals, (low - 1e-9, high + 1e-9)).x
+        step = np.clip(state + step, lower_bound, upper_bound) - state
+        predicted = residuals + jacobian @ step
+        predicted_gain = cost - float(predicted @ predicted)
+        # Both sides are 0 where the fit is exact.
+        if predicted_gain <= cost * min(MIN_RELATIVE_GAIN, MIN_GAIN_PER_VALUE / len(residuals)):
+            if is_fresh:
+                break
+            is_stale = True
+            continue
+        new_residuals = objective.compute_residuals(evaluate(state + step), state + step)
+        n_evaluations += 1
+        gain = cost - float(new_residuals @ new_residuals)
+        jacobian += np.outer(new_residuals - predicted, step) / (step @ step)
+        if gain < 0.25 * predicted_gain:
+            radius *= 0.5
+        elif gain > 0.75 * predicted_gain:
+            radius = min(2.0 * radius, 0.5)
+        is_stale = gain < 0.5 * predicted_gain and not (is_fresh and gain <= 0.0)
+        if gain > 0.0:
+            state, residuals, cost = state + step, new_residuals, cost - gain
+    return LocalMinimum(cost, state)
+
 
 RANGE_INFORMATION = 12.0
 """Fisher information of a coordinate equal to that of its range."""
@@ -25,54 +111,6 @@ MIN_SIGNAL_TO_NOISE, CERTAIN_SIGNAL_TO_NOISE = 6.0, 10.0
 The ratio plus one is that of an F test: for six Jacobians with noise in three independent parts of
 the spectrum, it exceeds 7 by chance in one case of 300.
 """
-BOUND_MARGIN = 1e-3
-"""Distance of coordinates from the bounds, where derivatives may be infinite."""
-
-
-class Linearization(NamedTuple):
-    """Value and Jacobian of a forward model at one state.
-
-    Attributes
-    ----------
-    state : float, shape (parameters,)
-        Coordinates.
-    modelled : float, shape (n,)
-        Modelled measurement.
-    jacobian : float, shape (n, parameters)
-    error_covariance : float, shape (n, n)
-        Covariance of the forward-model error.
-    """
-
-    state: np.ndarray
-    modelled: np.ndarray
-    jacobian: np.ndarray
-    error_covariance: np.ndarray
-
-
-class LinearizedModel:
-    """Forward model linearized about one state; see `splits.retrieval.forward_model`."""
-
-    def __init__(self, state_vector: StateVector, linearization: Linearization) -> None:
-        self.state_vector, self.linearization = state_vector, linearization
-
-    def evaluate(self, states: np.ndarray) -> np.ndarray:
-        """Return modelled measurements, shape (states, n)."""
-        return (
-            self.linearization.modelled
-            + (states - self.linearization.state) @ self.linearization.jacobian.T
-        )
-
-    def evaluate_with_jacobian(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the modelled measurement, shape (n,), and its Jacobian, shape (n, parameters)."""
-        return self.evaluate(state[np.newaxis])[0], self.linearization.jacobian
-
-    def compute_error_covariance(self, state: np.ndarray) -> np.ndarray:
-        """Return the covariance of the forward-model error, shape (n, n)."""
-        return self.linearization.error_covariance
-
-    def evaluate_first_guesses(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the state of the linearization, and its modelled measurement."""
-        return self.linearization.state[np.newaxis], self.linearization.modelled[np.newaxis]
 
 
 def estimate_nonlinearity(
@@ -121,7 +159,7 @@ def remove_jacobian_noise(
     error_covariance : float, shape (n, n)
         Covariance S of measurement and model.
     """
-    values, vectors, noise = _decompose_information(jacobians, error_covariance)
+    values, vectors, noise = decompose_information(jacobians, error_covariance)
     mean: np.ndarray = np.mean(jacobians, axis=0)
     root = (
         vectors * np.sqrt(np.where(values > MIN_SIGNAL_TO_NOISE * noise, values, 0.0))
@@ -134,13 +172,13 @@ def remove_jacobian_noise(
 
 def is_jacobian_noisy(jacobians: Sequence[np.ndarray], error_covariance: np.ndarray) -> bool:
     """Return whether noise of the Jacobians may decide which parameters are constrained."""
-    values, _, noise = _decompose_information(jacobians, error_covariance)
+    values, _, noise = decompose_information(jacobians, error_covariance)
     return bool(
         ((values + noise > RANGE_INFORMATION) & (values < CERTAIN_SIGNAL_TO_NOISE * noise)).any()
     )
 
 
-def _decompose_information(
+def decompose_information(
     jacobians: Sequence[np.ndarray], error_covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the eigenvalues and eigenvectors of the information, and the noise along them."""
@@ -168,50 +206,6 @@ MAX_DEVIATION = 0.5
 MAX_TURNS = 8
 MIN_NEW_STATES = 16
 """Smallest number of states of a turn; there are as many as a quadratic polynomial has terms."""
-MIN_SPREAD = 1e-5
-"""Smallest standard deviation of coordinates."""
-GRADIENT_STEP = 1e-4
-"""Step of coordinates for derivatives."""
-
-
-class InterpolatedModel(LinearizedModel):
-    """Forward model that interpolates between states; see `splits.retrieval.forward_model`.
-
-    Parameters
-    ----------
-    linear_model : LinearizedModel
-    states : float, shape (states, parameters)
-    values : float, shape (states, n)
-        Modelled measurements.
-    """
-
-    def __init__(
-        self, linear_model: LinearizedModel, states: np.ndarray, values: np.ndarray
-    ) -> None:
-        from scipy.interpolate import RBFInterpolator
-
-        super().__init__(linear_model.state_vector, linear_model.linearization)
-        self.states, self.values, self._whiten = states, values, _compute_whitening(states)
-        deviation = values - linear_model.evaluate(states)
-        self._deviation = RBFInterpolator(
-            states @ self._whiten, deviation, kernel="quintic", degree=2
-        )
-
-    def evaluate(self, states: np.ndarray) -> np.ndarray:
-        """Return modelled measurements, shape (states, n)."""
-        deviation: np.ndarray = self._deviation(states @ self._whiten)
-        return super().evaluate(states) + deviation
-
-    def evaluate_with_jacobian(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the modelled measurement, shape (n,), and its Jacobian, shape (n, parameters)."""
-        steps = GRADIENT_STEP * np.eye(len(state))
-        values = self.evaluate(state + np.concatenate([0.0 * steps[:1], steps, -steps]))
-        high, low = np.split(values[1:], 2)
-        return values[0], (high - low).T / (2.0 * GRADIENT_STEP)
-
-    def evaluate_first_guesses(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the states, and their modelled measurements."""
-        return self.states, self.values
 
 
 def refine_posterior(
@@ -235,10 +229,9 @@ def refine_posterior(
     alternatives : sequence of float, shape (parameters,)
         Alternative solutions of the model.
     """
-    start = linear_model.linearization
-    n_parameters = len(start.state)
+    n_parameters = len(linear_model.state)
     n_new = max(MIN_NEW_STATES, (n_parameters + 1) * (n_parameters + 2) // 2)
-    states, values = start.state[np.newaxis], start.modelled[np.newaxis]
+    states, values = linear_model.evaluate_first_guesses()
     model = linear_model
     for turn in range(MAX_TURNS):
         draws = np.clip(solution.draws.states, BOUND_MARGIN, 1.0 - BOUND_MARGIN)
@@ -259,7 +252,7 @@ def refine_posterior(
 
 def _choose_far_states(draws: np.ndarray, states: np.ndarray, number: int) -> np.ndarray:
     """Return draws that are far from each other and from other states."""
-    whiten = _compute_whitening(draws)
+    whiten = compute_whitening(draws)
     points, chosen = draws @ whiten, []
     distance = np.full(len(draws), np.inf)
     others = list(states @ whiten)
@@ -269,10 +262,3 @@ def _choose_far_states(draws: np.ndarray, states: np.ndarray, number: int) -> np
         chosen.append(int(distance.argmax()))
         others = [points[chosen[-1]]]
     return draws[chosen]
-
-
-def _compute_whitening(states: np.ndarray) -> np.ndarray:
-    """Return the matrix that makes the coordinates of states independent, with variances of 1."""
-    covariance = np.cov(states, rowvar=False).reshape(states.shape[1], -1)
-    floor = MIN_SPREAD**2 * np.eye(len(covariance))
-    return np.linalg.inv(np.linalg.cholesky(covariance + floor)).T

@@ -48,14 +48,16 @@ class TableGrid(NamedTuple):
     axis_nodes : float64[axes, max_nodes]
         Coordinates.
     n_nodes : int64[axes]
-    steps : int64[axes]
-        Every step along an axis is a node of the table; the others are interpolated.
+    start_states : float64[starts, axes]
+        Coordinates at which descents may start.
+    start_values : float64[starts, columns]
     """
 
     node_values: np.ndarray
     axis_nodes: np.ndarray
     n_nodes: np.ndarray
-    steps: np.ndarray
+    start_states: np.ndarray
+    start_values: np.ndarray
 
 
 @entry_point
@@ -92,37 +94,18 @@ def project_spectra(spectra, mean_spectrum, projection, whitening, components, r
 
 
 @entry_point
-def find_nearest_node(grid, measurement, prior_mean, prior_precision, state):
-    """Set the state to the node of the table in the ranges with the smallest cost."""
-    node_values, axis_nodes, n_nodes, steps = grid
-    axes = len(n_nodes)
+def find_best_start(grid, measurement, prior_mean, prior_precision, state):
+    """Set the state to the start with the smallest cost."""
     min_cost = np.inf
-    coordinates = np.empty(axes)
-    n_table_nodes = 1
-    for a in range(axes):
-        n_table_nodes *= (n_nodes[a] - 1) // steps[a] + 1
-    for table_node in range(n_table_nodes):
-        rest, inside, cost = table_node, True, 0.0
-        node, stride = 0, 1
-        for a in range(axes - 1, -1, -1):
-            n_axis_nodes = (n_nodes[a] - 1) // steps[a] + 1
-            index = rest % n_axis_nodes * steps[a]
-            rest //= n_axis_nodes
-            node += index * stride
-            stride *= n_nodes[a]
-            coordinates[a] = axis_nodes[a, index]
-            inside = inside and -1e-9 <= coordinates[a] <= 1.0 + 1e-9
-            cost += prior_precision[a] * (coordinates[a] - prior_mean[a]) ** 2
-        if not inside:
-            continue
+    for start in range(len(grid.start_states)):
+        cost = 0.0
+        for a in range(len(state)):
+            cost += prior_precision[a] * (grid.start_states[start, a] - prior_mean[a]) ** 2
         for column in range(len(measurement)):
-            cost += (node_values[node, column] - measurement[column]) ** 2
+            cost += (grid.start_values[start, column] - measurement[column]) ** 2
         if cost < min_cost:
             min_cost = cost
-            for a in range(axes):
-                state[a] = min(max(coordinates[a], 0.0), 1.0)
-    if min_cost == np.inf:
-        state[:] = 0.5
+            state[:] = grid.start_states[start]
 
 
 @entry_point
@@ -255,7 +238,7 @@ def retrieve_spectra(
     second_state = np.empty(axes)
     for row in range(len(measurements)):
         state = states[row]
-        find_nearest_node(grid, measurements[row], prior_mean, prior_precision, state)
+        find_best_start(grid, measurements[row], prior_mean, prior_precision, state)
         # Derivatives may vanish at bounds, so a second descent starts away from them.
         for a in range(axes):
             second_state[a] = min(max(state[a], SECOND_START_MARGIN), 1.0 - SECOND_START_MARGIN)
@@ -302,35 +285,6 @@ BAND_DIM = "band"
 CHUNK_PIXELS = 4096
 """Number of pixels per task."""
 POOR_FIT_PROBABILITY = 1e-3
-
-
-def _reduce_table(model: TableForwardModel, covariance: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return a table projected on the components that vary significantly, in units of noise.
-
-    Returns
-    -------
-    projection : float, shape (components, wavelengths)
-        The noise of every component has variance 1.
-    mean_spectrum : float, shape (wavelengths,)
-    node_components : float, shape (nodes, components)
-    whitening : float, shape (wavelengths, wavelengths)
-        Lower triangular.
-    """
-    whitening = np.linalg.inv(np.linalg.cholesky(covariance))
-    mean_spectrum = model.table_node_values.mean(axis=0)
-    whitened_nodes = (model.table_node_values - mean_spectrum) @ whitening.T
-    _, singular_values, directions = np.linalg.svd(whitened_nodes, full_matrices=False)
-    # Significant components have a standard deviation over the nodes above the limit.
-    is_significant = singular_values / np.sqrt(len(whitened_nodes)) > np.sqrt(
-        MIN_COMPONENT_VARIANCE
-    )
-    n_components = min(
-        max(int(is_significant.sum()), len(model.axes)), MAX_COMPONENTS, len(singular_values)
-    )
-    components = directions[:n_components]
-    projection = components @ whitening
-    node_components = (model.node_values - mean_spectrum) @ projection.T
-    return projection, mean_spectrum, node_components, whitening
 
 
 @declare_function
@@ -389,7 +343,7 @@ def retrieve_map(
         For the same arguments as `splits.retrieve`.
     """
     named = {} if bands is None else check_bands(bands)
-    image = _check_band_image(image, named) if named else _check_image(image)
+    image = _check_image(image, named)
     spectral_dim = BAND_DIM if named else "wavelength"
     # Unsupported types are rejected before work begins.
     as_float_array("image", np.empty(0, image.dtype))
@@ -419,13 +373,11 @@ def retrieve_map(
         for state in random.random((N_STATES, len(state_vector.names)))
     ]
     covariance = measurement.covariance + np.mean(model_covariances, axis=0)
-    retrieval = _MapRetrieval(
-        state_vector, model, _reduce_table(model, covariance), covariance, threads,
-        image.chunks is not None,
-    )  # fmt: skip
+    is_lazy = image.chunks is not None
+    retrieval = _MapRetrieval.from_covariance(model, covariance, threads, is_lazy)
     dims = [dim for dim in image.dims if dim != spectral_dim]
     stacked = image.transpose(*dims, spectral_dim)
-    if stacked.chunks is not None:
+    if is_lazy:
         stacked = stacked.chunk({spectral_dim: -1})
     n_results = 2 * len(state_vector.names) + 2
     results = xr.apply_ufunc(
@@ -437,56 +389,41 @@ def retrieve_map(
         output_dtypes=[float],
         dask_gufunc_kwargs={"output_sizes": {RESULT_DIM: n_results}},
     )
-    return _make_dataset(results, state_vector, retrieval)
+    return _make_dataset(results, state_vector, retrieval.expected_chi2)
 
 
-def _check_image(image: Any) -> xr.DataArray:
-    """Return an image with the dimension ``wavelength``; reject invalid images."""
-    allowed = "a DataArray over wavelength and others"
-    if not isinstance(image, xr.DataArray):
-        raise invalid("image", type(image).__name__, allowed)
-    wavelength_dims: tuple[Any, ...] = image.wavelength.dims if "wavelength" in image.coords else ()
-    if len(wavelength_dims) != 1:
-        hint = "bands=… for bands of a sensor; image.assign_coords(wavelength=('spectrum', […]))"
-        raise invalid("image", f"over {join_names(map(str, image.dims))}", allowed, hint)
-    if not image.size:
-        raise invalid("image", "no pixel", "at least one")
-    check_nanometres("image", image.wavelength)
-    image = image.copy(data=convert_units("image", image.data, image.attrs.get("units"), "1"))
-    return (
-        image
-        if wavelength_dims == ("wavelength",)
-        else image.swap_dims({wavelength_dims[0]: "wavelength"})
-    )
+def _check_image(image: Any, bands: Mapping[str, SpectralBand]) -> xr.DataArray:
+    """Return an image over ``wavelength``, or over ``band`` in the order of bands, if any.
 
-
-def _check_band_image(image: Any, bands: Mapping[str, SpectralBand]) -> xr.DataArray:
-    """Return an image over ``band`` in the order of bands; reject invalid images.
-
-    Wavelengths of the bands, if any, must be within them.
+    Invalid images are rejected.  Wavelengths of bands, if any, must be within them.
     """
-    allowed = f"a DataArray over {BAND_DIM} and others"
+    allowed = f"a DataArray over {BAND_DIM if bands else 'wavelength'} and others"
     if not isinstance(image, xr.DataArray):
         raise invalid("image", type(image).__name__, allowed)
-    if BAND_DIM not in image.dims:
-        dims = join_names(map(str, image.dims))
-        raise invalid("image", f"over {dims}", allowed, "image.rename(…), or leave out bands")
-    if image.sizes[BAND_DIM] != len(bands):
+    dims = f"over {join_names(map(str, image.dims))}"
+    own: tuple[Any, ...] = image.wavelength.dims if "wavelength" in image.coords else ()
+    if bands and BAND_DIM not in image.dims:
+        raise invalid("image", dims, allowed, "image.rename(…), or leave out bands")
+    if not bands and len(own) != 1:
+        hint = "bands=… for bands of a sensor; image.assign_coords(wavelength=('spectrum', […]))"
+        raise invalid("image", dims, allowed, hint)
+    if bands and image.sizes[BAND_DIM] != len(bands):
         sizes = f"{image.sizes[BAND_DIM]} bands"
         raise invalid("image", sizes, f"over {len(bands)}, as many as in bands")
     if not image.size:
         raise invalid("image", "no pixel", "at least one")
-    labels = find_labels(image, image.get_axis_num(BAND_DIM))
-    image = image.isel({BAND_DIM: match_labels(f"image.{BAND_DIM}", labels, [list(bands)])})
-    if "wavelength" in image.coords and image.wavelength.dims == (BAND_DIM,):
-        wavelengths = image.wavelength.values.tolist()
-        for (name, band), wavelength in zip(bands.items(), wavelengths, strict=True):
-            if not band.limits_nm[0] <= wavelength <= band.limits_nm[1]:
-                limits = f"within {band} of {name}"
-                hint = "is the order of the bands that of the image?"
-                raise invalid("image.wavelength", wavelength, limits, hint)
-    converted: Any = convert_units("image", image, image.attrs.get("units"), "1")
-    return xr.DataArray(converted)
+    if bands:
+        labels = find_labels(image, image.get_axis_num(BAND_DIM))
+        image = image.isel({BAND_DIM: match_labels(f"image.{BAND_DIM}", labels, [list(bands)])})
+    else:
+        check_nanometres("image", image.wavelength)
+        image = image if own == ("wavelength",) else image.swap_dims({own[0]: "wavelength"})
+    by_wavelength = image.wavelength.values.tolist() if bands and own == (BAND_DIM,) else []
+    for (name, band), wavelength in zip(bands.items(), by_wavelength, strict=False):
+        if not band.limits_nm[0] <= wavelength <= band.limits_nm[1]:
+            hint = "is the order of the bands that of the image?"
+            raise invalid("image.wavelength", wavelength, f"within {band} of {name}", hint)
+    return image.copy(data=convert_units("image", image.data, image.attrs.get("units"), "1"))
 
 
 def _find_defect(spectra: np.ndarray, measurement: Measurement) -> InvalidValue | None:
@@ -531,14 +468,56 @@ def _check_image_names(image: xr.DataArray, names: Sequence[str]) -> None:
 
 
 class _MapRetrieval(NamedTuple):
-    """Retrieval of blocks of pixels."""
+    """Retrieval of blocks of pixels.
 
-    state_vector: StateVector
+    Attributes
+    ----------
+    model : TableForwardModel
+    grid : TableGrid
+        Its nodes, projected on the components that vary significantly.
+    mean_spectrum : float, shape (wavelengths,)
+    projection : float, shape (components, wavelengths)
+    whitening : float, shape (wavelengths, wavelengths)
+        Lower triangular; the noise of whitened spectra and of every component has variance 1.
+    threads : int, optional
+    is_lazy : bool
+        Whether blocks are computed later, so that a defect of one is no error of the image.
+    """
+
     model: TableForwardModel
-    reduced_table: tuple[np.ndarray, ...]
-    covariance: np.ndarray
+    grid: TableGrid
+    mean_spectrum: np.ndarray
+    projection: np.ndarray
+    whitening: np.ndarray
     threads: int | None
     is_lazy: bool
+
+    @classmethod
+    def from_covariance(
+        cls, model: TableForwardModel, covariance: np.ndarray, threads: int | None, is_lazy: bool
+    ) -> _MapRetrieval:
+        """Return the retrieval for the covariance of measurement and model."""
+        whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+        mean_spectrum = model.table_node_values.mean(axis=0)
+        whitened_nodes = (model.table_node_values - mean_spectrum) @ whitening.T
+        _, singular_values, directions = np.linalg.svd(whitened_nodes, full_matrices=False)
+        # Significant components have a standard deviation over the nodes above the limit.
+        min_value = np.sqrt(MIN_COMPONENT_VARIANCE) * np.sqrt(len(whitened_nodes))
+        n_significant = max(int((singular_values > min_value).sum()), len(model.axes))
+        projection = directions[: min(n_significant, MAX_COMPONENTS)] @ whitening
+        states, spectra = model.evaluate_first_guesses()
+        node_values, start_values = (
+            np.ascontiguousarray((values - mean_spectrum) @ projection.T)
+            for values in (model.node_values, spectra)
+        )
+        states = np.clip(states, 0.0, 1.0)
+        grid = TableGrid(node_values, model.axis_nodes, model.n_nodes, states, start_values)
+        return cls(model, grid, mean_spectrum, projection, whitening, threads, is_lazy)
+
+    @property
+    def expected_chi2(self) -> int:
+        """Expected χ²."""
+        return max(len(self.mean_spectrum) - len(self.model.axes), 1)
 
     def retrieve_block(self, spectra: np.ndarray) -> np.ndarray:
         """Return parameters, errors, misfit and flags of spectra, shape (..., what)."""
@@ -554,73 +533,59 @@ class _MapRetrieval(NamedTuple):
         return results.reshape(*spectra.shape[:-1], -1)
 
     def _retrieve_chunk(self, spectra: np.ndarray) -> np.ndarray:
-        state_vector, n_parameters = self.state_vector, len(self.state_vector.names)
-        gap = ~np.isfinite(spectra).all(axis=1)
-        is_out_of_range = ~gap & (
-            np.abs(np.where(gap[:, None], 0.0, spectra)).max(axis=1) > MAX_REFLECTANCE
-        )
-        is_valid = ~(gap | is_out_of_range)
-        projection, mean_spectrum, node_components, whitening = self.reduced_table
-        components, residual_chi2 = (
-            np.empty((len(spectra), len(projection))),
-            np.empty(len(spectra)),
-        )
-        # No parameter explains the residual of the components.
-        project_spectra(
-            np.where(is_valid[:, np.newaxis], spectra, 0.5),
-            mean_spectrum,
-            projection,
-            whitening,
-            components,
-            residual_chi2,
-        )
-        model = self.model
-        table = TableGrid(
-            np.ascontiguousarray(node_components), model.axis_nodes, model.n_nodes, model.steps
-        )
+        from scipy.stats import chi2 as chi2_distribution
+
+        state_vector = self.model.state_vector
         mean, precision = state_vector.prior_mean, state_vector.prior_precision
-        states, variances = np.empty((2, len(components), n_parameters))
-        misfit = np.empty((len(components), 2))
-        prior = (mean, precision, state_vector.prior_variance)
-        retrieve_spectra(table, components, *prior, states, variances, misfit)
-        physical = state_vector.to_physical(states)
+        prior_variance = state_vector.prior_variance
+        has_gap = ~np.isfinite(spectra).all(axis=1)
+        # Comparisons with NaN are false.
+        is_out_of_range = ~has_gap & (np.abs(spectra) > MAX_REFLECTANCE).any(axis=1)
+        is_valid = ~(has_gap | is_out_of_range)
+        components = np.empty((len(spectra), len(self.projection)))
+        # No parameter explains the residual of the components.
+        residual_chi2 = np.empty(len(spectra))
+        project_spectra(
+            np.where(is_valid[:, np.newaxis], spectra, 0.5), self.mean_spectrum,
+            self.projection, self.whitening, components, residual_chi2,
+        )  # fmt: skip
+        states, variances = np.empty((2, len(spectra), len(mean)))
+        misfit = np.empty((len(spectra), 2))
+        retrieve_spectra(
+            self.grid, components, mean, precision, prior_variance, states, variances, misfit
+        )
         chi2 = misfit[:, 0] + residual_chi2
-        is_poor = is_valid & (chi2 > self.compute_max_chi2())
+        max_chi2 = float(chi2_distribution.isf(POOR_FIT_PROBABILITY, self.expected_chi2))
+        is_poor = is_valid & (chi2 > max_chi2)
         # Larger noise makes the misfit of a poor fit plausible; it does not widen the prior.
-        inflation = np.where(is_poor, chi2 / self.compute_expected_chi2(), 1.0)[:, np.newaxis]
-        prior_information = 1.0 / state_vector.prior_variance
+        inflation = np.where(is_poor, chi2 / self.expected_chi2, 1.0)[:, np.newaxis]
+        prior_information = 1.0 / prior_variance
         information = (1.0 / variances - prior_information) / inflation
         variances = 1.0 / (information + prior_information)
-        bounds = [np.clip(states + sign * np.sqrt(variances), 0.0, 1.0) for sign in (-1.0, 1.0)]
-        stderr = 0.5 * np.abs(
-            state_vector.to_physical(bounds[1]) - state_vector.to_physical(bounds[0])
+        low, high = (
+            state_vector.to_physical(np.clip(states + sign * np.sqrt(variances), 0.0, 1.0))
+            for sign in (-1.0, 1.0)
         )
-        flags = FLAGS["gap"] * gap + FLAGS["out_of_range"] * is_out_of_range
-        flags = flags + FLAGS["poor_fit"] * is_poor
-        flags = flags + FLAGS["not_converged"] * (is_valid & (misfit[:, 1] == 0.0))
         # A lower bound of 0 is physical, so no flag is set.
         at_low = (states < 1e-6) & (state_vector.low != 0.0)
-        flags = flags + FLAGS["at_lower_bound"] * (is_valid & at_low.any(axis=1))
-        flags = flags + FLAGS["at_upper_bound"] * (is_valid & (states > 1.0 - 1e-6).any(axis=1))
-        is_unconstrained = np.sqrt(variances) > 0.5 * np.sqrt(state_vector.prior_variance)
-        flags = flags + FLAGS["unconstrained"] * (is_valid & is_unconstrained.any(axis=1))
-        results = np.column_stack([physical, stderr, chi2])
+        is_unconstrained = np.sqrt(variances) > 0.5 * np.sqrt(prior_variance)
+        is_set = {
+            "gap": has_gap,
+            "out_of_range": is_out_of_range,
+            "poor_fit": is_poor,
+            "at_lower_bound": is_valid & at_low.any(axis=1),
+            "at_upper_bound": is_valid & (states > 1.0 - 1e-6).any(axis=1),
+            "unconstrained": is_valid & is_unconstrained.any(axis=1),
+            "not_converged": is_valid & (misfit[:, 1] == 0.0),
+        }
+        stderr = 0.5 * np.abs(high - low)
+        results = np.column_stack([state_vector.to_physical(states), stderr, chi2])
         results[~is_valid] = np.nan
-        return np.column_stack([results, flags])
-
-    def compute_max_chi2(self) -> float:
-        """Return the χ² that is exceeded with `POOR_FIT_PROBABILITY`."""
-        from scipy.stats import chi2
-
-        return float(chi2.isf(POOR_FIT_PROBABILITY, self.compute_expected_chi2()))
-
-    def compute_expected_chi2(self) -> int:
-        """Return the expected χ²."""
-        return max(len(self.covariance) - len(self.state_vector.names), 1)
+        return np.column_stack([results, sum(FLAGS[name] * is_set[name] for name in FLAGS)])
 
 
 def _make_dataset(
-    results: xr.DataArray, state_vector: StateVector, retrieval: _MapRetrieval
+    results: xr.DataArray, state_vector: StateVector, expected_chi2: int
 ) -> xr.Dataset:
     """Return the dataset of parameters, errors, misfit and flags."""
     variables: dict[str, Any] = {}
@@ -632,7 +597,7 @@ def _make_dataset(
     variables |= make_variable(
         "chi2", dims, results[..., -2].data, None, "sum of squares of the misfit"
     )
-    variables["chi2"][2]["expected"] = retrieval.compute_expected_chi2()
+    variables["chi2"][2]["expected"] = expected_chi2
     for _, _, variable_attributes in variables.values():
         # Flags give the reason of NaN values.
         variable_attributes[ANCILLARY_ATTRIBUTE] = (

@@ -261,15 +261,15 @@ def _make_correlated_covariance(
         raise invalid(
             "noise.stderr", "a matrix", f"one standard error or {wavelength_nm.size} of them"
         )
-    independent: Any = 0.0
     stderr = _make_covariance("noise.stderr", noise["stderr"], wavelength_nm, bands)
-    if "independent" in noise:
-        independent = _make_covariance(
-            "noise.independent", noise["independent"], wavelength_nm, bands
-        )
     distance = np.abs(wavelength_nm[:, np.newaxis] - wavelength_nm)
     error = np.sqrt(np.diag(stderr))
-    return np.exp(-distance / length) * error[:, np.newaxis] * error + independent
+    covariance: np.ndarray = np.exp(-distance / length) * error[:, np.newaxis] * error
+    if "independent" in noise:
+        covariance += _make_covariance(
+            "noise.independent", noise["independent"], wavelength_nm, bands
+        )
+    return covariance
 
 
 def _compute_mean_wavelength(band: SpectralBand) -> float:

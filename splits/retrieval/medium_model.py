@@ -11,8 +11,8 @@ from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from itertools import product
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,6 +37,7 @@ from splits.discrete_ordinates.granular_stack import (
     solve_snowpacks,
     solve_spectrum,
 )
+from splits.illumination.bands import choose_band_wavelengths
 from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO, choose_solver
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.media.kinds import check_medium
@@ -52,17 +53,25 @@ from splits.media.parameters import (
 from splits.retrieval.forward_model import (
     ERROR_CORRELATION_NM,
     SCALE_RANGE,
+    LinearizedModel,
     make_measurement_operator,
 )
-from splits.retrieval.gauss_newton import DescentStage, LocalMinimum, Objective, search_minima
 from splits.retrieval.linearization import (
     BOUND_MARGIN,
-    Linearization,
+    LocalMinimum,
     is_jacobian_noisy,
+    minimize_gauss_newton,
     remove_jacobian_noise,
 )
 from splits.retrieval.measurement import Measurement
-from splits.retrieval.optimal_estimation import ALTERNATIVE_CHI2, MIN_SEPARATION
+from splits.retrieval.optimal_estimation import (
+    ALTERNATIVE_CHI2,
+    MIN_SEPARATION,
+    MIN_START_SEPARATION,
+    MAPEstimate,
+    Objective,
+    select_distinct,
+)
 from splits.retrieval.state_vector import SCALE, ParameterRange, StateVector
 from splits.simulation.threads import limit_blas_threads
 from splits.tables.axes import check_axis_values
@@ -70,11 +79,38 @@ from splits.tables.interpolation import transform_axis
 
 SURVEY_RANGE = (16, 128)
 """Smallest and largest number of states of the survey."""
-DESCENT_STAGES = (DescentStage(2, 60), DescentStage(2, 60, ALTERNATIVE_CHI2, MIN_SEPARATION))
-"""Stages of descents: from the best states of the survey, and with the final accuracy."""
+MAX_EVALUATIONS = 60
+"""Approximate limit of simulations per descent."""
+
+
+class DescentStage(NamedTuple):
+    """Settings of a stage of descents.
+
+    Attributes
+    ----------
+    n_starts : int
+        Largest number of descents, from the best states of the previous stage.
+    radius : float
+        Half the edge of the first trust region.
+    min_separation : float
+        Smallest distance between the coordinates of two starts.
+    max_cost_increase : float
+        Largest excess of the cost of a start over that of the best one.
+    """
+
+    n_starts: int
+    radius: float
+    min_separation: float
+    max_cost_increase: float = np.inf
+
+
+DESCENT_STAGES = (
+    DescentStage(2, 0.3, MIN_START_SEPARATION),
+    DescentStage(2, 0.15, MIN_SEPARATION, ALTERNATIVE_CHI2),
+)
+"""Stages of descents: from the best states of the survey, which is stage 0, and with the final
+accuracy near the minimum.  Each stage has its own random numbers and more rays."""
 LAST_STAGE = len(DESCENT_STAGES)
-BAND_STEP_NM = 10.0
-"""Step of wavelengths within bands (nm)."""
 
 
 def count_survey(n_parameters: int) -> int:
@@ -87,7 +123,7 @@ class ConvergedMinima(NamedTuple):
 
     Attributes
     ----------
-    minima : list of LocalMinimum
+    minima : sequence of LocalMinimum or MAPEstimate
         Separated minima, best first.
     modelled : float, shape (n,)
         Modelled measurement at the best minimum.
@@ -97,17 +133,19 @@ class ConvergedMinima(NamedTuple):
         Independent Jacobians at the best minimum; the same one twice without noise.
     """
 
-    minima: list[LocalMinimum]
+    minima: Sequence[LocalMinimum | MAPEstimate]
     modelled: np.ndarray
     model_covariance: np.ndarray
     jacobians: list[np.ndarray]
 
-    def linearize(self, measurement_covariance: np.ndarray) -> Linearization:
-        """Return the linearization at the best minimum, with noise removed from its Jacobian."""
-        slopes = remove_jacobian_noise(
-            self.jacobians, measurement_covariance + self.model_covariance
-        )
-        return Linearization(self.minima[0].state, self.modelled, slopes, self.model_covariance)
+    def linearize(
+        self, state_vector: StateVector, measurement_covariance: np.ndarray
+    ) -> LinearizedModel:
+        """Return the linear model at the best minimum, with noise removed from its Jacobian."""
+        covariance = self.model_covariance
+        slopes = remove_jacobian_noise(self.jacobians, measurement_covariance + covariance)
+        best = self.minima[0].state
+        return LinearizedModel(state_vector, best, self.modelled, slopes, covariance)
 
     def find_alternatives(self, max_increase: float) -> tuple[np.ndarray, ...]:
         """Return the other minima whose cost exceeds the best by less than a limit."""
@@ -118,7 +156,7 @@ class ConvergedMinima(NamedTuple):
 
 
 class MediumForwardModel(ABC):
-    """Forward model of a medium; see `splits.retrieval.gauss_newton.StagedForwardModel`.
+    """Forward model of a medium, with stages of increasing accuracy.
 
     Parameters
     ----------
@@ -132,7 +170,6 @@ class MediumForwardModel(ABC):
     """
 
     solver: str
-    bound_margin = BOUND_MARGIN
     descent_stages: tuple[DescentStage, ...] = DESCENT_STAGES
 
     def __init__(
@@ -141,7 +178,11 @@ class MediumForwardModel(ABC):
     ) -> None:  # fmt: skip
         self.medium, self.measurement, self.state_vector = medium, measurement, state_vector
         self.incidence, self.seed = incidence, seed
-        self.wavelengths = select_simulation_wavelengths(measurement)
+        self.wavelengths = (
+            choose_band_wavelengths(measurement.bands)
+            if measurement.bands
+            else np.unique(measurement.wavelength_nm)
+        )
         self.operator = make_measurement_operator(measurement, self.wavelengths).weights
         self.names = [name for name in state_vector.names if name != SCALE]
         self.rows = [state_vector.names.index(name) for name in self.names]
@@ -157,11 +198,11 @@ class MediumForwardModel(ABC):
     def compute_jacobian(self, state: np.ndarray, stage: int) -> np.ndarray:
         """Return the Jacobian with respect to the coordinates, shape (n, parameters)."""
 
-    @abstractmethod
     def compute_final_jacobians(
         self, state: np.ndarray, model_covariance: np.ndarray
     ) -> list[np.ndarray]:
-        """Return at least two independent Jacobians of the last stage."""
+        """Return at least two independent Jacobians of the last stage; the same without noise."""
+        return [self.compute_jacobian(state, LAST_STAGE)] * 2
 
     def select_values(self, stage: int) -> np.ndarray:
         """Return the positions of the measured values that a stage uses."""
@@ -189,10 +230,10 @@ class MediumForwardModel(ABC):
         positions = self.select_values(stage)
         measured = self.measurement.values[positions]
         if not self.measurement.noise_known:
-            return Objective.least_squares(measured, self.state_vector)
+            return Objective(measured, np.eye(measured.size), self.state_vector)
         covariance = self.measurement.covariance[np.ix_(positions, positions)]
         covariance = covariance + self.evaluate_with_covariance(state, stage)[1]
-        return Objective(measured, np.linalg.cholesky(covariance), self.state_vector)
+        return Objective.from_covariance(measured, covariance, self.state_vector)
 
     def find_minima(self) -> ConvergedMinima:
         """Return the minima of the descents, and Jacobians at the best one."""
@@ -207,26 +248,35 @@ class MediumForwardModel(ABC):
             state_vector.prior_mean[has_prior]
             + (survey_states[:, has_prior] - 0.5) * state_vector.prior_sd[has_prior]
         )
-        best, *other_minima = search_minima(
-            self, self.make_objective, np.clip(survey_states, 0.02, 0.98), self.descent_stages
-        )
+        survey_states = np.clip(survey_states, 0.02, 0.98)
+        objective = self.make_objective(survey_states[0], 0)
+        minima = []
+        for state in survey_states:
+            residuals = objective.compute_residuals(self.evaluate(state, 0), state)
+            minima.append(LocalMinimum(float(residuals @ residuals), state))
+        for number, stage in enumerate(self.descent_stages, 1):
+            costs, states = zip(*minima, strict=True)
+            limits = stage.n_starts, stage.min_separation, stage.max_cost_increase
+            starts = [states[i] for i in select_distinct(costs, states, *limits)]
+            objective = self.make_objective(starts[0], number)
+            evaluate = partial(self.evaluate, stage=number)
+            compute_jacobian = partial(self.compute_jacobian, stage=number)
+            minima = [
+                minimize_gauss_newton(
+                    evaluate, compute_jacobian, start, objective, MAX_EVALUATIONS, stage.radius
+                )
+                for start in starts
+            ]
+            minima.sort(key=lambda minimum: minimum.cost)
+        best, *others = minima
         minima = [best] + [
             minimum
-            for minimum in other_minima
+            for minimum in others
             if np.abs(minimum.state - best.state).max() > MIN_SEPARATION
         ]
         values, covariance = self.evaluate_with_covariance(best.state, LAST_STAGE)
         jacobians = self.compute_final_jacobians(best.state, covariance)
         return ConvergedMinima(minima, values, covariance, jacobians)
-
-
-def select_simulation_wavelengths(measurement: Measurement) -> np.ndarray:
-    """Return the wavelengths (nm) to simulate: those measured, or a grid across all bands."""
-    if not measurement.bands:
-        return np.unique(measurement.wavelength_nm)
-    limits = np.array([band.limits_nm for band in measurement.bands.values()])
-    low, high = float(limits.min()), float(limits.max())
-    return np.linspace(low, high, 1 + int(np.ceil((high - low) / BAND_STEP_NM)))
 
 
 MAX_ERROR = 1e-3
@@ -262,7 +312,7 @@ class OrdinatesForwardModel(MediumForwardModel):
             if name != INCIDENCE_KEY:
                 by_layer[name.split(".")[1] if name.startswith("layers.") else ""].append(row)
         for rows in by_layer.values():
-            for corner in product((self.bound_margin, 1.0 - self.bound_margin), repeat=len(rows)):
+            for corner in product((BOUND_MARGIN, 1.0 - BOUND_MARGIN), repeat=len(rows)):
                 state = middle.copy()
                 state[rows] = corner
                 with suppress(InvalidValue):
@@ -325,12 +375,6 @@ class OrdinatesForwardModel(MediumForwardModel):
         steps = np.where(state > 0.5, -DIFFERENCE_STEP, DIFFERENCE_STEP)
         shifted = self._solve(state + np.diag(steps), stage)
         return (shifted - self.evaluate(state, stage)).T / steps
-
-    def compute_final_jacobians(
-        self, state: np.ndarray, model_covariance: np.ndarray
-    ) -> list[np.ndarray]:
-        """Return the Jacobian twice, as it has no noise."""
-        return [self.compute_jacobian(state, LAST_STAGE)] * 2
 
 
 def _compute_cosines(incidence: float | str) -> np.ndarray:
@@ -424,9 +468,6 @@ UNKNOWN_NOISE_MAX_STDERR = 2e-3
 """Final standard error for unknown noise."""
 
 
-NO_OPTIONS: Mapping[str, Any] = MappingProxyType({})
-
-
 class SimulationForwardModel(MediumForwardModel):
     """Forward model by simulation.
 
@@ -437,7 +478,7 @@ class SimulationForwardModel(MediumForwardModel):
     max_stderr : float, optional
         Final standard error; by default `NOISE_FRACTION` of the smallest noise.
     progress : callable, optional
-    options : mapping
+    **options
         Other options of `splits.spectrophotometer`: the number of rays, threads and the kernel.
     """
 
@@ -446,7 +487,7 @@ class SimulationForwardModel(MediumForwardModel):
     def __init__(
         self, medium: Medium, measurement: Measurement, state_vector: StateVector,
         incidence: float | str, seed: int, max_stderr: float | None, progress: ProgressCallback,
-        options: Mapping[str, Any] = NO_OPTIONS,
+        **options: Any,
     ) -> None:  # fmt: skip
         super().__init__(medium, measurement, state_vector, incidence, seed)
         self._options = options
@@ -591,7 +632,7 @@ def check_measurement_incidence(fixed: Mapping[str, Any] | None, ranges: Any) ->
 def make_medium_model(
     medium: Medium, measurement: Measurement, state_vector: StateVector,
     incidence: float | str, solver: str, max_stderr: float | None, seed: int,
-    progress: ProgressCallback, options: Mapping[str, Any] = NO_OPTIONS,
+    progress: ProgressCallback, **options: Any,
 ) -> MediumForwardModel:  # fmt: skip
     """Return the forward model by discrete ordinates or by simulation; see `choose_solver`."""
     arguments = medium, measurement, state_vector, incidence, seed
@@ -604,4 +645,4 @@ def make_medium_model(
         if choice.solver != MONTE_CARLO:
             model.choose_streams(max_stderr or MAX_ERROR)
             return model
-    return SimulationForwardModel(*arguments, max_stderr, progress, options)
+    return SimulationForwardModel(*arguments, max_stderr, progress, **options)

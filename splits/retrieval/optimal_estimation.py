@@ -17,12 +17,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.retrieval.forward_model import ForwardModel
+from splits.retrieval.forward_model import ForwardModel, drop_priors
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.state_vector import StateVector
 
 N_STARTS = 4
 """Number of descents, from the first guesses with the smallest misfit."""
+MIN_START_SEPARATION = 0.2
+"""Smallest distance between the coordinates of the starts of descents."""
 MAX_COVARIANCE_UPDATES = 3
 """Largest number of descents with an updated covariance of the forward-model error."""
 TOLERANCE = 1e-6
@@ -33,6 +35,42 @@ ALTERNATIVE_CHI2 = 9.0
 """Largest excess of the sum of squares of an alternative solution."""
 BOUND_TOLERANCE = 2e-3
 """Distance of coordinates from a bound within which it may be active."""
+
+
+class Objective(NamedTuple):
+    """Cost function of a fit: measurement, error covariance and priors.
+
+    Attributes
+    ----------
+    measured : float, shape (n,)
+    whitening : float, shape (n, n)
+        Matrix that makes errors independent, with variances of 1.
+    state_vector : StateVector
+        State vector with its priors.
+    """
+
+    measured: np.ndarray
+    whitening: np.ndarray
+    state_vector: StateVector
+
+    @classmethod
+    def from_covariance(
+        cls, measured: np.ndarray, covariance: np.ndarray, state_vector: StateVector
+    ) -> Objective:
+        """Return the objective for the covariance of all errors."""
+        return cls(measured, np.linalg.inv(np.linalg.cholesky(covariance)), state_vector)
+
+    def compute_residuals(self, modelled: np.ndarray, state: np.ndarray) -> np.ndarray:
+        """Return the residuals of measurement and priors in standard deviations."""
+        mean, sd = self.state_vector.prior_mean, self.state_vector.prior_sd
+        has_prior = np.isfinite(sd)
+        prior = (state - mean)[has_prior] / sd[has_prior]
+        return np.concatenate([self.whitening @ (modelled - self.measured), prior])
+
+    def compute_residual_jacobian(self, jacobian: np.ndarray) -> np.ndarray:
+        """Return the Jacobian of `compute_residuals` with respect to the coordinates."""
+        sd = self.state_vector.prior_sd
+        return np.vstack([self.whitening @ jacobian, np.diag(1.0 / sd)[np.isfinite(sd)]])
 
 
 class MAPEstimate(NamedTuple):
@@ -61,6 +99,26 @@ class MAPEstimate(NamedTuple):
     cost: float
     chi2: float
     active_bounds: np.ndarray
+
+    @classmethod
+    def from_fit(
+        cls,
+        state: np.ndarray,
+        modelled: np.ndarray,
+        jacobian: np.ndarray,
+        error_covariance: np.ndarray,
+        measured: np.ndarray,
+        state_vector: StateVector,
+    ) -> MAPEstimate:
+        """Return the estimate at the end of a descent."""
+        residual = modelled - measured
+        weighted_residual = np.linalg.solve(error_covariance, residual)
+        chi2 = float(residual @ weighted_residual)
+        prior_residual = (state - state_vector.prior_mean) / state_vector.prior_sd
+        gradient = jacobian.T @ weighted_residual + prior_residual / state_vector.prior_sd
+        cost = chi2 + float(prior_residual @ prior_residual)
+        active_bounds = find_active_bounds(state, gradient)
+        return cls(state, modelled, jacobian, error_covariance, cost, chi2, active_bounds)
 
     @property
     def minus_two_log_posterior(self) -> float:
@@ -109,54 +167,32 @@ def find_map_estimate(
     """
     from scipy.optimize import least_squares
 
-    state_vector = model.state_vector
-    has_prior = np.isfinite(state_vector.prior_sd)
-    prior_jacobian = np.diag(1.0 / state_vector.prior_sd)[has_prior]
     state = np.clip(start, 1e-6, 1.0 - 1e-6)
     for _ in range(MAX_COVARIANCE_UPDATES):
-        covariance = variance_inflation * (
-            measurement.covariance + model.compute_error_covariance(state)
+        covariance = measurement.covariance + model.compute_error_covariance(state)
+        objective = Objective.from_covariance(
+            measurement.values, variance_inflation * covariance, model.state_vector
         )
-        whiten = np.linalg.inv(np.linalg.cholesky(covariance))
-
-        def residuals(coordinates: np.ndarray, whiten: np.ndarray = whiten) -> np.ndarray:
-            values, _ = model.evaluate_with_jacobian(coordinates)
-            residual = whiten @ (values - measurement.values)
-            prior = (coordinates - state_vector.prior_mean)[has_prior] / state_vector.prior_sd[
-                has_prior
-            ]
-            return np.concatenate([residual, prior])
-
-        def compute_jacobian(coordinates: np.ndarray, whiten: np.ndarray = whiten) -> np.ndarray:
-            _, jacobian = model.evaluate_with_jacobian(coordinates)
-            return np.vstack([whiten @ jacobian, prior_jacobian])
-
         optimum = least_squares(
-            residuals, state, compute_jacobian, bounds=(0.0, 1.0), xtol=TOLERANCE, ftol=TOLERANCE
+            lambda x, one: one.compute_residuals(model.evaluate_with_jacobian(x)[0], x),
+            state,
+            lambda x, one: one.compute_residual_jacobian(model.evaluate_with_jacobian(x)[1]),
+            bounds=(0.0, 1.0),
+            xtol=TOLERANCE,
+            ftol=TOLERANCE,
+            args=(objective,),
         )
         step = float(np.abs(optimum.x - state).max())
         state = np.clip(optimum.x, 1e-9, 1.0 - 1e-9)
         if step < 1e-3:
             break
-    covariance = variance_inflation * (
-        measurement.covariance + model.compute_error_covariance(state)
-    )
-    values, jacobian = model.evaluate_with_jacobian(state)
-    residual = values - measurement.values
-    weighted_residual = np.linalg.solve(covariance, residual)
-    chi2 = float(residual @ weighted_residual)
-    prior_residual = (state - state_vector.prior_mean) / state_vector.prior_sd
-    active_bounds = find_active_bounds(
-        state, jacobian.T @ weighted_residual + prior_residual / state_vector.prior_sd
-    )
-    return MAPEstimate(
+    covariance = measurement.covariance + model.compute_error_covariance(state)
+    return MAPEstimate.from_fit(
         state,
-        values,
-        jacobian,
-        covariance,
-        chi2 + float(prior_residual @ prior_residual),
-        chi2,
-        active_bounds,
+        *model.evaluate_with_jacobian(state),
+        variance_inflation * covariance,
+        measurement.values,
+        model.state_vector,
     )
 
 
@@ -167,51 +203,61 @@ def find_active_bounds(state: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     )
 
 
+def select_distinct(
+    costs: Sequence[float] | np.ndarray,
+    states: Sequence[np.ndarray] | np.ndarray,
+    max_number: int,
+    min_separation: float,
+    max_increase: float = np.inf,
+) -> list[int]:
+    """Return the positions of the best states that are separated from each other, best first.
+
+    Parameters
+    ----------
+    costs : sequence of float
+    states : sequence of float, shape (parameters,)
+    max_number : int
+    min_separation : float
+        Smallest distance between their coordinates.
+    max_increase : float
+        Largest excess of the cost over that of the best.
+    """
+    selected: list[int] = []
+    for i in map(int, np.argsort(costs, kind="stable")):
+        is_worse = selected and costs[i] > costs[selected[0]] + max_increase
+        if is_worse or len(selected) == max_number:
+            break
+        if all(np.abs(states[i] - states[other]).max() > min_separation for other in selected):
+            selected.append(i)
+    return selected
+
+
 def find_distinct_map_estimates(
-    model: ForwardModel,
-    measurement: Measurement,
-    first_guesses: np.ndarray,
-    modelled: np.ndarray,
-    variance_inflation: float = 1.0,
+    model: ForwardModel, measurement: Measurement, variance_inflation: float = 1.0
 ) -> list[MAPEstimate]:
     """Return the distinct estimates of several descents, best first.
 
     Parameters
     ----------
-    first_guesses : float, shape (guesses, parameters)
-        Candidate starts, from the whole range.
-    modelled : float, shape (guesses, n)
-        Their modelled measurements.
+    model : ForwardModel
+        Descents start from its first guesses with the smallest misfit.
+    measurement : Measurement
     variance_inflation : float
         Factor of all variances.
     """
+    first_guesses, modelled = model.evaluate_first_guesses()
     spread = np.sqrt(np.diag(measurement.covariance))
     misfit = (((modelled - measurement.values) / spread) ** 2).sum(axis=1)
-    prior = (
-        ((first_guesses - model.state_vector.prior_mean) / model.state_vector.prior_sd) ** 2
-    ).sum(axis=1)
-    starts: list[np.ndarray] = []
-    for row in np.argsort(misfit + prior, kind="stable"):
-        if all(np.abs(first_guesses[row] - other).max() > 0.2 for other in starts):
-            starts.append(first_guesses[row])
-        if len(starts) == N_STARTS:
-            break
+    state_vector = model.state_vector
+    prior = (((first_guesses - state_vector.prior_mean) / state_vector.prior_sd) ** 2).sum(axis=1)
+    starts = select_distinct(misfit + prior, first_guesses, N_STARTS, MIN_START_SEPARATION)
     estimates = [
-        find_map_estimate(model, measurement, start, variance_inflation) for start in starts
+        find_map_estimate(model, measurement, first_guesses[i], variance_inflation) for i in starts
     ]
-    estimates.sort(key=lambda estimate: estimate.minus_two_log_posterior)
-    distinct = estimates[:1]
-    for estimate in estimates[1:]:
-        is_separated = all(
-            np.abs(estimate.state - accepted.state).max() > MIN_SEPARATION for accepted in distinct
-        )
-        if (
-            is_separated
-            and estimate.minus_two_log_posterior
-            < distinct[0].minus_two_log_posterior + ALTERNATIVE_CHI2
-        ):
-            distinct.append(estimate)
-    return distinct
+    costs = [estimate.minus_two_log_posterior for estimate in estimates]
+    states = [estimate.state for estimate in estimates]
+    distinct = select_distinct(costs, states, N_STARTS, MIN_SEPARATION, ALTERNATIVE_CHI2)
+    return [estimates[i] for i in distinct]
 
 
 def summarize_posterior(estimate: MAPEstimate, state_vector: StateVector) -> PosteriorSummary:
@@ -394,10 +440,6 @@ def _update_components(
 
 MIN_MISFIT_PROBABILITY = 0.01
 """Probability of the misfit below which the model does not fit the measurement."""
-BOUND_DISTANCE = 0.01
-"""Distance of a coordinate from a bound below which a value lies at it."""
-MAX_NONLINEARITY = 1.0
-"""Deviation of linear or interpolated reflectances, in units of noise, which is reported."""
 MAX_PRIOR_TENSION = 3.0
 """Standard deviations between prior and result above which they disagree."""
 
@@ -433,13 +475,6 @@ class Solution(NamedTuple):
     nonlinearity: float = 0.0
 
 
-def compute_prior_tension(
-    state_vector: StateVector, state: np.ndarray, variance: np.ndarray
-) -> np.ndarray:
-    """Return the distance of the priors from a result without them, in standard errors."""
-    return np.abs(state - state_vector.prior_mean) / np.sqrt(state_vector.prior_sd**2 + variance)
-
-
 def compute_variance_inflation(estimate: MAPEstimate, state_vector: StateVector) -> float:
     """Return the factor of all variances that makes the misfit plausible."""
     from scipy.stats import chi2
@@ -452,74 +487,37 @@ def compute_variance_inflation(estimate: MAPEstimate, state_vector: StateVector)
     return estimate.chi2 / n_dof
 
 
-def list_warnings(
-    state_vector: StateVector, solution: Solution, constrained: np.ndarray
-) -> list[str]:
-    """Return the warnings about a result."""
-    estimates, _, draws, variance_inflation, tension, *_ = solution
-    best, warnings = estimates[0], []
+def solve_for_known_noise(model: ForwardModel, measurement: Measurement, seed: int) -> Solution:
+    """Return the solution: estimates, posterior and draws."""
+    state_vector = model.state_vector
+    estimates = find_distinct_map_estimates(model, measurement)
+    # A prior that contradicts the measurement must not inflate the variances.
+    without_priors = estimates[0]
+    if np.isfinite(state_vector.prior_sd).any():
+        without_priors = find_map_estimate(drop_priors(model), measurement, estimates[0].state)
+    reference = estimates[0] if estimates[0].chi2 <= without_priors.chi2 else without_priors
+    variance_inflation = compute_variance_inflation(reference, state_vector)
     if variance_inflation > 1.0:
-        warnings.append(
-            f"the model does not fit the measurement within its noise: errors are multiplied by "
-            f"{np.sqrt(variance_inflation):.3g}, and may still be too small"
-        )
-    unconstrained = [
-        name
-        for name, is_constrained in zip(state_vector.names, constrained, strict=True)
-        if not is_constrained
-    ]
-    if unconstrained:
-        warnings.append(f"not constrained by the measurement: {', '.join(unconstrained)}")
-    for name, tension_sigma in zip(state_vector.names, tension, strict=True):
-        if tension_sigma > MAX_PRIOR_TENSION:
-            warnings.append(
-                f"{name}: prior and measurement are {tension_sigma:.1f} standard deviations apart"
-            )
-    for i, name in enumerate(state_vector.names):
-        low, high = (
-            float(state_vector.to_physical(np.full(len(state_vector.names), x))[i])
-            for x in (0.0, 1.0)
-        )
-        if not (constrained[i] or best.active_bounds[i]):
-            continue
-        if best.state[i] < BOUND_DISTANCE and low != 0.0:
-            warnings.append(f"{name} lies at the low end of its range, {low:g}")
-        if best.state[i] > 1.0 - BOUND_DISTANCE:
-            warnings.append(f"{name} lies at the high end of its range, {high:g}")
-    warnings += _list_alternatives(state_vector, solution)
-    if solution.nonlinearity > MAX_NONLINEARITY:
-        warnings.append(
-            "errors are approximate: they use linear or interpolated reflectances, which deviate "
-            f"from those of the model by up to {solution.nonlinearity:.1f} times the noise"
-        )
-    if draws.n_effective < MIN_EFFECTIVE_DRAWS:
-        warnings.append(f"quantiles are imprecise: {draws.n_effective:.0f} effective draws")
-    return warnings
-
-
-def _list_alternatives(state_vector: StateVector, solution: Solution) -> list[str]:
-    """Return the warnings about distinct alternative solutions."""
-    best, *others = (estimate.state for estimate in solution.estimates)
-    listed, warnings = [best], []
-    for alternative in [*others[:1], *solution.alternatives]:
-        difference = alternative - best
-        is_within_error = (
-            difference @ np.linalg.solve(solution.posterior.covariance, difference)
-            < ALTERNATIVE_CHI2
-        )
-        distances = [np.abs(alternative - state).max() for state in listed]
-        if is_within_error or min(distances) < MIN_SEPARATION:
-            continue
-        listed.append(alternative)
-        is_near = np.abs(solution.draws.states - alternative).max(axis=1) < 0.5 * distances[0]
-        coverage = "" if is_near.any() else ", but draws do not cover it"
-        values = [
-            f"{parameter} {value:.3g}"
-            for parameter, value in zip(
-                state_vector.names, state_vector.to_physical(alternative), strict=True
-            )
-        ]
-        warnings.append(
-            f"an alternative solution fits nearly as well{coverage}: {', '.join(values)}"
-        )
-    return warnings
+        estimates = find_distinct_map_estimates(model, measurement, variance_inflation)
+    spread = summarize_posterior(
+        without_priors._replace(
+            error_covariance=variance_inflation * without_priors.error_covariance
+        ),
+        state_vector.without_priors(),
+    ).covariance
+    tension = np.abs(without_priors.state - state_vector.prior_mean) / np.sqrt(
+        state_vector.prior_sd**2 + np.diag(spread)
+    )
+    if estimates[0].chi2 - reference.chi2 / variance_inflation < MAX_PRIOR_TENSION**2:
+        # The priors do not contradict the measurement if the misfit is as good without them.
+        tension = np.zeros_like(tension)
+    draws = draw_posterior(model, measurement, estimates, seed)
+    model_error = np.sqrt(np.diag(model.compute_error_covariance(estimates[0].state)))
+    return Solution(
+        estimates,
+        summarize_posterior(estimates[0], state_vector),
+        draws,
+        variance_inflation,
+        tension,
+        model_error,
+    )

@@ -33,14 +33,14 @@ from splits.illumination.bands import SpectralOperator
 from splits.instruments.delay_record import Pulse, PulseInput, describe_record
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.measurement import Measurement, check_conditions, is_same_label
-from splits.retrieval.result import (
+from splits.retrieval.optimal_estimation import solve_for_known_noise
+from splits.retrieval.retrieve import (
     TABLE_SOLVER,
     RetrievalResult,
     describe_model,
     describe_parameters,
     make_result,
 )
-from splits.retrieval.retrieve import solve_for_known_noise
 from splits.retrieval.state_vector import SCALE, StateVector
 from splits.tables.axes import INCIDENCE
 from splits.tables.return_table import TITLE
@@ -81,6 +81,15 @@ def sort_returns(dataset: Any) -> Any:
     return dataset
 
 
+def read_edges(key: str, dataset: xr.Dataset) -> np.ndarray:
+    """Return the delays between the bins of a dataset (s), which must follow each other."""
+    bounds = dataset.delay_bounds.values
+    if not np.allclose(bounds[1:, 0], bounds[:-1, 1], rtol=ROUNDING_TOLERANCE, atol=0.0):
+        hint = "select a slice of the record"
+        raise invalid(f"{key}.delay_s", "with gaps", "bins that follow each other", hint)
+    return np.append(bounds[:, 0], bounds[-1, 1])
+
+
 def make_channel_table(table: Any) -> Table:
     """Return a table of returns with its wavelengths and bins as one axis, after checking it.
 
@@ -102,10 +111,7 @@ def make_channel_table(table: Any) -> Table:
             hint = f"select a list: isel({dimension}=[0]), which keeps the axis"
             raise invalid("table", f"without an axis {dimension}", allowed, hint)
     check_no_gaps("table", table[names])
-    bounds = table.delay_bounds.values
-    if not np.allclose(bounds[1:, 0], bounds[:-1, 1], rtol=ROUNDING_TOLERANCE, atol=0.0):
-        hint = "select a slice of the record"
-        raise invalid("table.delay_s", "with gaps", "bins that follow each other", hint)
+    read_edges("table", table)
     stacked = table[names].stack(channel=("wavelength", "delay_s"), create_index=False)
     channels = stacked.drop_vars(["wavelength", "delay_s", "range"], errors="ignore")
     channels = channels.rename(channel="wavelength")
@@ -206,7 +212,7 @@ def _read_return_dataset(measured: xr.Dataset) -> tuple[np.ndarray, xr.DataArray
     part = measured.isel({dim: 0 for dim in ("side", "wavelength") if measured.sizes.get(dim) == 1})
     if not {QUANTITY, "delay_bounds"} <= {*part.variables}:
         raise invalid("measured", "a dataset", f"with {QUANTITY} and delay_bounds", RETURN_HINT)
-    rates, bounds = part[QUANTITY], part.delay_bounds.transpose("delay_s", ...).values
+    rates = part[QUANTITY]
     side = str(as_scalar(part.coords.get("side", "reflected")))
     if (
         "delay_s" not in rates.dims
@@ -216,12 +222,10 @@ def _read_return_dataset(measured: xr.Dataset) -> tuple[np.ndarray, xr.DataArray
         side = "both sides" if "side" in rates.dims else side
         found = f"{side}, over {', '.join(map(str, rates.dims))}"
         raise invalid("measured", found, "reflected, over wavelength and delay_s", RETURN_HINT)
-    if not np.allclose(bounds[1:, 0], bounds[:-1, 1], rtol=ROUNDING_TOLERANCE, atol=0.0):
-        raise invalid("measured.delay_s", "with gaps", "bins that follow each other")
+    edges = read_edges("measured", part)
     if rates.attrs.get("units", UNITS) != UNITS:
         raise invalid("measured", f"in {rates.attrs['units']}", f"in {UNITS}")
     # Light is matched by the delays of its bins.
-    edges = np.append(bounds[:, 0], bounds[-1, 1])
     return edges, rates.drop_vars("delay_s", errors="ignore").transpose(..., "delay_s")
 
 
@@ -280,8 +284,7 @@ def make_return_operator(table: xr.Dataset, edges: np.ndarray, pulse: Pulse) -> 
     ValueError
         For bins of the measurement that need light outside the record of the table.
     """
-    bounds = table.delay_bounds.values
-    own_edges = np.append(bounds[:, 0], bounds[-1, 1])
+    own_edges = read_edges("table", table)
     n_wavelengths, tolerance = table.sizes["wavelength"], ROUNDING_TOLERANCE * own_edges[-1]
     latest = own_edges[-1] + float(pulse.delay_s[0])
     earliest = own_edges[0] + (float(pulse.delay_s[-1]) if own_edges[0] > 0.0 else -np.inf)
@@ -442,10 +445,13 @@ def retrieve_return(
         )
         solution = solve_for_known_noise(forward_model, measurement, seed)
         expected, min_count = solution.estimates[0].modelled, MIN_EXPECTED_COUNT
-    settings = describe_model(channels, TABLE_SOLVER) | {"quantity": QUANTITY}
-    settings |= pulse_attributes
-    settings |= describe_parameters(state_vector, forward_model.list_fixed_values(), prior, seed)
     conditions = forward_model.list_fixed_values()
+    settings = {
+        **describe_model(channels, TABLE_SOLVER),
+        "quantity": QUANTITY,
+        **pulse_attributes,
+        **describe_parameters(state_vector, conditions, prior, seed),
+    }
     check_return_conditions(measured, conditions, {**table.attrs, **pulse_attributes})
     check_conditions("noise", noise, conditions)
     dataset = make_result(state_vector, measurement, solution, settings).dataset
@@ -498,20 +504,19 @@ def _check_rates(
 
 def _split_channels(dataset: xr.Dataset, table: xr.Dataset, edges: np.ndarray) -> xr.Dataset:
     """Return the dataset of a result with wavelengths and delays instead of channels."""
-    names = [name for name in dataset.data_vars if "wavelength" in dataset[name].dims]
     shape = table.sizes["wavelength"], edges.size - 1
     variables = {
         name: (
             ("wavelength", "delay_s"), dataset[name].values.reshape(shape),
             {**dataset[name].attrs, "units": UNITS},
         )
-        for name in names
+        for name in dataset.data_vars
+        if "wavelength" in dataset[name].dims
     }  # fmt: skip
     bounds = np.column_stack([edges[:-1], edges[1:]])
-    delay = ("delay_s", bounds.mean(axis=1), table.delay_s.attrs)
     coordinates = {
         "wavelength": table.wavelength,
-        "delay_s": delay,
+        "delay_s": ("delay_s", bounds.mean(axis=1), table.delay_s.attrs),
         "delay_bounds": (("delay_s", "bounds"), bounds),
     }
     return dataset.drop_dims("wavelength").assign(variables).assign_coords(coordinates)

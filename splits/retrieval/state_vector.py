@@ -100,21 +100,14 @@ class StateVector(NamedTuple):
         mean = float(snap_to_limits(mean, low, high))
         if not low <= mean <= high:
             raise invalid(key, pair, f"a mean in the range {low:g} to {high:g}")
-        bounds = [np.clip(mean + sign * sd, low, high) for sign in (-1.0, 1.0)]
-        below, middle, above = self.to_coordinate(
-            index, np.array([bounds[0], mean, bounds[1]])
-        ).tolist()
+        ends = np.clip([mean - sd, mean, mean + sd], low, high)
+        coordinates = self.to_coordinate(index, ends)
         # A side that the range cuts off does not count.
-        is_cut = [bounds[0] > mean - sd, bounds[1] < mean + sd]
-        distances = [
-            distance
-            for distance, is_cut_off in zip((middle - below, above - middle), is_cut, strict=True)
-            if not is_cut_off
-        ]
-        if not distances:
+        distances = np.diff(coordinates)[[low <= mean - sd, mean + sd <= high]]
+        if not distances.size:
             allowed = f"a standard deviation that fits into the range {low:g} to {high:g}"
             raise invalid(key, pair, allowed, "leave it out: it is wider than the range")
-        return middle, float(np.mean(distances))
+        return float(coordinates[1]), float(distances.mean())
 
     def without_priors(self) -> StateVector:
         """Return the state vector without priors."""

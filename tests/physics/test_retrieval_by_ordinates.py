@@ -10,7 +10,7 @@ from scipy.interpolate import RegularGridInterpolator
 import splits
 from splits.core.validation import InvalidValue
 from splits.instruments.solver import MONTE_CARLO
-from splits.retrieval.linearization import InterpolatedModel, Linearization, LinearizedModel
+from splits.retrieval.forward_model import InterpolatedModel, LinearizedModel
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.medium_model import (
     LAST_STAGE,
@@ -206,9 +206,7 @@ def test_quadratic_models_are_interpolated_exactly():
         return states @ slopes.T + (states[:, :1] * states[:, 1:]) * curvature
 
     start = np.array([[0.3, 0.6]])
-    linear = LinearizedModel(
-        state_vector, Linearization(start[0], evaluate(start)[0], slopes, np.eye(3))
-    )
+    linear = LinearizedModel(state_vector, start[0], evaluate(start)[0], slopes, np.eye(3))
     random = np.random.default_rng(1)
     states = random.random((12, 2))
     model = InterpolatedModel(linear, states, evaluate(states))

@@ -7,13 +7,12 @@ from chi2 import NEEDS_JIT, judge_z
 import splits
 from splits.core.progress import Progress
 from splits.core.validation import InvalidValue
-from splits.retrieval.linearization import Linearization, LinearizedModel, estimate_nonlinearity
-from splits.retrieval.measurement import Measurement
+from splits.retrieval.forward_model import LinearizedModel
+from splits.retrieval.linearization import estimate_nonlinearity
 from splits.retrieval.medium_model import (
     ProgressTracker,
     count_survey,
     make_medium_state_vector,
-    select_simulation_wavelengths,
 )
 
 pytestmark = pytest.mark.long
@@ -159,14 +158,13 @@ def test_linearized_model_is_linear():
     state_vector = make_medium_state_vector(
         make_snow(100.0), {SIZE: (50, 200), "scale": (0.5, 2.0)}, None, 0.0
     )
-    linearization = Linearization(
-        np.array([0.3, 0.6]), np.ones(3), np.arange(6.0).reshape(3, 2), np.eye(3)
+    model = LinearizedModel(
+        state_vector, np.array([0.3, 0.6]), np.ones(3), np.arange(6.0).reshape(3, 2), np.eye(3)
     )
-    model = LinearizedModel(state_vector, linearization)
     state = np.array([0.4, 0.5])
     value, slopes = model.evaluate_with_jacobian(state)
-    np.testing.assert_allclose(value, 1.0 + linearization.jacobian @ [0.1, -0.1])
-    np.testing.assert_array_equal(slopes, linearization.jacobian)
+    np.testing.assert_allclose(value, 1.0 + model.jacobian @ [0.1, -0.1])
+    np.testing.assert_array_equal(slopes, model.jacobian)
     np.testing.assert_array_equal(model.evaluate(state[np.newaxis])[0], value)
     assert state_vector.transforms == ("logarithm", "identity")
 
@@ -177,9 +175,7 @@ def test_nonlinearity_is_measured_in_units_of_noise():
         make_snow(100.0), {SIZE: (50, 200), "scale": (0.5, 2.0)}, None, 0.0
     )
     state, spread, noise = np.array([0.4, 0.5]), np.array([0.1, 0.25]), np.array([0.02, 0.02, 0.01])
-    model = LinearizedModel(
-        state_vector, Linearization(state, np.zeros(3), np.ones((3, 2)), np.zeros((3, 3)))
-    )
+    model = LinearizedModel(state_vector, state, np.zeros(3), np.ones((3, 2)), np.zeros((3, 3)))
 
     def curved(x):
         return (x - state).sum() + np.array([0.0, 0.0, 3.0]) * (x[0] - state[0]) ** 2
@@ -220,9 +216,3 @@ def test_invalid_input_is_rejected(name):
              "free": {SIZE: (50, 200)}, "noise": 0.01}  # fmt: skip
     with pytest.raises(InvalidValue, match=message):
         splits.retrieve(**(arguments | changes))
-
-
-def test_simulation_wavelengths_cover_the_bands():
-    bands = {"a": (500.0, 540.0), "b": (800.0, 1003.0)}
-    w = select_simulation_wavelengths(Measurement.from_input([0.5, 0.5], 0.01, bands))
-    assert w[0] == 500.0 and w[-1] == 1003.0 and np.diff(w).max() <= 10.0

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from types import ModuleType
 from typing import Annotated, Any, NamedTuple
 
@@ -153,8 +153,13 @@ def sum_spheres(
     matrix = np.zeros((4, functions.pi.shape[1]))
     for start in range(0, size.size, BATCH):
         part = slice(start, start + BATCH)
-        amplitudes = _compute_amplitudes(index, size[part], functions)
-        matrix += _multiply_amplitudes(4.0 * area[part] / size[part] ** 2, *amplitudes)
+        s1, s2 = _compute_amplitudes(index, size[part], functions)
+        weight = 4.0 * area[part] / size[part] ** 2
+        perpendicular, parallel = weight @ np.abs(s1) ** 2, weight @ np.abs(s2) ** 2
+        product = weight @ (s2 * s1.conj())
+        mean, difference = 0.5 * (parallel + perpendicular), 0.5 * (parallel - perpendicular)
+        # P11, P12, P33 and P34.
+        matrix += np.stack([mean, difference, product.real, product.imag])
     return SphereSums(
         area.sum(), area @ extinction, area @ scattering, area @ (scattering * asymmetry), matrix
     )
@@ -179,14 +184,6 @@ def _compute_amplitudes(
     return multiply(a, pi) + multiply(b, tau), multiply(a, tau) + multiply(b, pi)
 
 
-def _multiply_amplitudes(weight: np.ndarray, s1: np.ndarray, s2: np.ndarray) -> np.ndarray:
-    """Return weighted sums of P11, P12, P33 and P34 over spheres, shape (4, angles)."""
-    perpendicular, parallel = weight @ np.abs(s1) ** 2, weight @ np.abs(s2) ** 2
-    product = weight @ (s2 * s1.conj())
-    mean, difference = 0.5 * (parallel + perpendicular), 0.5 * (parallel - perpendicular)
-    return np.stack([mean, difference, product.real, product.imag])
-
-
 RADIUS_RANGE_UM = (1e-4, 1e5)
 VARIANCE_RANGE = (1e-3, 0.499)
 EXCLUDED_FRACTION = 1e-7
@@ -203,12 +200,12 @@ class GivenSizes:
     ----------
     radius_um : float, shape (radii,)
         Increasing.
-    number : float, shape (radii,)
+    number_density : float, shape (radii,)
         Numbers of spheres, at least one of them above 0.
     """
 
     radius_um: np.ndarray
-    number: np.ndarray
+    number_density: np.ndarray
 
     @classmethod
     def from_input(cls, radius_um: Any, number_density: Any) -> GivenSizes:
@@ -238,12 +235,8 @@ class GivenSizes:
         self, index: complex, size_per_um: float, functions: AngularFunctions
     ) -> tuple[SphereSums, int]:
         """Return sums over the spheres, and the number of radii; see `GammaSizes.sum_spheres`."""
-        area = self.number * self.radius_um**2
+        area = self.number_density * self.radius_um**2
         return sum_spheres(index, size_per_um * self.radius_um, area, functions), area.size
-
-    def describe(self) -> dict[str, Any]:
-        """Return the attributes of a dataset."""
-        return {"radius_um": self.radius_um, "number_density": self.number}
 
 
 @dataclass(frozen=True)
@@ -329,14 +322,6 @@ class GammaSizes:
         hint = "or a larger effective_variance, smaller spheres"
         allowed = f"one that {MAX_INTERVALS + 1} radii reach"
         raise invalid("tolerance", self.tolerance, allowed, hint)
-
-    def describe(self) -> dict[str, Any]:
-        """Return the attributes of a dataset."""
-        return {
-            "effective_radius_um": self.effective_radius_um,
-            "effective_variance": self.effective_variance,
-            "tolerance": self.tolerance,
-        }
 
 
 MATERIAL = "spheres"
@@ -498,7 +483,7 @@ def compute_mie_matrix(
         "diffraction": "included",
         "refractive_index_real": indices.real,
         "refractive_index_imaginary": indices.imag,
-        **sizes.describe(),
+        **asdict(sizes),
         "radii": radii,
         **make_provenance("compute_mie_matrix"),
     }

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Annotated, Any
 
 import numpy as np
 import xarray as xr
+from numpy.polynomial.legendre import legvander
 
 from splits.core.arrays import as_1d_array, check_array_range, check_no_gaps
 from splits.core.declarations import Quantity
 from splits.core.inputs import NUMBERS_SCHEMA, Numbers
 from splits.core.keywords import declare_function
-from splits.core.uncertainty import compute_jackknife_stderr, make_variable
+from splits.core.uncertainty import Variable, compute_jackknife_stderr, make_variable
 from splits.core.validation import invalid, join_names
 from splits.io.netcdf import to_netcdf_attributes
 
@@ -72,45 +72,45 @@ def with_diffraction(optics: xr.Dataset, radius_um: SphereRadius = None) -> xr.D
     grains = float(optics.attrs["extinction_by_grains_per_m"])
     peak = compute_diffraction_moments(radius_um, optics.wavelength.values, optics.order.values)
     extinction = optics.extinction.values
+    total_extinction = extinction + grains
     scattered = optics[ALBEDO].values * extinction
 
     def mix(albedo: np.ndarray, moment: np.ndarray) -> np.ndarray:
         """Return moments of all scattered light."""
-        medium_radius = (albedo * extinction)[..., np.newaxis]
-        return np.asarray((medium_radius * moment + grains * peak) / (medium_radius + grains))
+        by_optics = (albedo * extinction)[..., np.newaxis]
+        return np.asarray((by_optics * moment + grains * peak) / (by_optics + grains))
 
+    jackknife_name, bound_name = f"{MOMENT}_jackknife", f"{MOMENT}_interpolation_error_bound"
     moment = mix(optics[ALBEDO].values, optics[MOMENT].values)
-    jackknife = mix(optics[f"{ALBEDO}_jackknife"].values, optics[f"{MOMENT}_jackknife"].values)
+    jackknife = mix(optics[f"{ALBEDO}_jackknife"].values, optics[jackknife_name].values)
     fraction = (scattered / (scattered + grains))[:, np.newaxis]
-    bound = fraction * optics[f"{MOMENT}_interpolation_error_bound"].values
-    total_extinction = extinction + grains
-    extinction_ratio = extinction / total_extinction
-    variables: dict[str, Any] = {}
-    variables |= make_variable("extinction", "wavelength", total_extinction, None,
-                      "extinction coefficient", "m-1")  # fmt: skip
-    if "optical_thickness" in optics:
-        thickness = optics.optical_thickness.values * total_extinction / extinction
-        variables |= make_variable("optical_thickness", "wavelength", thickness, None,
-                          "optical thickness of extinction")  # fmt: skip
-    albedo = (scattered + grains) / total_extinction
-    error = extinction_ratio * optics[f"{ALBEDO}_stderr"].values
-    variables |= make_variable(ALBEDO, "wavelength", albedo, error, "single-scattering albedo")
+    bound = fraction * optics[bound_name].values
     error = np.hypot(compute_jackknife_stderr(jackknife), bound)
+    albedo_error = extinction / total_extinction * optics[f"{ALBEDO}_stderr"].values
+    thickness: dict[str, Variable] = {}
+    if "optical_thickness" in optics:
+        thickness = make_variable(
+            "optical_thickness", "wavelength",
+            optics.optical_thickness.values * total_extinction / extinction, None,
+            "optical thickness of extinction",
+        )  # fmt: skip
     dims = ("wavelength", "order")
-    variables |= make_variable(
-        ASYMMETRY, "wavelength", moment[:, 1], error[:, 1], "asymmetry parameter"
-    )
-    variables |= make_variable(MOMENT, dims, moment, error, "Legendre moment of the phase function")
-    variables[f"{MOMENT}_jackknife"] = (
-        ("batch", *dims),
-        jackknife,
-        optics[f"{MOMENT}_jackknife"].attrs,
-    )
-    variables[f"{MOMENT}_interpolation_error_bound"] = (
-        dims,
-        bound,
-        optics[f"{MOMENT}_interpolation_error_bound"].attrs,
-    )
+    variables = {
+        **make_variable(
+            "extinction", "wavelength", total_extinction, None, "extinction coefficient", "m-1"
+        ),
+        **thickness,
+        **make_variable(
+            ALBEDO, "wavelength", (scattered + grains) / total_extinction, albedo_error,
+            "single-scattering albedo",
+        ),
+        **make_variable(
+            ASYMMETRY, "wavelength", moment[:, 1], error[:, 1], "asymmetry parameter"
+        ),
+        **make_variable(MOMENT, dims, moment, error, "Legendre moment of the phase function"),
+        jackknife_name: (("batch", *dims), jackknife, optics[jackknife_name].attrs),
+        bound_name: (dims, bound, optics[bound_name].attrs),
+    }  # fmt: skip
     attributes = {**optics.attrs, "diffraction": f"Fraunhofer, radius {radius_um:g} um"}
     coordinates = {name: optics.coords[name] for name in ("wavelength", "order")}
     return xr.Dataset(variables, coordinates, to_netcdf_attributes(attributes))
@@ -182,20 +182,8 @@ def phase_function(
 
 def _make_legendre_terms(mu: np.ndarray, max_order: int) -> np.ndarray:
     """Return the factors of moments, shape (orders, angles)."""
-    damping = _compute_damping_factors(max_order)
-    terms = np.empty((max_order + 1, mu.size))
-    for order, polynomial in enumerate(_generate_legendre_polynomials(mu, max_order)):
-        terms[order] = (2.0 * order + 1.0) * damping[order] / (4.0 * np.pi) * polynomial
-    return terms
-
-
-def _generate_legendre_polynomials(mu: np.ndarray, max_order: int) -> Iterator[np.ndarray]:
-    """Yield the Legendre polynomials of increasing order."""
-    previous, last = np.zeros_like(mu), np.ones_like(mu)
-    yield last
-    for n in range(1, max_order + 1):
-        previous, last = last, ((2 * n - 1) * mu * last - (n - 1) * previous) / n
-        yield last
+    factors = (2.0 * np.arange(max_order + 1) + 1.0) * _compute_damping_factors(max_order)
+    return np.asarray(factors[:, np.newaxis] / (4.0 * np.pi) * legvander(mu, max_order).T)
 
 
 def _compute_damping_factors(max_order: int) -> np.ndarray:
@@ -205,44 +193,16 @@ def _compute_damping_factors(max_order: int) -> np.ndarray:
     largest mean cosine x, the largest zero of the next polynomial, where Gauss quadrature puts all
     of its weight on one node.
     """
+    from scipy.special import roots_legendre
+
     half = max_order // 2
-    x = np.array([_find_largest_zero(half + 1)])
-    # Fejér quadrature is exact for polynomials of a lower order than its number of nodes.
-    count = 2 * max_order + 2
-    angle = (np.arange(count) + 0.5) * np.pi / count
-    weight = np.full(count, 2.0 / count)
-    for k in range(1, count // 2 + 1):
-        weight -= 4.0 / count * np.cos(2.0 * k * angle) / (4.0 * k * k - 1.0)
-    mu = np.cos(angle)
-    root = np.zeros(count)
-    for k, (at_zero, at_node) in enumerate(
-        zip(
-            _generate_legendre_polynomials(x, half),
-            _generate_legendre_polynomials(mu, half),
-            strict=True,
-        )
-    ):
-        root += (2.0 * k + 1.0) * at_zero * at_node
-    peak = weight * root**2
-    moments = np.array(
-        [(peak * polynomial).sum() for polynomial in _generate_legendre_polynomials(mu, max_order)]
-    )
+    zeros, _ = roots_legendre(half + 1)
+    at_zero = legvander(zeros[-1:], half)[0]
+    mu, weight = roots_legendre(max_order + 1)
+    polynomials = legvander(mu, max_order)
+    root = polynomials[:, : half + 1] @ ((2.0 * np.arange(half + 1) + 1.0) * at_zero)
+    moments = (weight * root**2) @ polynomials
     return np.asarray(moments / moments[0])
-
-
-def _find_largest_zero(order: int) -> float:
-    """Return the largest zero of a Legendre polynomial, by Newton steps from a zero of J_0."""
-    x = np.cos(2.404825557695773 / (order + 0.5))
-    for _ in range(20):
-        *_, previous, last = [
-            1.0,
-            *(float(p[0]) for p in _generate_legendre_polynomials(np.array([x]), order)),
-        ]
-        step = last * (1.0 - x * x) / (order * (previous - x * last))
-        x -= step
-        if abs(step) < 1e-15:
-            break
-    return float(x)
 
 
 def choose_resolving_angles(n_moments: int) -> np.ndarray:

@@ -6,8 +6,12 @@ from formula_tables import W, evaluate_spectrum, make_snowlike_table, make_table
 from scipy.stats import binom, f
 
 import splits
-from splits.retrieval.gauss_newton import Objective, minimize_gauss_newton
-from splits.retrieval.linearization import is_jacobian_noisy, remove_jacobian_noise
+from splits.retrieval.linearization import (
+    is_jacobian_noisy,
+    minimize_gauss_newton,
+    remove_jacobian_noise,
+)
+from splits.retrieval.optimal_estimation import Objective
 from splits.retrieval.state_vector import ParameterRange, StateVector
 
 SIZE, SOOT = "optical_radius_um", "impurities_ng_g.black_carbon"
@@ -143,18 +147,13 @@ def test_parameters_without_effect_give_no_alternative(table):
 class LinearModel:
     """A quadratic forward model without noise of its own."""
 
-    bound_margin = 0.0
-
     def __init__(self, slopes):
-        self.slopes_, self.state_vector = (
-            slopes,
-            make_unit_state(*(f"x{i}" for i in range(slopes.shape[1]))),
-        )
+        self.slopes_ = slopes
 
-    def evaluate(self, state, stage):
+    def evaluate(self, state):
         return self.slopes_ @ state + 0.3 * (state**2).sum()
 
-    def compute_jacobian(self, state, stage):
+    def compute_jacobian(self, state):
         return self.slopes_ + 0.6 * state
 
 
@@ -165,15 +164,17 @@ def test_gauss_newton_converges_for_any_number_of_values():
         x = np.linspace(0.0, 1.0, n_values)
         model = LinearModel(np.stack([np.ones(n_values), x], axis=1))
         truth = np.array([0.4, 0.6])
-        target = model.evaluate(truth, 1) + 0.02 * random.standard_normal(n_values)
-        objective = Objective.least_squares(target, model.state_vector)
-        fit = minimize_gauss_newton(model, 1, np.array([0.5, 0.4]), objective, 60, 0.3)
+        target = model.evaluate(truth) + 0.02 * random.standard_normal(n_values)
+        objective = Objective(target, np.eye(n_values), make_unit_state("x0", "x1"))
+        fit = minimize_gauss_newton(
+            model.evaluate, model.compute_jacobian, np.array([0.5, 0.4]), objective, 60, 0.3
+        )
         exact = fit.state.copy()
         for _ in range(20):
-            exact += np.linalg.lstsq(
-                model.compute_jacobian(exact, 1), target - model.evaluate(exact, 1)
-            )[0]
-        slopes = model.compute_jacobian(exact, 1)
+            exact += np.linalg.lstsq(model.compute_jacobian(exact), target - model.evaluate(exact))[
+                0
+            ]
+        slopes = model.compute_jacobian(exact)
         difference = slopes @ (fit.state - exact)
         assert np.sqrt(difference @ difference) < 0.5 * 0.02
 
@@ -189,25 +190,22 @@ def test_gauss_newton_finds_minima_at_bounds(truth):
     target = evaluate_smooth_spectrum(np.array([*truth, 0.0]))
     calls = []
 
-    class Smooth:
-        state_vector = make_unit_state("a", "b", "c")
-        bound_margin = 0.0
+    def evaluate(state):
+        calls.append(state)
+        assert (state >= 0.0).all() and (state <= 1.0).all()
+        return evaluate_smooth_spectrum(state)
 
-        def evaluate(self, state, stage):
-            calls.append(state)
-            assert (state >= 0.0).all() and (state <= 1.0).all()
-            return evaluate_smooth_spectrum(state)
+    def compute_jacobian(state):
+        columns = []
+        for shift in 0.1 * np.eye(3):
+            low, high = np.clip(state - shift, 0.0, 1.0), np.clip(state + shift, 0.0, 1.0)
+            columns.append((evaluate(high) - evaluate(low)) / (high - low).sum())
+        return np.column_stack(columns)
 
-        def compute_jacobian(self, state, stage):
-            columns = []
-            for shift in 0.1 * np.eye(3):
-                low, high = np.clip(state - shift, 0.0, 1.0), np.clip(state + shift, 0.0, 1.0)
-                difference = self.evaluate(high, stage) - self.evaluate(low, stage)
-                columns.append(difference / (high - low).sum())
-            return np.column_stack(columns)
-
-    objective = Objective.least_squares(target, Smooth.state_vector)
-    cost, state = minimize_gauss_newton(Smooth(), 1, np.full(3, 0.5), objective, 60, 0.3)
+    objective = Objective(target, np.eye(target.size), make_unit_state("a", "b", "c"))
+    cost, state = minimize_gauss_newton(
+        evaluate, compute_jacobian, np.full(3, 0.5), objective, 60, 0.3
+    )
     assert np.sqrt(cost / len(target)) < 1e-3
     assert len(calls) < 100
     np.testing.assert_allclose(state[:2], truth, atol=0.02)

@@ -5,9 +5,9 @@ import pytest
 
 from splits.retrieval.least_squares import (
     NEIGHBOUR_CORRELATIONS,
-    apply_priors,
     estimate_fit_covariance,
     estimate_misfit_variances,
+    solve_for_state,
 )
 from splits.retrieval.state_vector import ParameterRange, StateVector
 
@@ -21,7 +21,7 @@ def sample_states(best, covariance):
     free = StateVector.from_ranges(
         names, None, dict.fromkeys(names, ParameterRange(0.0, 1.0, "identity"))
     )
-    return apply_priors(free, best, covariance, 1).draws.states
+    return solve_for_state(free, best, covariance, 1).draws.states
 
 
 def compute_covariance(jacobians, misfit, noise):

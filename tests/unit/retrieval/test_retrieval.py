@@ -19,8 +19,8 @@ from splits.retrieval.optimal_estimation import (
     PosteriorDraws,
     PosteriorSummary,
     Solution,
-    list_warnings,
 )
+from splits.retrieval.retrieve import list_warnings
 from splits.retrieval.state_vector import ParameterRange, StateVector
 
 SIZE, SOOT = "optical_radius_um", "impurities_ng_g.black_carbon"

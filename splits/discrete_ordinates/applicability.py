@@ -230,7 +230,9 @@ def find_parameter_obstacle(medium: Medium, parameters: Sequence[str]) -> str | 
     parameters : sequence of str
         Parameters of the medium.
     """
-    layers: Any = medium.scene_layers if parameters else ()
+    if not parameters:
+        return None
+    layers: Any = medium.scene_layers
     for name in parameters:
         if name.split(".")[-1] in SHAPE_PARAMETERS:
             return f"{name} changes the shape of natural grains"

@@ -394,14 +394,16 @@ def goniophotometer(
     estimate: AngularEstimate
     polarized: Mapping[str, tuple[np.ndarray, np.ndarray]] = {}
     undefined: tuple[str, ...] = TRANSMITTED_VARIABLES if has_ground else ()
-    for stack in choice.stacks:
+    if choice.stacks:
         ((estimate, described),) = solve_angular_distributions(
-            stack, polar, azimuth, relative_stderr, error_target, [incidence]
+            choice.stacks[0], polar, azimuth, relative_stderr, error_target, [incidence]
         )
         # Paths need a finite medium.
         is_missed = described["stop_reason"] != "converged"
         if solver == AUTO and is_missed and not medium.is_semi_infinite:
-            choice = Choice.of_missed_error(estimate.compute_max_error(error_target))
+            choice = Choice.of_missed_error(
+                estimate.compute_max_error(error_target), relative_stderr
+            )
     if choice.solver == MONTE_CARLO:
         check_medium(medium)
         scene = build_scene(medium, incidence, False, polarization, ground_albedo)

@@ -198,13 +198,14 @@ def simulate_flux(
         solver, [medium], wavelengths, max_stderr, run.threads, max_stderr=max_stderr,
         find_further_obstacle=lambda one: find_profile_obstacle(one, wavelengths),
     )  # fmt: skip
-    for stack in choice.stacks:
+    if choice.stacks:
         dataset = solve_flux(
-            medium, stack, wavelengths, depths, incidence, max_stderr, target.limit_irradiance
-        )
+            medium, choice.stacks[0], wavelengths, depths, incidence, max_stderr,
+            target.limit_irradiance,
+        )  # fmt: skip
         reached = dataset.attrs["max_stderr_reached"]
         if solver == AUTO and reached > max(max_stderr, LEAST_PATH_ERROR):
-            choice = Choice.of_missed_error(reached)
+            choice = Choice.of_missed_error(reached, max_stderr)
     if choice.solver == MONTE_CARLO:
         traced_medium = prepare_medium(medium, wavelengths, depths, max_stderr, run)
         scene = build_scene(traced_medium.medium, incidence, False)

@@ -65,9 +65,11 @@ class Choice(NamedTuple):
         return cls(MONTE_CARLO, reason, [])
 
     @classmethod
-    def of_missed_error(cls, error: float) -> Choice:
+    def of_missed_error(cls, error: float, requested: float) -> Choice:
         """Return the choice of Monte Carlo simulation for the error of a solution."""
-        return cls.of_paths(f"discrete ordinates have an error of {error:.2g}")
+        return cls.of_paths(
+            f"discrete ordinates have an error of {error:.2g} where {requested:g} is requested"
+        )
 
     @property
     def attributes(self) -> dict[str, str]:
@@ -112,27 +114,29 @@ def choose_solver(
     """
     if solver == MONTE_CARLO:
         return Choice.of_paths(REQUESTED)
-    stacks = []
-    for medium in media:
-        reason = obstacle or find_obstacle(medium) or find_further_obstacle(medium)
-        has_table, stack = is_tabulated(medium), None
-        if not reason and solver == AUTO and not has_table:
-            return Choice.of_paths("paths are faster for grains other than natural snow")
-        if not reason and (has_table or max_error is not None):
-            error = DEFAULT_ERROR if max_error is None else max_error
-            stack = make_granular_stack(medium, wavelength_nm, error, threads)
-            reason = find_table_obstacle(medium, stack, wavelength_nm)
-        if reason and solver != AUTO:
-            allowed = "'monte_carlo' or 'auto' for this medium"
-            raise invalid("solver", solver, allowed, f"for discrete ordinates, {reason}")
+    media, stacks = list(media), []
+    obstacles = (obstacle or find_obstacle(one) or find_further_obstacle(one) for one in media)
+    reason = next(filter(None, obstacles), None)
+    has_tables = all(map(is_tabulated, media))
+    if not reason and solver == AUTO and not has_tables:
+        return Choice.of_paths("paths are faster for grains other than natural snow")
+    # Paths through grains are traced after all other obstacles are known.
+    for medium in media if not reason and (has_tables or max_error is not None) else ():
+        error = DEFAULT_ERROR if max_error is None else max_error
+        stack = make_granular_stack(medium, wavelength_nm, error, threads)
+        reason = find_table_obstacle(medium, stack, wavelength_nm)
         if reason:
-            return Choice.of_paths(f"discrete ordinates do not apply: {reason}")
-        if stack is not None and solver == AUTO:
-            optics_error = float(compute_optics_error(stack).max())
-            if optics_error > max(OPTICS_SHARE_OF_ERROR * max_stderr, LEAST_PATH_ERROR):
-                return Choice.of_missed_error(optics_error)
-        if stack is not None and max_error is not None:
-            stacks.append(stack)
+            break
+        optics_error, limit = float(compute_optics_error(stack).max()), max_stderr
+        if solver == AUTO and optics_error > max(OPTICS_SHARE_OF_ERROR * limit, LEAST_PATH_ERROR):
+            return Choice.of_missed_error(optics_error, limit)
+        # All stacks of a large table would not fit into memory.
+        stacks += [stack] if max_error is not None else []
+    if reason and solver != AUTO:
+        allowed = "'monte_carlo' or 'auto' for this medium"
+        raise invalid("solver", solver, allowed, f"for discrete ordinates, {reason}")
+    if reason:
+        return Choice.of_paths(f"discrete ordinates do not apply: {reason}")
     reason = "solutions of natural snow have no noise" if solver == AUTO else REQUESTED
     return Choice(DISCRETE_ORDINATES, reason, stacks)
 

@@ -31,6 +31,7 @@ from splits.core.validation import invalid, to_text_keys
 from splits.discrete_ordinates.applicability import find_parameter_obstacle
 from splits.instruments.snow_packs import SUN, compute_snow_pack_spectra
 from splits.instruments.solver import (
+    Choice,
     choose_solver,
     solve_estimate,
     solve_parameter_derivatives,
@@ -307,7 +308,7 @@ def spectrophotometer(
 def find_path_obstacle(estimator: str, stokes: Any) -> str | None:
     """Return why discrete ordinates cannot replace a spectrophotometer, None if they can."""
     if estimator == "analog":
-        return "the estimator needs paths"
+        return f"the estimator {estimator} needs paths"
     return None if stokes is False else "polarization needs paths"
 
 
@@ -476,7 +477,7 @@ def make_spectrum(
         variables |= make_variable(name, dims, mean, stderr, long_name, deviations=deviations)
     attributes = {
         **request.run.make_attributes("Virtual spectrophotometer", "spectrophotometer", medium),
-        "solver": "monte_carlo",
+        **Choice.of_paths("media share paths").attributes,
         "estimator": "spectral",
         "incidence_deg": request.incidence,
         **describe_polarization(request.polarization),

@@ -261,8 +261,7 @@ class LinearizedModel:
 
     def evaluate(self, states: np.ndarray) -> np.ndarray:
         """Return modelled measurements, shape (states, n)."""
-        modelled: np.ndarray = self.modelled + (states - self.state) @ self.jacobian.T
-        return modelled
+        return self.modelled + (states - self.state) @ self.jacobian.T
 
     def evaluate_with_jacobian(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the modelled measurement, shape (n,), and its Jacobian, shape (n, parameters)."""
@@ -321,8 +320,7 @@ def compute_whitening(states: np.ndarray) -> np.ndarray:
     """Return the matrix that makes the coordinates of states independent, with variances of 1."""
     covariance = np.cov(states, rowvar=False).reshape(states.shape[1], -1)
     floor = MIN_SPREAD**2 * np.eye(len(covariance))
-    whitening: np.ndarray = np.linalg.inv(np.linalg.cholesky(covariance + floor)).T
-    return whitening
+    return np.linalg.inv(np.linalg.cholesky(covariance + floor)).T
 
 
 ForwardModel = TableForwardModel | LinearizedModel

@@ -136,16 +136,19 @@ def check_modelled_quantity(
     key : str
         Key named in error messages.
     measured : object
-        The name of a DataArray or Series may not be that of another quantity, and coordinates of a
-        DataArray may not be conditions that the model does not have.  "reflectance" is also the
-        name of reflectance factors.
+        The name of a DataArray, a Series or a column may not be that of another quantity
+        (`NAMED_QUANTITIES`), and coordinates of a DataArray may not be conditions that the model
+        does not have.
     quantity : str
     conditions : mapping
         See `check_conditions`, which is called first.
     """
     check_conditions(key, measured, conditions)
-    name = str(getattr(measured, "name", "")).removeprefix("band_")
-    if name in {*ALL_QUANTITIES, "absorptance"} - {"reflectance", quantity}:
+    names = measured.columns if isinstance(measured, pd.DataFrame) else [
+        getattr(measured, "name", "")
+    ]  # fmt: skip
+    name = str(names[0]).removeprefix("band_")
+    if quantity not in NAMED_QUANTITIES.get(name, [quantity]):
         hint = f"the model gives the {quantity}, with which no other quantity is compared"
         raise invalid(f"{key}.name", name, quantity, hint)
     coordinates = measured.coords if isinstance(measured, xr.DataArray) else {}
@@ -157,6 +160,13 @@ def check_modelled_quantity(
             raise invalid(f"{key}.{condition}", found, "left out", hint)
 
 
+NAMED_QUANTITIES = {
+    **{name: [name] for name in ALL_QUANTITIES},
+    "reflectance": ["reflectance", "reflectance_factor"],
+    "albedo": ["reflectance"],
+    **{name: [] for name in ("absorptance", "brdf", "btdf", "mean_grain_distance")},
+}
+"""Quantities of a model with which a result of a name is compared; other names are of users."""
 UNMODELLED_CONDITIONS = {
     "sky": "light of one incidence, not of a sky",
     POLAR: "no direction of observation",

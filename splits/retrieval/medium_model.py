@@ -607,7 +607,8 @@ def make_medium_state_vector(
             try:
                 replace_parameter(medium, name, float(value))
             except InvalidValue as error:
-                is_own = error.key == name.rpartition(".")[2]
+                # The parameter may be in a layer, or a part of a whole.
+                is_own = f".{name}".endswith(f".{error.key}")
                 allowed = error.allowed if is_own else "a valid value of the medium"
                 hint = error.hint if is_own else str(error)
                 raise invalid(f"free.{name}", float(value), allowed, hint) from None

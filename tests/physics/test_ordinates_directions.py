@@ -214,7 +214,7 @@ def test_figures_accept_the_dataset():
             "the estimator bins needs paths",
         ),
         (make_snow(), {"rays": 1000}, "a number of rays"),
-        (splits.Snow(depth_m=0.1, saturation=0.0), {}, "no points"),
+        (splits.Snow(depth_m=0.1, saturation=0.0), {}, "overlap_with_boundary"),
     ],
 )
 def test_refusals_state_the_reason(medium, settings, reason):

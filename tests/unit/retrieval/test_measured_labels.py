@@ -81,6 +81,8 @@ def test_results_of_other_quantities_and_conditions_are_rejected():
     for measured, message in (
         (spectrum.transmittance, r"measured\.name = 'transmittance': must be reflectance"),
         (spectrum.absorptance.to_series(), r"measured\.name = 'absorptance': must be reflectance"),
+        (spectrum.transmittance.to_series().to_frame(), r"measured\.name = 'transmittance'"),
+        (spectrum.reflectance.rename("brdf"), r"measured\.name = 'brdf': must be reflectance"),
         (blue_sky.albedo, r"measured\.sky = \['midlatitude_winter'\]: must be left out"),
         (directions[0], r"measured\.polar_deg = \[30.0\]: must be left out"),
         (directions[1], r"measured\.polar_deg = \[30.0\]: must be left out"),

@@ -418,6 +418,21 @@ def test_reflected_and_ground_absorbed_weights_conserve_energy(kernel):
     )
 
 
+@pytest.mark.long
+def test_spectral_and_analog_estimators_agree_over_a_ground():
+    z = []
+    for number, (medium, *_) in enumerate(MEDIA.values()):
+        spectral, analog = (
+            splits.spectrophotometer(
+                place_over(medium, 0.4), WAVELENGTHS, 20.0, max_stderr=0.003, seed=20 + number,
+                estimator=estimator,
+            )
+            for estimator in ("spectral", "analog")
+        )  # fmt: skip
+        z.append(compare_results(spectral, analog, "reflectance", "transmittance", "absorptance"))
+    judge_z(np.concatenate(z), independent=len(MEDIA), bound_added=True)
+
+
 def test_spectral_ground_albedo_agrees_with_single_albedos():
     """One ensemble serves black, grey and white grounds."""
     albedo = {"wavelength_nm": WAVELENGTHS, "albedo": [1.0, 0.0, 0.3]}

@@ -221,3 +221,21 @@ def test_derivative_near_albedo_one_is_accurate():
     exact = reflectance(0.999) * 1.5 / np.sqrt(1e-3 + 1e-4)
     deviation = abs(derivatives.mean[0, 0, 0] - exact)
     assert deviation < 2.0 * derivatives.stderr[0, 0, 0] + 1e-2 * exact
+
+
+@NEEDS_JIT
+def test_noise_of_similar_media_is_common():
+    """Retrievals by simulation and finite differences rely on common random numbers."""
+    sands = [splits.Sand(iron_oxide=iron_oxide) for iron_oxide in (0.015, 0.0153)]
+    base, shifted = (
+        np.array([
+            splits.spectrophotometer(
+                sand, [500.0, 800.0], max_stderr=0.02, solver="monte_carlo", seed=seed
+            ).reflectance.values
+            for seed in range(12)
+        ])
+        for sand in sands
+    )  # fmt: skip
+    common = (shifted - base).var(axis=0, ddof=1).sum()
+    independent = (shifted.var(axis=0, ddof=1) + base.var(axis=0, ddof=1)).sum()
+    assert independent > 5.0 * common

@@ -250,3 +250,15 @@ def test_optical_shape_requires_clean_dry_absorbing_snow():
         compute_optical_shape(splits.Snow(saturation=0.0, impurities_ng_g={"black_carbon": 1.0}))
     with pytest.raises(ValueError, match="where ice absorbs"):
         compute_optical_shape(splits.Snow(saturation=0.0, refractive_index={"ice": 1.31}))
+
+
+@NEEDS_JIT
+def test_errors_decrease_with_the_square_root_of_the_number_of_rays():
+    few, many = (
+        splits.single_scattering(splits.Snow(saturation=0.0), [1500.0], moments=2, rays=rays)
+        for rays in (20_000, 320_000)
+    )
+    for name in ("single_scattering_albedo", "asymmetry_parameter"):
+        ratio = few[f"{name}_stderr"].item() / many[f"{name}_stderr"].item()
+        # Errors are estimated from batches, to about a tenth each.
+        assert 2.6 < ratio < 6.0

@@ -17,7 +17,7 @@ from splits.kernels.grains.spheroid import Spheroid
 from splits.kernels.grains.surface import RelativeIndex
 from splits.kernels.interface import ComplexIndex
 from splits.kernels.scene import NO_MAX_ORDER, Features, Optics
-from splits.kernels.tallies.exits import allocate_exits
+from splits.kernels.tallies.exits import EXIT_DIRECTION, EXIT_POSITION, allocate_exits
 from splits.kernels.vectorized import lanes
 from splits.kernels.vectorized.lanes import (
     N_LANES,
@@ -214,6 +214,28 @@ def test_results_are_independent_of_threads_and_jobs(medium, kernel):
     expected = trace_sums(1)
     for other in (trace_sums(2), trace_sums(4), merge_jobs(1), merge_jobs(7)):
         assert (other == expected).all()
+
+
+def test_vectorized_kernel_conserves_energy():
+    medium = splits.Snow(
+        saturation=0.2, depth_m=0.01, refractive_index={"ice": 1.31, "water": 1.33}
+    )
+    scene = build_scene(medium, 60.0, False)
+    tally = make_tally(medium, np.array([600.0]), scene)
+    tally.select_kernel(scene, "vectorized")
+    (stratum,) = tally.strata
+    rows = allocate_exits(3000, 3)
+    work = np.array([[0, 0, 3000, NO_MAX_ORDER]])
+    _, lost, _ = vectorized.trace_rays(
+        5, work, scene, to_single_item(stratum.optics), rows, stratum.features
+    )
+    assert not lost
+    assert (rows[:, 0] >= 0.0).all()
+    directions = rows[:, EXIT_DIRECTION : EXIT_DIRECTION + 3]
+    assert np.abs((directions**2).sum(axis=1) - 1.0).max() < 1e-6
+    assert ((directions[:, 2] > 0.0) == (rows[:, 0] == 0.0)).all()
+    assert (rows[:, 1] == 1.0).all()
+    assert np.isfinite(rows[:, EXIT_POSITION : EXIT_POSITION + 2]).all()
 
 
 @njit

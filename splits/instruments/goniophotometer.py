@@ -44,7 +44,7 @@ from splits.instruments.solver import (
     AUTO,
     MONTE_CARLO,
     PHASE_FUNCTION_FACTOR,
-    Choice,
+    SolverChoice,
     choose_solver,
     solve_angular_distributions,
 )
@@ -401,7 +401,7 @@ def goniophotometer(
         # Paths need a finite medium.
         is_missed = described["stop_reason"] != "converged"
         if solver == AUTO and is_missed and not medium.is_semi_infinite:
-            choice = Choice.of_missed_error(
+            choice = SolverChoice.of_missed_error(
                 estimate.compute_max_error(error_target), relative_stderr
             )
     if choice.solver == MONTE_CARLO:

@@ -48,7 +48,13 @@ from splits.instruments.flux_tally import (
     bound_flux_interpolation_error,
     estimate_rare_event_error,
 )
-from splits.instruments.solver import AUTO, LEAST_PATH_ERROR, MONTE_CARLO, Choice, choose_solver
+from splits.instruments.solver import (
+    AUTO,
+    LEAST_PATH_ERROR,
+    MONTE_CARLO,
+    SolverChoice,
+    choose_solver,
+)
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
@@ -205,7 +211,7 @@ def simulate_flux(
         )  # fmt: skip
         reached = dataset.attrs["max_stderr_reached"]
         if solver == AUTO and reached > max(max_stderr, LEAST_PATH_ERROR):
-            choice = Choice.of_missed_error(reached, max_stderr)
+            choice = SolverChoice.of_missed_error(reached, max_stderr)
     if choice.solver == MONTE_CARLO:
         traced_medium = prepare_medium(medium, wavelengths, depths, max_stderr, run)
         scene = build_scene(traced_medium.medium, incidence, False)

@@ -1,4 +1,4 @@
-"""Choice between Monte Carlo simulation and discrete ordinates, and spectra by the latter."""
+"""SolverChoice between Monte Carlo simulation and discrete ordinates, and spectra by the latter."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ LEAST_PATH_ERROR = 1e-4
 """About the error of a reflectance by the default largest number of rays."""
 
 
-class Choice(NamedTuple):
+class SolverChoice(NamedTuple):
     """Solver of media, with what it solves.
 
     Attributes
@@ -60,14 +60,14 @@ class Choice(NamedTuple):
     stacks: list[GranularStack]
 
     @classmethod
-    def of_paths(cls, reason: str) -> Choice:
+    def monte_carlo(cls, reason: str) -> SolverChoice:
         """Return the choice of Monte Carlo simulation."""
         return cls(MONTE_CARLO, reason, [])
 
     @classmethod
-    def of_missed_error(cls, error: float, requested: float) -> Choice:
+    def of_missed_error(cls, error: float, requested: float) -> SolverChoice:
         """Return the choice of Monte Carlo simulation for the error of a solution."""
-        return cls.of_paths(
+        return cls.monte_carlo(
             f"discrete ordinates have an error of {error:.2g} where {requested:g} is requested"
         )
 
@@ -82,7 +82,7 @@ def choose_solver(
     max_error: float | None = None, threads: int = 1, *, obstacle: str | None = None,
     find_further_obstacle: Callable[[Medium], str | None] = lambda medium: None,
     max_stderr: float = np.inf,
-) -> Choice:  # fmt: skip
+) -> SolverChoice:  # fmt: skip
     """Choose the solver of media: with "auto", discrete ordinates where they are the best.
 
     They are if they apply to natural snow, and are accurate enough.  For other grains, their first
@@ -113,13 +113,13 @@ def choose_solver(
         Where discrete ordinates are requested and do not apply.
     """
     if solver == MONTE_CARLO:
-        return Choice.of_paths(REQUESTED)
+        return SolverChoice.monte_carlo(REQUESTED)
     media, stacks = list(media), []
     obstacles = (obstacle or find_obstacle(one) or find_further_obstacle(one) for one in media)
     reason = next(filter(None, obstacles), None)
     has_tables = all(map(is_tabulated, media))
     if not reason and solver == AUTO and not has_tables:
-        return Choice.of_paths("paths are faster for grains other than natural snow")
+        return SolverChoice.monte_carlo("paths are faster for grains other than natural snow")
     # Paths through grains are traced after all other obstacles are known.
     for medium in media if not reason and (has_tables or max_error is not None) else ():
         error = DEFAULT_ERROR if max_error is None else max_error
@@ -129,16 +129,16 @@ def choose_solver(
             break
         optics_error, limit = float(compute_optics_error(stack).max()), max_stderr
         if solver == AUTO and optics_error > max(OPTICS_SHARE_OF_ERROR * limit, LEAST_PATH_ERROR):
-            return Choice.of_missed_error(optics_error, limit)
+            return SolverChoice.of_missed_error(optics_error, limit)
         # All stacks of a large table would not fit into memory.
         stacks += [stack] if max_error is not None else []
     if reason and solver != AUTO:
         allowed = "'monte_carlo' or 'auto' for this medium"
         raise invalid("solver", solver, allowed, f"for discrete ordinates, {reason}")
     if reason:
-        return Choice.of_paths(f"discrete ordinates do not apply: {reason}")
+        return SolverChoice.monte_carlo(f"discrete ordinates do not apply: {reason}")
     reason = "solutions of natural snow have no noise" if solver == AUTO else REQUESTED
-    return Choice(DISCRETE_ORDINATES, reason, stacks)
+    return SolverChoice(DISCRETE_ORDINATES, reason, stacks)
 
 
 def solve_estimate(

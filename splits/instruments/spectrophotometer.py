@@ -31,7 +31,7 @@ from splits.core.validation import invalid, to_text_keys
 from splits.discrete_ordinates.applicability import find_parameter_obstacle
 from splits.instruments.snow_packs import SUN, compute_snow_pack_spectra
 from splits.instruments.solver import (
-    Choice,
+    SolverChoice,
     choose_solver,
     solve_estimate,
     solve_parameter_derivatives,
@@ -477,7 +477,7 @@ def make_spectrum(
         variables |= make_variable(name, dims, mean, stderr, long_name, deviations=deviations)
     attributes = {
         **request.run.make_attributes("Virtual spectrophotometer", "spectrophotometer", medium),
-        **Choice.of_paths("media share paths").attributes,
+        **SolverChoice.monte_carlo("media share paths").attributes,
         "estimator": "spectral",
         "incidence_deg": request.incidence,
         **describe_polarization(request.polarization),

@@ -101,6 +101,8 @@ CALLS = {
     'Snow(interpretation="projected")':
         "interpretation = 'projected': must be one of geometric, radiative_transfer, "
         "splits_2007, splitsnow_2021",
+    'Snow(interpretation={1: "keep"})':
+        "interpretation.1: unknown key, must be one of …",
     'Snow(interpretation={"entry_point": "projekted"})':
         "interpretation.entry_point = 'projekted': must be one of projected, uniform (did you "
         "mean projected?)",

@@ -219,7 +219,7 @@ class SimulationConfig(ConfigSection):
             key = path if path in self.grid else re.split(r"\W", path, maxsplit=1)[0]
             sample = self.grid.get(SAMPLE_KEY, {}).get(labels.get(SAMPLE_KEY, ""), {})
             part = next((p for p in labels if find_whole(p) == key == error.key), "")
-            if part:
+            if part and not isinstance(error.value, str):
                 prefix, error.key, error.value = "grid", part, self.grid[part][labels[part]]
             elif key in self.grid:
                 prefix = "grid"

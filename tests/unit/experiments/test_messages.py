@@ -56,6 +56,8 @@ WRONG_TYPES = {
     "grid: {density_kg_m3: {start: 300, stop: 410, step: 50}}":
         "grid.density_kg_m3.stop = 410.0: must be a whole number of steps from start, such as "
         "400 or 450",
+    "medium: {kind: sand}\ngrid: {texture.silt: [0, 0.5]}":
+        "grid.texture.silt = 0.5: must be silt + 1.5 clay at most 0.15 (more is not a sand)",
     "instrument: {kind: lens, radius_m: 1, screen_depth_m: 0}":
         "instrument.screen_depth_m = 0.0: must be in (0, 1e+09] m",
     "instrument: {kind: beam_spread, rays: 1.5}":

@@ -265,15 +265,21 @@ class SpectralOperator(NamedTuple):
         return cls(np.array([make(wavelengths) for make in makers]), np.stack(error_weights, 1))
 
 
+RESOLVED_STEP_NM = 20.0
+"""Largest step of wavelengths that resolves the absorption bands of ice, water and minerals."""
+
+
 def compute_mean_error_weights(
     make_weights: Callable[..., np.ndarray], wavelengths: np.ndarray
 ) -> np.ndarray:
-    """Return weights, shape (2, wavelengths), of estimates of a mean's error, whose squares add.
+    """Return weights, shape (estimates, wavelengths), of estimates of an error, whose squares add.
 
     The mean is that of a spectrum that is linear between wavelengths.  A curvature within the
     intervals shows in the difference from cubics, and an edge, as of an absorption band, in that
     from a mean without every other wavelength.  The latter has four times the error, as the error
-    of linear interpolation is proportional to the square of the interval.
+    of linear interpolation is proportional to the square of the interval.  This does not hold where
+    wavelengths are so far apart that they do not resolve absorption bands: there, a value between
+    them is not better known than one of them would be from the others.
 
     Parameters
     ----------
@@ -283,13 +289,20 @@ def compute_mean_error_weights(
     wavelengths : float, shape (wavelengths,)
     """
     weights = make_weights(wavelengths)
-    error_weights = np.zeros((2, wavelengths.size))
+    gaps = np.pad(np.diff(wavelengths), 1)
+    coarse = np.flatnonzero(np.maximum(gaps[:-1], gaps[1:]) > RESOLVED_STEP_NM)
+    error_weights = np.zeros((2 + coarse.size, wavelengths.size))
     used = np.flatnonzero(np.nan_to_num(weights))
     if used.size:
         error_weights[0] = weights - make_weights(wavelengths, n_nodes=4)
         kept = np.delete(np.arange(wavelengths.size), np.arange(used[0] + 1, used[-1], 2))
         error_weights[1] = weights / 3.0
         error_weights[1, kept] -= make_weights(wavelengths[kept]) / 3.0
+        for row, node in zip(error_weights[2:], coarse, strict=True):
+            others = np.delete(np.arange(wavelengths.size), node)
+            row[others] = interpolate_locally(wavelengths[others], wavelengths[[node]], 4)[0]
+            row[node] = -1.0
+            row *= np.nan_to_num(weights[node])
     return error_weights
 
 

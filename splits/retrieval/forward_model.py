@@ -23,6 +23,7 @@ from splits.tables.axes import (
 )
 from splits.tables.interpolation import (
     COORDINATES,
+    N_VALIDATION_NODES,
     estimate_error_weights,
     make_weight_matrix,
     transform_axis,
@@ -48,12 +49,11 @@ def make_measurement_operator(
     if measurement.bands:
         return SpectralOperator.from_bands(measurement.bands, wavelengths)
     rows = make_weight_matrix("wavelength", wavelengths, measurement.wavelength_nm)
-    error_rows = np.zeros(rows.shape)
-    for error_row, x in zip(error_rows, measurement.wavelength_nm.tolist(), strict=True):
+    error_weights = np.zeros((N_VALIDATION_NODES, *rows.shape))
+    for number, x in enumerate(measurement.wavelength_nm.tolist()):
         estimates = estimate_error_weights("wavelength", wavelengths, x)
-        if len(estimates):
-            error_row[:] = max(estimates, key=lambda weights: float((weights**2).sum()))
-    return SpectralOperator(rows, error_rows[np.newaxis])
+        error_weights[: len(estimates), number] = estimates
+    return SpectralOperator(rows, error_weights)
 
 
 class TableForwardModel:

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.core.validation import as_scalar, check_number, invalid, snap_to_limits
+from splits.illumination.bands import RESOLVED_STEP_NM
 from splits.kernels.interpolation import STENCIL_SIZE, find_first_node, set_lagrange_weights
 
 N_VALIDATION_NODES = 2
@@ -257,7 +258,9 @@ def estimate_error_weights(
     The estimates are the errors of predicting nearby nodes from others, scaled to the position of
     the value, and the differences from linear interpolation in other coordinates in the first and
     the last interval.  With at most four nodes, the contribution of the farthest node
-    replaces that of an additional node.
+    replaces that of an additional node.  Wavelengths that are so far apart that they do not resolve
+    absorption bands have the whole error of predicting a node, as it does not decrease with the
+    interval there.
 
     Parameters
     ----------
@@ -276,22 +279,29 @@ def estimate_error_weights(
     stencil, weights, _, product, _ = compute_stencil(coordinates, x)
     if product == 0.0:
         return np.zeros((0, len(nodes)))
-    rows = []
+    rows, least_scale = [], 0.0
+    right = int(np.searchsorted(nodes, value))
+    neighbours = nodes[right - 1 : right + 1]
+    if name == "wavelength":
+        # Up to 1 in the middle of a wide interval.
+        interval = float(neighbours[1] - neighbours[0])
+        middle = 4.0 * (value - neighbours[0]) * (neighbours[1] - value) / interval**2
+        least_scale = middle * min(1.0, (interval / RESOLVED_STEP_NM) ** 2)
     if len(nodes) == 2:
         # No node can be omitted; the estimate is a quarter of the difference at the midpoint.
-        rows.append(np.prod(weights) * np.array([-1.0, 1.0]))
+        rows.append(max(np.prod(weights), least_scale) * np.array([-1.0, 1.0]))
     ordered = stencil[np.argsort(np.abs(coordinates[stencil] - x), kind="stable")]
-    if 2 < len(nodes) <= STENCIL_SIZE:
+    if 2 < len(nodes) <= STENCIL_SIZE and name != "wavelength":
         row = np.zeros(len(nodes))
         row[stencil] += weights
         row[ordered[:-1]] -= compute_lagrange_weights(coordinates[ordered[:-1]], x)[0]
         rows.append(row)
-    elif len(nodes) > STENCIL_SIZE:
+    elif len(nodes) > 2:
         for node in ordered if has_direction else ordered[:N_VALIDATION_NODES]:
             remaining = np.delete(np.arange(len(nodes)), node)
             omitted = compute_stencil(coordinates[remaining], coordinates[node])
             row = np.zeros(len(nodes))
-            scale = abs(product / omitted.product)
+            scale = max(abs(product / omitted.product), least_scale)
             row[node] += scale
             row[remaining[omitted.nodes]] -= scale * omitted.weights
             rows.append(row)
@@ -302,8 +312,6 @@ def estimate_error_weights(
     if has_direction and len(nodes) > 2:
         # A detail such as a halo may be narrower than an interval.
         compared = [*compared, COORDINATES[kind]]
-    right = int(np.searchsorted(nodes, value))
-    neighbours = nodes[right - 1 : right + 1]
     for other in compared:
         row = np.zeros(len(nodes))
         row[stencil] += weights

@@ -8,7 +8,9 @@ import pytest
 from chi2 import NEEDS_JIT, compare_results, compute_z_bound
 
 import splits
+from splits.illumination.bands import SpectralOperator, check_bands
 from splits.tables.axes import ALONG
+from splits.tables.interpolation import compute_interpolation_weights, estimate_error_weights
 
 WAVELENGTHS = np.array([400.0, 500.0, 800.0, 1030.0, 1300.0, 1600.0])
 VIEW_WAVELENGTHS = np.array([600.0, 1300.0])
@@ -325,3 +327,43 @@ def test_views_under_a_sky_have_measured_errors_along_the_incidence():
         found.reflectance_factor_interpolation_error / beam.reflectance_factor_interpolation_error
     )
     assert ((ratio > 0.3) & (ratio < 3.0)).all()
+
+
+STEPS_NM = (10, 20, 30, 50, 100, 200)
+
+
+def test_errors_between_coarse_wavelengths_hold():
+    """Wavelengths far apart do not resolve the absorption bands of ice."""
+    fine = np.arange(350.0, 2401.0, 5.0)
+    spectra = [
+        splits.spectrophotometer(
+            splits.Snow.natural(specific_surface_area_m2_kg=area), fine, 50.0, max_stderr=0.001
+        ).reflectance.values
+        for area in (5.0, 20.0, 60.0)
+    ]
+    values = np.transpose(spectra)
+    random = np.random.default_rng(1)
+    for step in STEPS_NM:
+        nodes = fine[:: int(step / 5)]
+        at_nodes = values[:: int(step / 5)]
+        places = np.setdiff1d(fine[fine < nodes[-1]], nodes)
+        errors = []
+        for place in places:
+            stencil = compute_interpolation_weights("wavelength", nodes, place)
+            deviation = stencil.weights @ at_nodes[stencil.nodes] - values[fine == place][0]
+            stated = np.abs(estimate_error_weights("wavelength", nodes, place) @ at_nodes).max(
+                axis=0
+            )
+            errors.append(deviation / np.hypot(stated, 1e-4))
+        between = np.sqrt(np.mean(np.square(errors)))
+        errors = []
+        for width in (60.0, 200.0):
+            for low in random.uniform(nodes[0], nodes[-1] - width, 20):
+                band = check_bands({"one": (low, low + width)})
+                operator = SpectralOperator.from_bands(band, nodes)
+                exact = SpectralOperator.from_bands(band, fine).weights @ values
+                stated = np.sqrt(((operator.error_weights @ at_nodes) ** 2).sum(axis=0))
+                errors.append((operator.weights @ at_nodes - exact) / np.hypot(stated, 1e-4))
+        bands = np.sqrt(np.mean(np.square(errors)))
+        print(f"every {step} nm: rms z {between:.2f} at wavelengths, {bands:.2f} in bands")
+        assert between < 1.6 and bands < 1.6

@@ -33,7 +33,7 @@ RETRIEVAL_SOURCES = (
     "materials/impurities.csv", "materials/impurities.py", "media/snow.py",
     "retrieval/state_vector.py", "retrieval/optimal_estimation.py", "retrieval/forward_model.py",
     "retrieval/least_squares.py", "retrieval/linearization.py", "retrieval/measurement.py",
-    "retrieval/result.py", "retrieval/retrieve.py", "retrieval/medium_model.py",
+    "retrieval/retrieve.py", "retrieval/medium_model.py",
     "illumination/bands.py", "illumination/sensors.csv",
 )  # fmt: skip
 """Files that determine retrievals from a table."""

@@ -246,6 +246,12 @@ class RetrievalResult:
         return "\n".join([*lines, *(f"! {line}" for line in self.warnings)])
 
 
+def add_warning(dataset: xr.Dataset, warning: str) -> None:
+    """Add a warning to those of a result."""
+    others = dataset.attrs["warnings"]
+    dataset.attrs["warnings"] = warning if others == "none" else f"{others}; {warning}"
+
+
 def make_result(
     state_vector: StateVector,
     measurement: Measurement,
@@ -376,8 +382,9 @@ def retrieve(
         natural snow if they apply within all ranges.
     fixed : mapping
         Values of the other axes, such as ``incidence_deg``, the only one for a medium, by default
-        0.  For a table with directions, ``polar_deg`` and ``azimuth_deg`` are those of the
-        measurement.  A field of view or isotropic light is given by `splits.Table.at_view`.
+        0, which the result then states.  For a table with directions, ``polar_deg`` and
+        ``azimuth_deg`` are those of the measurement.  A field of view or isotropic light is given
+        by `splits.Table.at_view`.
     prior : mapping
         (mean, standard deviation) of prior knowledge, by name.  The prior is normal in the
         coordinate of the parameter, in which reflectance is closest to linear: the logarithm of a
@@ -431,6 +438,7 @@ def retrieve(
     {'optical_radius_um': True}
     """
     forward_model: TableForwardModel | MediumForwardModel
+    note = ""
     if isinstance(model, Table):
         if max_stderr is not None:
             raise invalid("max_stderr", max_stderr, "left out", "a table has its own errors")
@@ -461,6 +469,10 @@ def retrieve(
         incidence = check_measurement_incidence(fixed, free)
         state_vector = make_medium_state_vector(model, free, prior, incidence)
         fixed_values = {} if INCIDENCE_KEY in state_vector.names else {INCIDENCE_KEY: incidence}
+        # Labelled values state it themselves.
+        has_label = INCIDENCE_KEY in getattr(measured, "coords", ())
+        if fixed_values and not fixed and not has_label:
+            note = f"{INCIDENCE_KEY} is not given, {incidence:g} is assumed"
         check_modelled_quantity("measured", measured, "reflectance", fixed_values)
         forward_model = make_medium_model(
             model, measurement, state_vector, incidence, solver, max_stderr, seed, progress,
@@ -474,7 +486,10 @@ def retrieve(
     else:
         solution = solve_for_known_noise(forward_model, measurement, seed)
     settings |= describe_parameters(state_vector, fixed_values, prior, seed)
-    return make_result(state_vector, measurement, solution, settings)
+    result = make_result(state_vector, measurement, solution, settings)
+    if note:
+        add_warning(result.dataset, note)
+    return result
 
 
 def _solve_from_medium(model: MediumForwardModel, measurement: Measurement, seed: int) -> Solution:

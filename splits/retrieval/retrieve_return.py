@@ -37,6 +37,7 @@ from splits.retrieval.optimal_estimation import solve_for_known_noise
 from splits.retrieval.retrieve import (
     TABLE_SOLVER,
     RetrievalResult,
+    add_warning,
     describe_model,
     describe_parameters,
     make_result,
@@ -456,7 +457,7 @@ def retrieve_return(
     check_conditions("noise", noise, conditions)
     dataset = make_result(state_vector, measurement, solution, settings).dataset
     if pulse is None and solution.variance_inflation > 1.0:
-        dataset.attrs["warnings"] += f"; {NO_PULSE}"
+        add_warning(dataset, NO_PULSE)
     return RetrievalResult(_split_channels(dataset, table, edges))
 
 

@@ -61,7 +61,10 @@ def test_experiments_run_by_discrete_ordinates(tmp_path, medium, instrument, sol
         ("medium: {kind: sand}\n" + SPECTRUM, "no equation of radiative transfer"),
         (SNOW + SPECTRUM + "grid: {saturation: [0, 0.6]}\n", "has a saturation of 0.6"),
         (SNOW + SPECTRUM.replace("1030]", "3000]"), "at 3000 nm"),
-        (SNOW + SPECTRUM.replace("wave", "estimator: analog, wave"), "the estimator analog needs paths"),
+        (
+            SNOW + SPECTRUM.replace("wave", "estimator: analog, wave"),
+            "the estimator analog needs paths",
+        ),
         ("medium: {kind: sand}\n" + TABLE + WATER, "has overlap_with_boundary"),
         (SNOW + TABLE + "grid: {saturation: [0, 0.6]}\n", "has a saturation of 0.6"),
         (

@@ -66,6 +66,18 @@ def test_snowpacks_state_their_incidence():
         assert (spectra.reflectance.incidence_deg == expected).all()
 
 
+def test_an_assumed_incidence_is_stated():
+    snow = splits.Snow.natural(specific_surface_area_m2_kg=20)
+    measured = splits.spectrophotometer(snow, [900.0, 1000.0]).reflectance
+    keywords = {"free": {"specific_surface_area_m2_kg": (5, 80)}, "noise": 0.005}
+    arrays = (measured.wavelength.values, measured.values)
+    for given, fixed, is_assumed in (
+        (measured, None, False), (arrays, {"incidence_deg": 0}, False), (arrays, None, True),
+    ):  # fmt: skip
+        text = str(splits.retrieve(given, snow, fixed=fixed, **keywords))
+        assert ("! incidence_deg is not given, 0 is assumed" in text) == is_assumed
+
+
 def test_results_of_other_quantities_and_conditions_are_rejected():
     snow = splits.Snow.natural(specific_surface_area_m2_kg=20, depth_m=0.05)
     sky = splits.sky("midlatitude_winter", 60)

@@ -275,6 +275,7 @@ def estimate_error_weights(
         No estimates at a node.
     """
     kind, coordinates = transform_axis(name, nodes, has_direction=has_direction)
+    value = check_within_axis(name, nodes, value)
     x = float(apply_axis_transform(kind, np.array(value)))
     stencil, weights, _, product, _ = compute_stencil(coordinates, x)
     if product == 0.0:

@@ -62,7 +62,7 @@ def test_errors_of_radiation_profile_agree_with_scatter(seeds):
         splits.radiation_profile(
             snow,
             sky,
-            [900.0, 950.0, 1000.0],
+            [900.0, 920.0, 940.0],
             depth_m=[0.005],
             max_stderr=0.03,
             seed=2 * seed,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -289,21 +289,37 @@ def compute_mean_error_weights(
     wavelengths : float, shape (wavelengths,)
     """
     weights = make_weights(wavelengths)
-    gaps = np.pad(np.diff(wavelengths), 1)
-    coarse = np.flatnonzero(np.maximum(gaps[:-1], gaps[1:]) > RESOLVED_STEP_NM)
-    error_weights = np.zeros((2 + coarse.size, wavelengths.size))
+    error_weights = np.zeros((2, wavelengths.size))
     used = np.flatnonzero(np.nan_to_num(weights))
     if used.size:
         error_weights[0] = weights - make_weights(wavelengths, n_nodes=4)
         kept = np.delete(np.arange(wavelengths.size), np.arange(used[0] + 1, used[-1], 2))
         error_weights[1] = weights / 3.0
         error_weights[1, kept] -= make_weights(wavelengths[kept]) / 3.0
-        for row, node in zip(error_weights[2:], coarse, strict=True):
-            others = np.delete(np.arange(wavelengths.size), node)
-            row[others] = interpolate_locally(wavelengths[others], wavelengths[[node]], 4)[0]
-            row[node] = -1.0
-            row *= np.nan_to_num(weights[node])
-    return error_weights
+    coarse, deviations = _predict_coarse_nodes(tuple(wavelengths.tolist()))
+    by_node = np.nan_to_num(weights[coarse])[:, np.newaxis] * deviations
+    return np.concatenate([error_weights, by_node])
+
+
+@lru_cache(maxsize=16)
+def _predict_coarse_nodes(wavelengths: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the wavelengths far from a neighbour, and weights of what all others predict for each.
+
+    Returns
+    -------
+    nodes : int, shape (nodes,)
+    deviations : float, shape (nodes, wavelengths)
+        Weights of the prediction minus the value.
+    """
+    w = np.array(wavelengths)
+    gaps = np.pad(np.diff(w), 1)
+    nodes = np.flatnonzero(np.maximum(gaps[:-1], gaps[1:]) > RESOLVED_STEP_NM)
+    deviations = np.zeros((nodes.size, w.size))
+    for row, node in zip(deviations, nodes, strict=True):
+        others = np.delete(np.arange(w.size), node)
+        row[others] = interpolate_locally(w[others], w[[node]], 4)[0]
+        row[node] = -1.0
+    return nodes, deviations
 
 
 def compute_response_weights(

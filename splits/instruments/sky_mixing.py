@@ -143,7 +143,7 @@ def compute_band_weights(
 def compute_band_error_weights(
     sky: Sky, bands: Mapping[str, SpectralBand], wavelength_nm: np.ndarray
 ) -> np.ndarray:
-    """Return weights of the errors of means over bands, shape (2, bands, wavelengths).
+    """Return weights of the errors of means over bands, shape (estimates, bands, wavelengths).
 
     See `compute_band_weights`, and `splits.illumination.bands.compute_mean_error_weights`.
     """

@@ -121,17 +121,20 @@ def choose_solver(
     if not reason and solver == AUTO and not has_tables:
         return SolverChoice.monte_carlo("paths are faster for grains other than natural snow")
     # Paths through grains are traced after all other obstacles are known.
-    for medium in media if not reason and (has_tables or max_error is not None) else ():
-        error = DEFAULT_ERROR if max_error is None else max_error
-        stack = make_granular_stack(medium, wavelength_nm, error, threads)
-        reason = find_table_obstacle(medium, stack, wavelength_nm)
-        if reason:
-            break
-        optics_error, limit = float(compute_optics_error(stack).max()), max_stderr
-        if solver == AUTO and optics_error > max(OPTICS_SHARE_OF_ERROR * limit, LEAST_PATH_ERROR):
-            return SolverChoice.of_missed_error(optics_error, limit)
-        # All stacks of a large table would not fit into memory.
-        stacks += [stack] if max_error is not None else []
+    if not reason and (has_tables or max_error is not None):
+        sufficient = max(OPTICS_SHARE_OF_ERROR * max_stderr, LEAST_PATH_ERROR)
+        for medium in media:
+            stack = make_granular_stack(medium, wavelength_nm, max_error or DEFAULT_ERROR, threads)
+            reason = find_table_obstacle(medium, stack, wavelength_nm)
+            if reason:
+                break
+            if solver == AUTO:
+                optics_error = float(compute_optics_error(stack).max())
+                if optics_error > sufficient:
+                    return SolverChoice.of_missed_error(optics_error, max_stderr)
+            # All stacks of a large table would not fit into memory.
+            if max_error is not None:
+                stacks.append(stack)
     if reason and solver != AUTO:
         allowed = "'monte_carlo' or 'auto' for this medium"
         raise invalid("solver", solver, allowed, f"for discrete ordinates, {reason}")

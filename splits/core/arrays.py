@@ -21,11 +21,13 @@ from splits.core.labels import convert_times
 from splits.core.spacing import MAX_NUMBERS
 from splits.core.validation import (
     ROUNDING_TOLERANCE,
+    SEVERAL_HINTS,
     TEXT_HINT,
     as_scalar,
     check_number,
     check_range,
     invalid,
+    is_list,
     short_repr,
     snap_to_limits,
     suggest_number,
@@ -322,7 +324,8 @@ def check_named_numbers(
     is_other = is_other or getattr(value, "shape", None) == ()
     values = () if is_other else tuple(itertools.islice(value, len(names) + 1))
     if len(values) != len(names):
-        raise invalid(key, value, f"{len(names)} numbers ({', '.join(names)})")
+        hint = SEVERAL_HINTS[1] if any(map(is_list, values)) else ""
+        raise invalid(key, value, f"{len(names)} numbers ({', '.join(names)})", hint)
     positions = np.arange(len(names))[match_labels(key, find_labels(value), [names])]
     numbers = [
         check_number(f"{key} ({n})", values[i]) for n, i in zip(names, positions, strict=True)

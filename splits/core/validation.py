@@ -98,6 +98,10 @@ class InvalidValue(ValueError):
         super().__init__(key, value, allowed, hint)
         self.key, self.value, self.allowed, self.hint = key, value, allowed, hint
 
+    def __repr__(self) -> str:
+        """Return the message, also where a part of it has been replaced."""
+        return f"{type(self).__name__}({str(self)!r})"
+
     def __str__(self) -> str:
         """Return the message, one line."""
         return self.format_message() + (f" ({self.hint})" if self.hint else "")

@@ -96,8 +96,8 @@ class ParameterDifference(NamedTuple):
                 return cls(step, offsets, len(near), snowpacks, points)
             try:
                 media = [replace_parameter(medium, name, point) for point in points]
-            except InvalidValue as one:
-                error = one
+            except InvalidValue as outside:
+                error = outside
                 continue
             # Dry and wet snow have different tables, which a difference must not mix.
             if all(_find_wet_layers(one) == wet for one in media):

@@ -187,6 +187,11 @@ class SimulationConfig(ConfigSection):
         self, rows: Iterable[tuple[str, ...]] | None = None
     ) -> Iterator[tuple[dict[str, str], dict[str, Any], float | str]]:
         """Yield the labels, the keywords of the medium and the angle of incidence of points."""
+        # Values of the grid are merged into it.
+        interpretation = self.medium.get("interpretation", {})
+        if not isinstance(interpretation, Mapping | str):
+            allowed = "a mapping of named choices, or the name of a set"
+            raise invalid("medium.interpretation", interpretation, allowed)
         if rows is None:
             is_table = self.instrument.kind == TABLE
             rows = self._iter_axis_labels() if is_table else itertools.product(*self.grid.values())

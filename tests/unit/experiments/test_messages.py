@@ -56,6 +56,11 @@ WRONG_TYPES = {
     "grid: {density_kg_m3: {start: 300, stop: 410, step: 50}}":
         "grid.density_kg_m3.stop = 410.0: must be a whole number of steps from start, such as "
         "400 or 450",
+    "medium: {kind: snow, interpretation: [a]}\ngrid: {interpretation: [geometric]}":
+        "medium.interpretation = ['a']: must be a mapping of named choices, or the name of a set",
+    "medium: {kind: snow, facetness: [[0.1, 0.2, 0.1, 0.1], [0.2, 0.3, 0.2, 0.1]]}":
+        "medium.facetness = [[0.1, 0.2, 0.1, 0.1], [0.2, 0.3, 0.2, 0.1]]: must be 4 numbers (min, "
+        "max, mean, sd) (several values belong under grid)",
     "medium: {kind: sand}\ngrid: {texture.silt: [0, 0.5]}":
         "grid.texture.silt = 0.5: must be silt + 1.5 clay at most 0.15 (more is not a sand)",
     "instrument: {kind: lens, radius_m: 1, screen_depth_m: 0}":

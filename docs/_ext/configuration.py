@@ -20,7 +20,7 @@ from sphinx.util.docutils import SphinxDirective
 
 import splits
 from splits.core.declarations import UNIT_SYMBOLS, Input, list_inputs
-from splits.core.keywords import INSTRUMENTS
+from splits.core.discovery import load_instruments
 from splits.experiments.config.experiment import INSTRUMENT_FIGURES, INSTRUMENT_QUANTITIES
 from splits.experiments.config.instruments import (
     FUNCTIONS,
@@ -333,7 +333,7 @@ class Keywords(SphinxDirective):
 def list_names(subject: str) -> list[str]:
     """Return the full names of all media, or of all instruments, the public ones of the package."""
     factories = {**MEDIUM_FACTORIES, "stack": splits.Stack}
-    objects = factories if subject == "media" else INSTRUMENTS
+    objects = factories if subject == "media" else load_instruments()
     public = {one: one.__qualname__.partition(".")[0] in splits.__all__ for one in objects.values()}
     return [
         f"{'splits' if is_public else one.__module__}.{one.__qualname__}"

@@ -128,17 +128,6 @@ def declare_function(function: Callable[Given, Result]) -> Callable[Given, Resul
     return checked
 
 
-INSTRUMENTS: dict[str, Callable[..., xr.Dataset]] = {}
-"""Instruments by name, which is the kind of a section `instrument` of experiment files."""
-
-
-def instrument(function: Callable[Given, xr.Dataset]) -> Callable[Given, xr.Dataset]:
-    """Decorate an instrument: check its inputs by their declarations, and register its name."""
-    checked = declare_function(function)
-    INSTRUMENTS[function.__name__] = checked
-    return checked
-
-
 ERROR_NAMES = {
     "max_stderr": "standard error",
     "relative_stderr": "relative standard error",

@@ -10,7 +10,7 @@ import xarray as xr
 
 from splits.core.declarations import Quantity
 from splits.core.inputs import BeamAngle, Kernel, RayCount, Seed, Threads, Wavelengths
-from splits.core.keywords import instrument
+from splits.core.keywords import declare_function
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import (
     Variable,
@@ -199,7 +199,7 @@ MapHalfWidth = Annotated[
 ]  # fmt: skip
 
 
-@instrument
+@declare_function
 def beam_spread(
     medium: Medium,
     wavelength_nm: Wavelengths,

@@ -26,7 +26,7 @@ from splits.core.inputs import (
     Wavelengths,
     describe_numbers,
 )
-from splits.core.keywords import instrument
+from splits.core.keywords import declare_function
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import ErrorTarget, Variable, make_variable
 from splits.core.validation import check_integer, invalid
@@ -232,7 +232,7 @@ def check_bins(estimator: str, polar_deg: Any, azimuth_deg: Any, n_bins: Any) ->
         raise invalid("n_bins", n_bins, "left out without estimator = bins")
 
 
-@instrument
+@declare_function
 def goniophotometer(
     medium: Medium,
     wavelength_nm: Wavelengths,

@@ -15,7 +15,7 @@ from splits.core.inputs import (
     Threads,
     Wavelengths,
 )
-from splits.core.keywords import instrument
+from splits.core.keywords import declare_function
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import make_variable
 from splits.core.validation import invalid
@@ -35,7 +35,7 @@ from splits.media.medium import Medium
 from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 
 
-@instrument
+@declare_function
 def hdrf(
     medium: Medium,
     sky: SkyInput,

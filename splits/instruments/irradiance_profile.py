@@ -23,7 +23,7 @@ from splits.core.inputs import (
     Wavelengths,
     check_depths,
 )
-from splits.core.keywords import instrument
+from splits.core.keywords import declare_function
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import (
     Variable,
@@ -86,7 +86,7 @@ ProfileTarget = Annotated[
 ]
 
 
-@instrument
+@declare_function
 def irradiance_profile(
     medium: Medium,
     wavelength_nm: Wavelengths,

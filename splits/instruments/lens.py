@@ -17,7 +17,7 @@ from splits.core.arrays import (
 )
 from splits.core.declarations import Quantity
 from splits.core.inputs import Numbers, Seed, declare_numbers
-from splits.core.keywords import instrument
+from splits.core.keywords import declare_function
 from splits.core.uncertainty import make_variable
 from splits.core.validation import check_integer, invalid
 from splits.kernels.rough_surface.intersection import refract_vertical_rays
@@ -63,7 +63,7 @@ RingRays = Annotated[int, Quantity("number of rays in the ring", low=3)]
 Realizations = Annotated[int, Quantity("number of realizations of the surface", low=1)]
 
 
-@instrument
+@declare_function
 def lens(
     medium: ParticleLayer,
     *,

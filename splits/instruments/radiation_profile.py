@@ -17,7 +17,7 @@ from splits.core.inputs import (
     Threads,
     Wavelengths,
 )
-from splits.core.keywords import instrument
+from splits.core.keywords import declare_function
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import Variable, compute_weighted_error, make_variable
 from splits.illumination.bands import Bands
@@ -57,7 +57,7 @@ TotalIrradiance = Annotated[
 ]
 
 
-@instrument
+@declare_function
 def radiation_profile(
     medium: Medium,
     sky: SkyInput,

@@ -9,7 +9,7 @@ import xarray as xr
 
 from splits.core.declarations import Quantity
 from splits.core.inputs import Seed, Threads, Wavelengths
-from splits.core.keywords import instrument
+from splits.core.keywords import declare_function
 from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import invalid
 from splits.media.kinds import check_medium
@@ -55,7 +55,7 @@ WetPores = Annotated[
 TracesStokes = Annotated[bool, Quantity("whether polarization is traced")]
 
 
-@instrument
+@declare_function
 def single_scattering(
     medium: GranularMedium,
     wavelength_nm: Wavelengths,

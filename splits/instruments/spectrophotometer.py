@@ -24,7 +24,7 @@ from splits.core.inputs import (
     Wavelengths,
     check_incidence,
 )
-from splits.core.keywords import instrument
+from splits.core.keywords import declare_function
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import invalid, to_text_keys
@@ -101,7 +101,7 @@ SnowPackIncidence = Annotated[
 ]  # fmt: skip
 
 
-@instrument
+@declare_function
 def spectrophotometer(
     medium: Medium | Mapping[str, Medium] | SnowPacks,
     wavelength_nm: Wavelengths,

@@ -9,7 +9,7 @@ import xarray as xr
 
 from splits.core.declarations import Quantity
 from splits.core.inputs import Seed
-from splits.core.keywords import instrument
+from splits.core.keywords import declare_function
 from splits.core.uncertainty import make_variable
 from splits.core.validation import invalid
 from splits.kernels.rough_surface.realization import (
@@ -28,7 +28,7 @@ MapRealizations = Annotated[
 ]
 
 
-@instrument
+@declare_function
 def surface_map(
     medium: ParticleLayer,
     *,

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.inputs import Incidence, Kernel, RayCount, Seed, Threads, Wavelengths
-from splits.core.keywords import instrument
+from splits.core.keywords import declare_function
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import (
     Variable,
@@ -70,7 +70,7 @@ LATE_LIGHT_ERRORS = (1e-4, 0.05)
 """Limits of the requested error of all reflected light."""
 
 
-@instrument
+@declare_function
 def time_of_flight(
     medium: Medium,
     wavelength_nm: Wavelengths,

@@ -20,7 +20,7 @@ from splits.core.declarations import (
     list_inputs,
     other_constructor,
 )
-from splits.core.keywords import INSTRUMENTS
+from splits.core.discovery import load_instruments
 from splits.core.validation import InvalidValue, short_repr
 from splits.experiments import load_experiment
 from splits.media.interpretations import SandInterpretation
@@ -28,7 +28,7 @@ from splits.media.kinds import MEDIUM_CLASSES
 from splits.media.rough_surface import RandomHeightField
 
 NAMES = {
-    **{name: getattr(splits, name) for name in (*INSTRUMENTS, "Snow", "Sand", "Stack")},
+    **{name: getattr(splits, name) for name in (*load_instruments(), "Snow", "Sand", "Stack")},
     "Interpretation": splits.Interpretation, "SandInterpretation": SandInterpretation,
     "RandomHeightField": RandomHeightField,
     "np": np, "math": math,
@@ -379,7 +379,7 @@ def test_mistakes_in_files_give_one_line(text, tmp_path):
 
 def list_numbers():
     """Return all declared numbers whose limits do not depend on other inputs, by name."""
-    owners = (*MEDIUM_CLASSES.values(), RandomHeightField, *INSTRUMENTS.values())
+    owners = (*MEDIUM_CLASSES.values(), RandomHeightField, *load_instruments().values())
     inputs = {(name, one.quantity): one for cls in owners for name, one in list_inputs(cls).items()}
     return [
         pytest.param(name, one, id=name)

@@ -19,8 +19,8 @@ import numpy as np
 import xarray as xr
 from pydantic import TypeAdapter
 
-import splits.instruments  # noqa: F401  registers the instruments
 from splits.core.declarations import Input, Quantity, find_quantity, list_inputs
+from splits.core.discovery import load_instruments
 from splits.core.inputs import (
     MAX_STDERR,
     Azimuths,
@@ -34,7 +34,7 @@ from splits.core.inputs import (
     Wavelengths,
     check_wavelengths,
 )
-from splits.core.keywords import INSTRUMENTS, declare_function
+from splits.core.keywords import declare_function
 from splits.core.progress import ProgressCallback
 from splits.core.validation import (
     MAX_INT64,
@@ -189,7 +189,7 @@ ERROR_TYPES: dict[str, tuple[Any, Any]] = {
 """Types and defaults of the inputs of instruments with a target error."""
 
 FUNCTIONS: dict[str, Callable[..., xr.Dataset]] = {
-    **INSTRUMENTS, "return_table": return_table, "refractive_index": refractive_index,
+    **load_instruments(), "return_table": return_table, "refractive_index": refractive_index,
 }  # fmt: skip
 """Functions of the kinds that measure one medium after the other."""
 KINDS = (*FUNCTIONS, TABLE)

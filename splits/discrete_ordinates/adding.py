@@ -32,15 +32,15 @@ class Element(NamedTuple):
     reflection_above, reflection_below : float, shape (..., radiances, radiances)
         Of light from above and from below.
     transmission_down, transmission_up : float, shape (..., radiances, radiances)
-    emission : float, shape (..., radiances) or None
-        Isothermal emission on both sides; None for an interface.
+    isotropic : float, shape (..., radiances) or None
+        Radiance of the layer in equilibrium with a radiance of 1 outside; None for an interface.
     """
 
     reflection_above: np.ndarray
     reflection_below: np.ndarray
     transmission_down: np.ndarray
     transmission_up: np.ndarray
-    emission: np.ndarray | None
+    isotropic: np.ndarray | None
 
     @classmethod
     def from_slab(cls, slab: Slab, isotropic: np.ndarray, own: np.ndarray | None = None) -> Element:
@@ -65,9 +65,24 @@ class Element(NamedTuple):
             ratio = own / isotropic
             change = ratio[..., np.newaxis, :] / ratio[..., np.newaxis]
             reflection, transmission = reflection * change, transmission * change
-        vector = isotropic[..., np.newaxis]
-        emission = (vector - reflection @ vector - transmission @ vector)[..., 0]
-        return cls(reflection, reflection, transmission, transmission, emission)
+        return cls(reflection, reflection, transmission, transmission, isotropic)
+
+    def split(self, counts: Sequence[int] | None = None) -> list[Element]:
+        """Return the layers along the first dimension, or as many of its items for each layer."""
+        assert self.isotropic is not None
+        arrays: Any = (*self[:4], self.isotropic)
+        if counts is not None:
+            arrays = [np.split(array, np.cumsum(counts)[:-1]) for array in arrays]
+        return [Element(*one) for one in zip(*arrays, strict=True)]
+
+    def compute_emission(self) -> np.ndarray:
+        """Return the isothermal emission of a layer on both sides, shape (..., radiances, 1)."""
+        assert self.isotropic is not None
+        vector = self.isotropic[..., np.newaxis]
+        emission: np.ndarray = (
+            vector - self.reflection_above @ vector - self.transmission_down @ vector
+        )
+        return emission
 
 
 class Boundary(NamedTuple):
@@ -109,7 +124,7 @@ class Budget(NamedTuple):
     transmittance : float, shape (..., directions + 1)
         Of an open lower boundary, or the light that the ground absorbs.
     absorption : float, shape (layers, ..., directions + 1)
-        Top first.
+        Top first; of no layer if it has not been asked for.
     """
 
     reflectance: np.ndarray
@@ -126,9 +141,10 @@ def make_isotropic(optics: LayerOptics, streams: Streams, n_directions: int) -> 
 
 def compute_budget(
     elements: Sequence[Element], isotropic: Sequence[np.ndarray], boundaries: Sequence[Boundary],
-    ground: np.ndarray, n_streams: int,
+    ground: np.ndarray, n_streams: int, *, with_absorption: bool = False,
+    seen: Sequence[Any] | None = None,
 ) -> Budget:  # fmt: skip
-    """Return the reflectance, the transmittance and the absorption of every layer.
+    """Return the reflectance and the transmittance, and the absorption of every layer.
 
     Parameters
     ----------
@@ -142,18 +158,29 @@ def compute_budget(
         Albedo of the Lambertian ground; 0 for an open lower boundary.
     n_streams : int
         Number of the streams of all states in one hemisphere.
+    with_absorption : bool
+        Whether the absorption of the layers is computed, too.
+    seen : sequence, optional
+        Where along the leading dimensions each element is seen, and solved; those below are then
+        not seen either, and black.  By default everywhere, as the absorption requires.
     """
     top, bottom = boundaries
     reflection, emission = reflect_at_bottom(bottom, isotropic[1], ground, n_streams)
-    for element in reversed(elements):
-        below, (reflection, passage) = reflection, add_above(element, reflection)
-        if element.emission is None:
-            emission = passage @ emission
-            continue
-        # The layer emits on both sides.
-        own = element.emission[..., np.newaxis]
-        emission = passage @ np.concatenate([emission, below @ own], axis=-1)
-        emission[..., -1:] += own
+    if seen is not None:
+        dark = np.ones(reflection.shape[:-2], dtype=bool)
+        dark[seen[-1]] = False
+        reflection[dark] = emission[dark] = 0.0
+    for element, here in zip(elements[::-1], (seen or [...] * len(elements))[::-1], strict=True):
+        below = reflection[here]
+        reflected, passage = add_above(element, below)
+        if with_absorption and element.isotropic is not None:
+            # The layer emits on both sides.
+            own = element.compute_emission()
+            emission = passage @ np.concatenate([emission, below @ own], axis=-1)
+            emission[..., -1:] += own
+        else:
+            emission[here] = passage @ emission[here]
+        reflection[here] = reflected
     outlet = make_outlet(reflection, top, isotropic[0], n_streams)
     entering = (top.transmission * isotropic[0])[..., np.newaxis]
     rising = np.concatenate([reflection @ entering, emission], axis=-1)

@@ -224,6 +224,20 @@ class GranularLayer(NamedTuple):
         return self.extent_error + self.grains.compute_thinness_error(self.depth_m)
 
 
+VARIABLE_FIELDS = (
+    "depth_m", "collisions_per_m", "wet_fraction", "grain_absorption", "pore_absorption",
+)  # fmt: skip
+"""Properties of a layer that depend on its parameters; the others are those of its materials."""
+
+
+def join_layers(layers: Sequence[GranularLayer]) -> GranularLayer:
+    """Return dry layers of the same materials and grains along a leading dimension."""
+    values: Any = {
+        name: np.stack([getattr(one, name) for one in layers]) for name in VARIABLE_FIELDS
+    }
+    return layers[0]._replace(**values)
+
+
 def _balance_states(
     moments: np.ndarray, wet_fraction: np.ndarray, ratio: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -24,9 +24,15 @@ from splits.discrete_ordinates.granular_layers import (
     MIN_WET_FRACTION,
     GranularLayer,
     compute_replicate_error,
+    join_layers,
     list_traced,
 )
-from splits.discrete_ordinates.homogeneous_layer import TINY, LayerOptics, Streams, solve_slab
+from splits.discrete_ordinates.homogeneous_layer import (
+    TINY,
+    LayerOptics,
+    Streams,
+    solve_slab,
+)
 
 STREAM_NUMBERS = (8, 12, 16, 24, 32, 48, 64)
 """Numbers of streams to choose from."""
@@ -36,10 +42,8 @@ WET_ERROR = 5e-4
 """Error of the balance between dry and wet pores, for any saturation above 0."""
 
 
-VARIABLE_FIELDS = (
-    "depth_m", "collisions_per_m", "wet_fraction", "grain_absorption", "pore_absorption",
-)  # fmt: skip
-"""Properties of a layer that depend on its parameters; the others are those of its materials."""
+MAX_SLAB_VALUES = 2**16
+"""Largest size of a matrix of all layers and wavelengths that are solved at once."""
 MAX_JOINED_ROWS = 512
 """Number of snowpacks times wavelengths above which a common solution saves no time."""
 
@@ -64,8 +68,10 @@ class StackElements(NamedTuple):
     ground : float, shape (wavelengths,)
     n_streams : int
         Number of the streams of all states in one hemisphere.
-    optics : sequence of LayerOptics
-        Of the layers, before truncation.
+    optics : LayerOptics
+        Of the layers, along the first dimension, before truncation.
+    seen : sequence, optional
+        Positions of the snowpacks and wavelengths that each element has; by default all.
     """
 
     elements: Sequence[Element]
@@ -73,12 +79,15 @@ class StackElements(NamedTuple):
     boundaries: tuple[Boundary, Boundary]
     ground: np.ndarray
     n_streams: int
-    optics: Sequence[LayerOptics]
+    optics: LayerOptics
+    seen: Sequence[Any] | None = None
 
-    def compute_budget(self) -> Budget:
+    def compute_budget(self, *, with_absorption: bool = False) -> Budget:
         """Return the budget of light for the beams, and for diffuse light (last)."""
-        ends = self.isotropic[0], self.isotropic[-1]
-        return compute_budget(self.elements, ends, self.boundaries, self.ground, self.n_streams)
+        return compute_budget(
+            self.elements, (self.isotropic[0], self.isotropic[-1]), self.boundaries, self.ground,
+            self.n_streams, with_absorption=with_absorption, seen=self.seen,
+        )  # fmt: skip
 
 
 class GranularStack(NamedTuple):
@@ -96,11 +105,16 @@ class GranularStack(NamedTuple):
         Of wet and dry pores: that of the grains, which is not reciprocal at the boundaries; that of
         air in all layers; or that of the grains for light that is traced backwards, so that the
         reflectance of a beam is the radiance in its direction under diffuse light.
+    cutoff : float
+        Part of the incident light that may be missing in the reflectance, so that layers from which
+        less returns are left out at each wavelength (`find_seen_layers`).  There is then no
+        transmittance.
     """
 
     layers: Sequence[GranularLayer]
     ground: np.ndarray
     equilibrium: str = GRAINS
+    cutoff: float = 0.0
 
     @property
     def is_wet(self) -> bool:
@@ -127,14 +141,22 @@ class GranularStack(NamedTuple):
     def join(cls, snowpacks: Sequence[GranularStack]) -> GranularStack:
         """Return dry snowpacks of the same materials along a leading dimension."""
         layers = [
-            parts[0]._replace(**{
-                name: np.stack([getattr(one, name) for one in parts]) for name in VARIABLE_FIELDS
-            })
-            for parts in zip(*(one.layers for one in snowpacks), strict=True)
-        ]  # fmt: skip
+            join_layers(parts) for parts in zip(*(one.layers for one in snowpacks), strict=True)
+        ]
         return snowpacks[0]._replace(
             layers=layers, ground=np.stack([one.ground for one in snowpacks])
         )
+
+    def compute_optics(self, orders: int) -> LayerOptics:
+        """Return `GranularLayer.compute_optics` of all layers, along the first dimension."""
+        table, contrast = self.layers[0].grains, self.layers[0].contrast
+        is_table = isinstance(table, GrainTable) and not self.is_wet
+        if is_table and all(
+            one.grains is table and np.array_equal(one.contrast, contrast) for one in self.layers
+        ):
+            return join_layers(self.layers).compute_optics(orders)
+        optics = [layer.compute_optics(orders, self.equilibrium == AIR) for layer in self.layers]
+        return LayerOptics(*(np.stack(values) for values in zip(*optics, strict=True)))
 
     def divide(self, edges_m: np.ndarray) -> tuple[GranularStack, np.ndarray]:
         """Return the snowpack with its layers divided at depths, and the layer of each part.
@@ -170,42 +192,89 @@ class GranularStack(NamedTuple):
         """
         n_beams = cosines.shape[-1]
         streams = Streams.from_number(n_streams)
-        in_air = self.equilibrium == AIR
-        optics = [layer.compute_optics(n_streams + 1, in_air) for layer in self.layers]
+        optics = self.compute_optics(n_streams + 1)
         directions = refract_directions(cosines, self.water_index)
-        own = [make_isotropic(one, streams, n_beams) for one in optics]
-        isotropic = [
-            make_isotropic(
-                one._replace(equilibrium=layer.compute_air_equilibrium()), streams, n_beams
-            )
-            for one, layer in zip(optics, self.layers, strict=True)
-        ]
-        if self.equilibrium == REVERSED:
-            own = [outside**2 / inside for outside, inside in zip(isotropic, own, strict=True)]
-        elements = [
-            Element.from_slab(
-                solve_slab(one.truncate(n_streams), streams, directions), outside,
-                inside if self.is_wet else None,
-            )
-            for one, outside, inside in zip(optics, isotropic, own, strict=True)
-        ]  # fmt: skip
+        own = isotropic = make_isotropic(optics, streams, n_beams)
+        if self.is_wet:
+            in_air = np.stack([layer.compute_air_equilibrium() for layer in self.layers])
+            isotropic = make_isotropic(optics._replace(equilibrium=in_air), streams, n_beams)
+            own = isotropic**2 / own if self.equilibrium == REVERSED else own
+        truncated, n_layers = optics.truncate(n_streams), len(self.layers)
+        seen = find_seen_layers(truncated, self.cutoff) if self.cutoff else None
+        counts = np.full(n_layers, self.ground.size)
+        if seen is not None:
+            counts = seen.reshape(n_layers, -1).sum(axis=1)
+        # Several layers are solved at once, as far as their matrices fit into the cache.
+        elements: list[Element] = []
+        n_both = streams.cosines.size * (1 + self.is_wet)
+        group = (np.cumsum(counts) - 1) // max(1, MAX_SLAB_VALUES // n_both**2)
+        for number in np.unique(group):
+            chosen = group == number
+            part: Any = chosen
+            beams, lengths = directions, None
+            if seen is not None:
+                part = np.nonzero(seen & chosen.reshape(-1, *(1,) * self.ground.ndim))
+                lengths = counts[chosen]
+                if directions.ndim > 2:
+                    shape = (*self.ground.shape, *directions.shape[-2:])
+                    beams = np.broadcast_to(directions, shape)[part[1:]]
+            slab = solve_slab(LayerOptics(*(one[part] for one in truncated)), streams, beams)
+            inside = own[part] if self.is_wet else None
+            elements += Element.from_slab(slab, isotropic[part], inside).split(lengths)
         interfaces, boundaries = make_faces(
-            len(elements), self.wet_fractions, self.water_index, streams, cosines
+            n_layers, self.wet_fractions, self.water_index, streams, cosines
         )
-        combined, levels = elements[:1], isotropic[:1]
-        for number, interface in enumerate(interfaces, start=1):
+        combined, levels = [], []
+        places: list[Any] = []
+        for number, interface in enumerate([None, *interfaces]):
             if interface is not None:
                 combined.append(interface)
                 levels.append(isotropic[number - 1])
+                places.append(...)
             combined.append(elements[number])
             levels.append(isotropic[number])
+            places.append(... if seen is None else np.nonzero(seen[number]))
         levels.append(isotropic[-1])
-        n_both = streams.cosines.size * (1 + self.is_wet)
-        return StackElements(combined, levels, boundaries, self.ground, n_both, optics)
+        return StackElements(
+            combined, levels, boundaries, self.ground, n_both, optics,
+            None if seen is None else places,
+        )  # fmt: skip
 
     def solve(self, cosines: np.ndarray, n_streams: int) -> Budget:
-        """Return the budget of light for beams, and for diffuse light (last); see `build`."""
+        """Return the budget of light for beams, and for diffuse light (last); see `build`.
+
+        It is without the absorption of the layers.
+        """
         return self.build(cosines, n_streams).compute_budget()
+
+
+def find_seen_layers(optics: LayerOptics, cutoff: float) -> np.ndarray:
+    """Return from which layers more than a part of the incident light may return.
+
+    Diffuse light decreases with depth as exp(−∫ κ dz), with κ = σ √(3 (1 − ω) (1 − ω g)) (Ishimaru
+    1978, Wave Propagation and Scattering in Random Media, section 9.1), and returns the same way.
+
+    Parameters
+    ----------
+    optics : LayerOptics
+        Layers along the first dimension.
+    cutoff : float
+
+    Returns
+    -------
+    bool, shape (layers, ...)
+        True for the first layer, and for all above one that is seen.
+    """
+    # Light that a state scatters into any state; the state that absorbs least counts.
+    root = np.sqrt(optics.equilibrium)
+    by_order = optics.scattering[..., :2] * root[..., np.newaxis, np.newaxis]
+    scattered = by_order.sum(axis=-3) / root[..., np.newaxis]
+    lost, deflected = np.moveaxis(optics.extinction[..., np.newaxis] - scattered, -1, 0)
+    rate = np.sqrt(3.0 * np.maximum(lost * deflected, 0.0)).min(axis=-1)
+    depth = np.cumsum(rate * optics.thickness, axis=0)
+    seen = np.ones(depth.shape, dtype=bool)
+    seen[1:] = 2.0 * depth[:-1] < -np.log(cutoff)
+    return seen
 
 
 def solve_snowpacks(

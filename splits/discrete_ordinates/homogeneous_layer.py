@@ -357,10 +357,6 @@ class Slab(NamedTuple):
     beam_transmission: np.ndarray
     direct: np.ndarray
 
-    def select(self, layer: int) -> Slab:
-        """Return one layer of several along the first dimension."""
-        return Slab(*(array[layer] for array in self))
-
 
 def solve_slab(
     optics: LayerOptics, streams: Streams, directions: np.ndarray, mode: int = 0,

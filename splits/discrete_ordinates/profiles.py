@@ -77,7 +77,7 @@ def _compute_levels(stack: StackElements, column: int) -> tuple[np.ndarray, np.n
     """
     outside = stack.boundaries, stack.ground, stack.n_streams
     # States of the radiances, of streams and then of directions.
-    n_states = stack.optics[0].extinction.shape[-1]
+    n_states = stack.optics.extinction.shape[-1]
     sizes = stack.n_streams, stack.isotropic[0].shape[-1] - stack.n_streams
     state = np.concatenate([np.repeat(np.arange(n_states), size // n_states) for size in sizes])
     net, downward, upward = [], [], []
@@ -92,7 +92,7 @@ def _compute_levels(stack: StackElements, column: int) -> tuple[np.ndarray, np.n
             for one in range(n_states)
         ])  # fmt: skip
         element = stack.elements[number - 1] if number else None
-        if element is not None and element.emission is None and above is not None:
+        if element is not None and element.isotropic is None and above is not None:
             # An interface: light that it transmits, by reciprocity.
             source = apply_rows(element.transmission_up, radiance)
             downward.append(apply_rows(above, source)[..., 0])
@@ -247,17 +247,19 @@ def _compute_intervals(
     """
     column = -1 if incidence is None else 0
     stack = parts.build(np.array([] if incidence is None else [incidence]), n_streams)
-    budget, (net, downward, upward) = stack.compute_budget(), _compute_levels(stack, column)
+    budget = stack.compute_budget(with_absorption=True)
+    net, downward, upward = _compute_levels(stack, column)
     # Levels above the layers: interfaces have none of their own.
-    levels = [i for i, element in enumerate(stack.elements) if element.emission is not None]
+    levels = [i for i, element in enumerate(stack.elements) if element.isotropic is not None]
     absorption = budget.absorption[..., column]
     by_layer = np.zeros((
         len(levels), geometry.pore_fraction.size, N_MATERIALS, parts.ground.size
     ))  # fmt: skip
     path_length = np.empty_like(absorption)
+    optics = [LayerOptics(*one) for one in zip(*stack.optics, strict=True)]
     for part, (layer, owner) in enumerate(zip(parts.layers, geometry.owners, strict=True)):
         loss = net[levels[part]] - net[levels[part] + 1]
-        path = compute_pore_path(stack.optics[part], loss, absorption[part])
+        path = compute_pore_path(optics[part], loss, absorption[part])
         in_pores = path * layer.pore_absorption[..., : path.shape[-1]]
         in_grains = absorption[part] - in_pores.sum(axis=-1)
         by_layer[part, owner, : path.shape[-1]] = in_pores.T

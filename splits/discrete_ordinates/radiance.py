@@ -396,10 +396,7 @@ def solve_layer_radiance(
     layers = Slab(
         slab.reflection, slab.transmission, own.reflection, own.transmission, own.direct[..., 0]
     )
-    elements = [
-        Element.from_slab(layers.select(layer), isotropic[layer])
-        for layer in range(optics.thickness.shape[0])
-    ]
+    elements = Element.from_slab(layers, isotropic).split()
     into_all = (
         np.concatenate([_transpose(into_streams), into_beams], axis=-2)
         for into_streams, into_beams in (

@@ -31,7 +31,7 @@ from splits.discrete_ordinates.granular_stack import (
     solve_with_exponent_error,
     spread_truncation,
 )
-from splits.discrete_ordinates.homogeneous_layer import TINY, LayerOptics, Streams
+from splits.discrete_ordinates.homogeneous_layer import TINY, Streams
 from splits.discrete_ordinates.radiance import (
     DirectLight,
     Geometry,
@@ -303,6 +303,5 @@ def _stack_layers(snowpack: GranularStack, orders: int) -> PlaneLayers:
     """Return the layers with a number of moments, and with the forward peak of wet layers."""
     if snowpack.is_wet and orders > 1:
         orders = N_PEAK_ORDERS
-    layers = [layer.compute_optics(orders, in_air=True) for layer in snowpack.layers]
-    optics = LayerOptics(*(np.stack(values) for values in zip(*layers, strict=True)))
+    optics = snowpack._replace(equilibrium=AIR).compute_optics(orders)
     return PlaneLayers(optics, snowpack.ground, snowpack.wet_fractions, snowpack.water_index)

@@ -14,7 +14,7 @@ from splits.discrete_ordinates.applicability import make_granular_stack
 from splits.discrete_ordinates.grain_tabulation import N_RAYS, TableAxes, tabulate_grains
 from splits.discrete_ordinates.grains import Axis
 from splits.discrete_ordinates.granular_stack import OPTICS_SHARE, solve_spectrum
-from splits.discrete_ordinates.homogeneous_layer import LayerOptics, Streams, solve_slab
+from splits.discrete_ordinates.homogeneous_layer import LayerOptics, Slab, Streams, solve_slab
 from splits.discrete_ordinates.profiles import find_similarity_error
 from splits.instruments.single_scattering import single_scattering
 from splits.simulation.grain_optics import GRAIN_RAYS_PER_CHUNK
@@ -313,7 +313,7 @@ def test_transmission_has_a_small_relative_error(thickness, albedo, mode):
     streams = Streams.from_number(n)
     optics = LayerOptics.from_albedo(thickness * np.array([1.0, 0.5]), np.full(2, albedo), moments)
     both = solve_slab(optics.truncate(n), streams, beams[np.newaxis], mode)
-    whole, half = both.select(0), both.select(1)
+    whole, half = (Slab(*one) for one in zip(*both, strict=True))
     passed = np.linalg.inv(np.eye(n // 2) - half.reflection @ half.reflection) @ half.transmission
     direct = half.direct[:, np.newaxis]
     rows = half.beam_transmission + direct * half.beam_reflection @ half.reflection

@@ -21,12 +21,13 @@ def solve(thickness, albedo, asymmetry, ground, beams=BEAMS, n_streams=32):
     streams, directions = Streams.from_number(n_streams), beams[np.newaxis]
     slabs = solve_slab(optics.truncate(n_streams), streams, directions)
     isotropic = make_isotropic(optics, streams, beams.size)
-    elements = [Element.from_slab(slabs.select(i), isotropic[i]) for i in range(len(thickness))]
+    elements = Element.from_slab(slabs, isotropic).split()
     boundaries = [Boundary.make_transparent(n_streams // 2, beams.size)] * 2
     outside = boundaries, np.broadcast_to(ground, optics.thickness.shape[1:]), n_streams // 2
     cosines = join_cosines(streams, directions)
     profile = compute_profile(elements, [*isotropic, isotropic[-1]], cosines, *outside)
-    return profile, compute_budget(elements, (isotropic[0], isotropic[-1]), *outside)
+    ends = isotropic[0], isotropic[-1]
+    return profile, compute_budget(elements, ends, *outside, with_absorption=True)
 
 
 def check_closure(profile, budget, tolerance=1e-12):

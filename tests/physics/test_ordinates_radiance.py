@@ -168,7 +168,7 @@ def test_radiance_integrates_to_reflectance_and_transmittance(ground, asymmetry)
     reflectance, transmittance = values.mean(axis=-1) @ weights
     slabs = solve_slab(optics.truncate(n), quadrature, cosines[np.newaxis, :2])
     isotropic = make_isotropic(optics, quadrature, 2)
-    elements = [Element.from_slab(slabs.select(i), isotropic[i]) for i in range(3)]
+    elements = Element.from_slab(slabs, isotropic).split()
     boundaries = [Boundary.make_transparent(n // 2, 2)] * 2
     budget = compute_budget(elements, isotropic[[0, -1]], boundaries, np.array(ground), n // 2)
     np.testing.assert_allclose(reflectance, budget.reflectance[:2], rtol=1e-5)

@@ -401,7 +401,7 @@ class Stack:
         outside = self.boundaries, self.ground, self.n_streams
         self.profile = compute_profile(self.elements, self.isotropic, self.cosines, *outside)
         ends = self.isotropic[0], self.isotropic[-1]
-        self.budget = compute_budget(self.elements, ends, *outside)
+        self.budget = compute_budget(self.elements, ends, *outside, with_absorption=True)
 
     @classmethod
     def from_layers(cls, layers, ground=0.0, water=0.0):
@@ -418,7 +418,7 @@ class Stack:
         np.testing.assert_allclose(net[-1], budget.transmittance, atol=tolerance)
         absorption = iter(budget.absorption)
         for element, loss in zip(self.elements, net[:-1] - net[1:], strict=True):
-            expected = 0.0 if element.emission is None else next(absorption)
+            expected = 0.0 if element.isotropic is None else next(absorption)
             np.testing.assert_allclose(loss, expected, atol=tolerance)
 
 

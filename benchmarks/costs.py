@@ -19,7 +19,6 @@ import xarray as xr
 from command import run_command
 
 import splits
-from splits.core.uncertainty import compute_error_parts
 from splits.instruments.flux_tally import FluxTarget
 from splits.instruments.irradiance_profile import simulate_flux
 from splits.simulation.run_options import RunOptions
@@ -183,7 +182,7 @@ def profile_errors(
             runs = [run(target, factor * error, seed) for seed in range(seeds)]
             seconds = (time.process_time() - start) / seeds
             for name, i_plane in (("absorptance", 0), ("downward_irradiance", 1)):
-                parts = [compute_error_parts(dataset, name, by_wavelength) for dataset in runs]
+                parts = [dataset.errors.split(name, by_wavelength) for dataset in runs]
                 scatter, bound = np.sqrt(np.mean(np.square(parts)[..., i_plane], axis=0))
                 values = [
                     float((by_wavelength * dataset[name][:, i_plane]).sum()) for dataset in runs

@@ -6,7 +6,6 @@ from .analysis.theory.phase_function import with_diffraction as with_diffraction
 from .core.progress import Progress as Progress
 from .core.progress import ProgressBar as ProgressBar
 from .core.provenance import __version__ as __version__
-from .core.uncertainty import compute_difference as compute_difference
 from .illumination import Sky as Sky
 from .illumination import sensor_bands as sensor_bands
 from .illumination import sky as sky

@@ -14,7 +14,6 @@ from splits.core.arrays import read_columns
 from splits.core.inputs import ResultDataset
 from splits.core.keywords import declare_function
 from splits.core.optional import import_optional
-from splits.core.uncertainty import compute_error_parts
 from splits.core.validation import ROUNDING_TOLERANCE, invalid, join_names, snap_to_limits
 
 STANDARD_OBSERVER = "CIE 1931 2 Degree Standard Observer"
@@ -116,7 +115,7 @@ def make_colour_table(dataset: ResultDataset) -> pd.DataFrame:
     """Return the colour of every point of a grid.
 
     Errors of L*, a*, b* are propagated linearly from the spectrum, with the correlations of
-    `splits.core.uncertainty.compute_error_parts`.  A bound on the error that is not random is
+    `splits.core.uncertainty.Errors.split`.  A bound on the error that is not random is
     stated separately: a* and b* are differences along the spectrum, for which it may exceed the
     scatter.  For paths, this is the error of interpolation between refractive indices.  For
     discrete ordinates, and without ``reflectance_batches``, it is the whole error.
@@ -146,7 +145,7 @@ def make_colour_table(dataset: ResultDataset) -> pd.DataFrame:
             {"wavelength": x},
             ("coordinate", "wavelength"),
         )
-        scatter, bound = compute_error_parts(point, "reflectance", weights)
+        scatter, bound = point.errors.split("reflectance", weights)
         code = to_srgb(xyz)
         row = dict(zip(dims, labels, strict=True))
         row |= dict(zip("XYZ", xyz, strict=True))

@@ -18,7 +18,6 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import check_no_gaps, find_labels, match_labels
-from splits.core.inputs import ResultDataset
 from splits.core.keywords import declare_function
 from splits.core.validation import check_choice, invalid
 
@@ -83,68 +82,193 @@ _VARIANCE_ROUNDING = 1e-6
 """Relative rounding error of a variance from deviations in single precision."""
 
 
-def compute_weighted_error(
-    dataset: xr.Dataset, quantity: str, weights: xr.DataArray
-) -> xr.DataArray:
-    """Return the standard error of a weighted sum of a spectrum.
+@xr.register_dataset_accessor("errors")
+class Errors:
+    """Combinations of the values of a result, with their standard errors: ``dataset.errors``.
 
-    Parameters
-    ----------
-    dataset, quantity, weights
-        As for `compute_error_parts`.
-
-    Returns
-    -------
-    xarray.DataArray
-        Both parts added in quadrature, over all other dimensions.
-    """
-    statistical, bound = compute_error_parts(dataset, quantity, weights)
-    return (statistical**2 + bound**2) ** 0.5
-
-
-def compute_error_parts(
-    dataset: xr.Dataset, quantity: str, weights: xr.DataArray
-) -> tuple[xr.DataArray, xr.DataArray]:
-    """Return the statistical error of a weighted sum of a spectrum and a bound on the rest.
+    Errors at wavelengths that share rays are correlated, and so are those of media that share
+    paths.  The methods use the deviations by batch of rays (``…_batches``).  A result without them,
+    such as one by discrete ordinates, has no known correlation: bounds are returned for it.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        With ``…_stderr`` of the quantity over ``wavelength`` and any other dimensions, and
-        possibly with ``…_batches``, also over ``batch``.  A spectrum without batches, or with
-        batches that are 0 as by discrete ordinates, has no known scatter: its statistical error is
-        0, and its bound is the sum of errors times absolute weights, for any correlation.
-    quantity : str
-        Name of the quantity, such as ``reflectance``.
-    weights : xarray.DataArray
-        Weights of any sign, over ``wavelength`` and any other dimensions.
+        Result of an instrument: a quantity with ``…_stderr`` over ``wavelength`` and any other
+        dimensions, and possibly with ``…_batches``, also over ``batch``.
 
-    Returns
-    -------
-    statistical, bound : xarray.DataArray
-        Standard deviation between runs with different seeds, and bound on the rest of the error,
-        such as that of interpolation between refractive indices, over all other dimensions.  NaN
-        where an error of non-zero weight is unknown.
+    Examples
+    --------
+    >>> import splits
+    >>> ds = splits.spectrophotometer(splits.Snow.natural(optical_radius_um=100), [500, 600, 700])
+    >>> value, stderr = ds.errors.mean("reflectance", 550, 700)
+    >>> bool(stderr < 0.002)
+    True
     """
-    stderr = dataset[f"{quantity}_stderr"]
-    check_no_gaps("weights", weights)
-    labels = find_labels(weights, weights.get_axis_num("wavelength"))
-    # Weights in the order of the wavelengths of the dataset.
-    weights = weights.isel(wavelength=match_labels("weights", labels, [dataset.wavelength]))
-    upper_bound = _sum_weighted(abs(weights), stderr)
-    if f"{quantity}_batches" not in dataset:
-        return xr.zeros_like(upper_bound), upper_bound
-    deviations = dataset[f"{quantity}_batches"].astype(float)
-    bound = compute_remaining_error(stderr, deviations)
-    statistical = (_sum_weighted(weights, deviations) ** 2).sum("batch", skipna=False) ** 0.5
-    weighted_bound = (abs(weights) * bound).where(weights != 0.0, 0.0)
-    interpolation = xr.apply_ufunc(
-        _sum_same_sign_intervals,
-        *xr.broadcast(weights, weighted_bound),
-        input_core_dims=[["wavelength"]] * 2,
-    )
-    has_scatter = (deviations != 0.0).any(["batch", "wavelength"])
-    return statistical, interpolation.where(has_scatter, upper_bound)
+
+    def __init__(self, dataset: xr.Dataset) -> None:
+        self.dataset = dataset
+
+    @declare_function
+    def weighted_sum(
+        self, quantity: str, weights: xr.DataArray
+    ) -> tuple[xr.DataArray, xr.DataArray]:
+        """Return a weighted sum over wavelength, and its standard error.
+
+        Parameters
+        ----------
+        quantity : str
+            Name of the quantity, such as ``reflectance``.
+        weights : xarray.DataArray
+            Weights of any sign, over ``wavelength`` and any other dimensions.
+
+        Returns
+        -------
+        sum, stderr : xarray.DataArray
+            Over all other dimensions; NaN where a value of non-zero weight is missing.
+
+        Raises
+        ------
+        ValueError
+            For weights with gaps, or at other wavelengths than those of the result.
+        """
+        weights = self._match(weights)
+        total = _sum_weighted(weights, self.dataset[quantity])
+        return total, (sum(part**2 for part in self.split(quantity, weights))) ** 0.5
+
+    @declare_function
+    def split(self, quantity: str, weights: xr.DataArray) -> tuple[xr.DataArray, xr.DataArray]:
+        """Return the statistical error of a weighted sum over wavelength, and a bound on the rest.
+
+        Parameters
+        ----------
+        quantity, weights
+            As for `weighted_sum`.
+
+        Returns
+        -------
+        statistical, bound : xarray.DataArray
+            Standard deviation between runs with different seeds, and bound on the rest of the
+            error, such as that of interpolation between refractive indices.  Without batches, the
+            first is 0, and the bound is the sum of errors times absolute weights, which holds for
+            any correlation.
+        """
+        weights, stderr = self._match(weights), self.dataset[f"{quantity}_stderr"]
+        upper_bound = _sum_weighted(abs(weights), stderr)
+        if f"{quantity}_batches" not in self.dataset:
+            return xr.zeros_like(upper_bound), upper_bound
+        deviations = self.dataset[f"{quantity}_batches"].astype(float)
+        bound = compute_remaining_error(stderr, deviations)
+        statistical = (_sum_weighted(weights, deviations) ** 2).sum("batch", skipna=False) ** 0.5
+        weighted_bound = (abs(weights) * bound).where(weights != 0.0, 0.0)
+        interpolation = xr.apply_ufunc(
+            _sum_same_sign_intervals,
+            *xr.broadcast(weights, weighted_bound),
+            input_core_dims=[["wavelength"]] * 2,
+        )
+        has_scatter = (deviations != 0.0).any(["batch", "wavelength"])
+        return statistical, interpolation.where(has_scatter, upper_bound)
+
+    def _match(self, weights: xr.DataArray) -> xr.DataArray:
+        """Return weights in the order of the wavelengths of the result."""
+        check_no_gaps("weights", weights)
+        labels = find_labels(weights, weights.get_axis_num("wavelength"))
+        order = match_labels("weights", labels, [self.dataset.wavelength])
+        return weights.isel(wavelength=order)
+
+    @declare_function
+    def make_band_weights(self, low: float, high: float) -> xr.DataArray:
+        """Return the weights over wavelength of the mean over a band.
+
+        Parameters
+        ----------
+        low, high : float
+            Limits of the band (nm).
+
+        Raises
+        ------
+        ValueError
+            If the result has no wavelength in the band.
+        """
+        wavelength = self.dataset.wavelength
+        inside = (wavelength >= low) & (wavelength <= high)
+        if not inside.any():
+            limits = " to ".join(f"{limit:g}" for limit in wavelength.values[[0, -1]])
+            raise invalid("wavelength", f"{limits} nm", f"some in {low:g} to {high:g} nm")
+        return (inside / inside.sum()).drop_attrs()
+
+    @declare_function
+    def mean(self, quantity: str, low: float, high: float) -> tuple[xr.DataArray, xr.DataArray]:
+        """Return the mean of a quantity over a band, and its standard error.
+
+        Parameters
+        ----------
+        quantity : str
+        low, high : float
+            Limits of the band (nm).
+
+        Returns
+        -------
+        mean, stderr : xarray.DataArray
+            Over all dimensions but ``wavelength``; NaN if any value in the band is.
+        """
+        weights = self.make_band_weights(low, high)
+        inside = self.dataset[quantity].isel(wavelength=weights.values > 0.0)
+        mean = inside.mean("wavelength", skipna=False)
+        return mean, self.weighted_sum(quantity, weights)[1].transpose(*mean.dims)
+
+    @declare_function
+    def difference(
+        self, quantity: str, one: str, other: str, dim: str = "medium"
+    ) -> tuple[xr.DataArray, xr.DataArray]:
+        """Return the difference between two media, and its standard error.
+
+        The statistical errors of media that share paths are strongly correlated and largely cancel
+        in each batch.  The interpolation between refractive indices is also the same, so the bound
+        of the difference is the difference of their bounds.  Without batches that scatter, the
+        correlation is not known: both errors are added in quadrature, which is a bound for any
+        positive correlation.
+
+        Parameters
+        ----------
+        quantity : str
+            Name of the quantity, such as ``reflectance`` or ``band_albedo``.
+        one, other : str
+            Labels of minuend and subtrahend along `dim`.
+        dim : str
+
+        Returns
+        -------
+        difference, stderr : xarray.DataArray
+            Over all other dimensions.
+
+        Raises
+        ------
+        ValueError
+            For an unknown label, or a quantity without error.
+        """
+        dataset = self.dataset
+        if f"{quantity}_stderr" not in dataset:
+            raise invalid("quantity", quantity, "one with a standard error", "such as reflectance")
+        check_choice("dim", dim, map(str, dataset[quantity].dims))
+        labels = [str(label) for label in np.atleast_1d(dataset[dim].values)]
+        selections = [
+            dataset.sel({dim: check_choice(argument, label, labels)}, drop=True)
+            for argument, label in (("one", one), ("other", other))
+        ]
+        difference = (selections[0][quantity] - selections[1][quantity]).drop_attrs()
+        stderrs = [selection[f"{quantity}_stderr"] for selection in selections]
+        variance = sum(stderr**2 for stderr in stderrs)
+        if f"{quantity}_batches" in dataset:
+            deviations = [one[f"{quantity}_batches"].astype(float) for one in selections]
+            bounds = [
+                np.maximum(stderr**2 - (deviation**2).sum("batch"), 0.0) ** 0.5
+                for stderr, deviation in zip(stderrs, deviations, strict=True)
+            ]
+            correlated = ((deviations[0] - deviations[1]) ** 2).sum("batch")
+            of_run = [dim for dim in ("batch", "wavelength") if dim in deviations[0].dims]
+            has_scatter = (deviations[0] != 0.0).any(of_run) | (deviations[1] != 0.0).any(of_run)
+            variance = xr.where(has_scatter, correlated + (bounds[0] - bounds[1]) ** 2, variance)
+        return difference, (variance**0.5).drop_attrs()
 
 
 def compute_remaining_error(stderr: xr.DataArray, deviations: xr.DataArray) -> xr.DataArray:
@@ -159,62 +283,6 @@ def compute_remaining_error(stderr: xr.DataArray, deviations: xr.DataArray) -> x
     excess_variance = stderr**2 - (deviations**2).sum("batch", skipna=False)
     is_rounding = excess_variance <= _VARIANCE_ROUNDING * stderr**2
     return excess_variance.where(~is_rounding, 0.0) ** 0.5
-
-
-@declare_function
-def compute_difference(
-    dataset: ResultDataset, quantity: str, one: str, other: str, dim: str = "medium"
-) -> tuple[xr.DataArray, xr.DataArray]:
-    """Return the difference between two media that share paths, with its standard error.
-
-    The statistical errors of both are strongly correlated and largely cancel in each batch.  The
-    interpolation between refractive indices is also the same, so the bound of the difference is the
-    difference of their bounds.  Discrete ordinates have no batches that scatter, and the
-    correlation of their errors is not known: both are added in quadrature, which is a bound for any
-    positive correlation.
-
-    Parameters
-    ----------
-    dataset : xarray.Dataset
-        Result of `splits.spectrophotometer` or `splits.albedo` for several media.
-    quantity : str
-        Name of the quantity, such as ``reflectance`` or ``band_albedo``, with ``…_stderr`` and
-        ``…_batches``.
-    one, other : str
-        Labels of minuend and subtrahend along `dim`.
-    dim : str
-
-    Returns
-    -------
-    difference, stderr : xarray.DataArray
-        Over all other dimensions.
-
-    Raises
-    ------
-    ValueError
-        For an unknown label, or a dataset without ``…_batches``.
-    """
-    if f"{quantity}_batches" not in dataset:
-        raise invalid("quantity", quantity, "one with batches of rays", "such as reflectance")
-    check_choice("dim", dim, map(str, dataset[quantity].dims))
-    labels = [str(label) for label in np.atleast_1d(dataset[dim].values)]
-    selections = [
-        dataset.sel({dim: check_choice(argument, label, labels)}, drop=True)
-        for argument, label in (("one", one), ("other", other))
-    ]
-    deviations = [selection[f"{quantity}_batches"].astype(float) for selection in selections]
-    bounds = [
-        np.maximum(selection[f"{quantity}_stderr"] ** 2 - (deviation**2).sum("batch"), 0.0) ** 0.5
-        for selection, deviation in zip(selections, deviations, strict=True)
-    ]
-    variance = ((deviations[0] - deviations[1]) ** 2).sum("batch")
-    of_run = [dim for dim in ("batch", "wavelength") if dim in deviations[0].dims]
-    has_scatter = (deviations[0] != 0.0).any(of_run) | (deviations[1] != 0.0).any(of_run)
-    squared_bound = xr.where(
-        has_scatter, (bounds[0] - bounds[1]) ** 2, bounds[0] ** 2 + bounds[1] ** 2
-    )
-    stderr = (variance + squared_bound) ** 0.5
-    return (selections[0][quantity] - selections[1][quantity]).drop_attrs(), stderr.drop_attrs()
 
 
 def _sum_same_sign_intervals(weights: np.ndarray, parts: np.ndarray) -> np.ndarray:
@@ -233,28 +301,6 @@ def _sum_same_sign_intervals(weights: np.ndarray, parts: np.ndarray) -> np.ndarr
 def _sum_weighted(weights: xr.DataArray, values: xr.DataArray) -> xr.DataArray:
     """Return a weighted sum over wavelength; NaN only if a value of non-zero weight is NaN."""
     return (weights * values).where(weights != 0.0, 0.0).sum("wavelength", skipna=False)
-
-
-def make_band_weights(dataset: xr.Dataset, low: float, high: float) -> xr.DataArray:
-    """Return the weights over wavelength of the mean over a band (nm).
-
-    Raises
-    ------
-    ValueError
-        If the dataset has no wavelength in the band.
-    """
-    inside = (dataset.wavelength >= low) & (dataset.wavelength <= high)
-    if not inside.any():
-        limits = " to ".join(f"{limit:g}" for limit in dataset.wavelength.values[[0, -1]])
-        raise invalid("wavelength", f"{limits} nm", f"some in {low:g} to {high:g} nm")
-    weights = inside / inside.sum()
-    weights.attrs.clear()  # attributes of the wavelength do not apply
-    return weights
-
-
-def compute_band_error(dataset: xr.Dataset, quantity: str, low: float, high: float) -> xr.DataArray:
-    """Return the standard error of the mean of a quantity over a band (nm)."""
-    return compute_weighted_error(dataset, quantity, make_band_weights(dataset, low, high))
 
 
 MIN_REFERENCE_FRACTION = 0.05

@@ -57,7 +57,7 @@ def albedo(
     medium : Medium, mapping or SnowPacks
         For example `splits.Snow`, or a mapping from names to media that share paths, as for
         `splits.spectrophotometer`.  The errors of differences between these media are much smaller
-        than those of their albedos (`splits.compute_difference`).  Or
+        than those of their albedos (``dataset.errors.difference``).  Or
         `splits.SnowPacks`, the snowpacks of a season, by discrete ordinates.
     sky : Sky, str, mapping or function
         See `splits.sky`.  Over `splits.SnowPacks` with ``sun_zenith_deg``, a name or a table

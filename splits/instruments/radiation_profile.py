@@ -19,7 +19,7 @@ from splits.core.inputs import (
 )
 from splits.core.keywords import declare_function
 from splits.core.progress import ProgressCallback
-from splits.core.uncertainty import Variable, compute_weighted_error, make_variable
+from splits.core.uncertainty import Variable, make_variable
 from splits.illumination.bands import Bands
 from splits.illumination.sky import SkyInput
 from splits.instruments.flux_tally import FluxTarget
@@ -171,7 +171,7 @@ def radiation_profile(
     for name, (label, dim, long_name) in OUTPUT_VARIABLES.items():
         mean = (band_weights * dataset[name]).sum("wavelength")
         # Band by band, which limits the memory for many depths.
-        errors = [compute_weighted_error(dataset, name, one) for one in band_weights]
+        errors = [dataset.errors.weighted_sum(name, one)[1] for one in band_weights]
         squares = (xr.dot(between, dataset[name], dim="wavelength") ** 2).sum("estimate")
         error = (xr.concat(errors, "band") ** 2 + squares) ** 0.5
         values, stderr = (one.transpose("band", dim).values for one in (mean, error))

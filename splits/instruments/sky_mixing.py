@@ -14,7 +14,6 @@ from splits.core.inputs import check_wavelengths
 from splits.core.keywords import REACHED_ATTRIBUTES
 from splits.core.uncertainty import (
     Variable,
-    compute_weighted_error,
     make_variable,
 )
 from splits.core.validation import invalid
@@ -186,11 +185,11 @@ def average_over_bands(
     rows = compute_band_error_weights(sky, bands, spectrum.wavelength.values)
     between = (xr.DataArray(rows, normalized.coords, ("estimate", *normalized.dims))
                * spectrum[name]).sum("wavelength")  # fmt: skip
-    error = compute_weighted_error(spectrum, name, normalized)
+    mean, error = spectrum.errors.weighted_sum(name, normalized)
     values, stderr = (
         one.transpose(*dims).values
         for one in (
-            (normalized * spectrum[name]).sum("wavelength"),
+            mean,
             (error**2 + (between**2).sum("estimate")) ** 0.5,
         )
     )

@@ -37,6 +37,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+import splits.core.uncertainty  # noqa: F401  registers the accessor of errors
 from splits.core.atomic import atomic_write
 from splits.core.keywords import declare_function
 from splits.core.process import make_lock

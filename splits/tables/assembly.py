@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.provenance import hash_physics_sources
-from splits.core.uncertainty import compute_weighted_error, make_variable
+from splits.core.uncertainty import make_variable
 from splits.illumination.bands import SpectralBand, SpectralOperator
 from splits.io.netcdf import (
     append_checksum,
@@ -180,10 +180,9 @@ def average_nodes(
     error_weights = xr.DataArray(matrix.error_weights, axes, ("estimate", *axes))
     variables: dict[str, Any] = {}
     for quantity in list_quantities(table):
-        error = compute_weighted_error(table, quantity, weights)
+        mean, error = table.errors.weighted_sum(quantity, weights)
         between = (error_weights * table[quantity]).sum("wavelength")
         error = (error**2 + (between**2).sum("estimate")) ** 0.5
-        mean = (weights * table[quantity]).sum("wavelength")
         dims = tuple("band" if dim == "wavelength" else str(dim) for dim in table[quantity].dims)
         values, stderr = (one.transpose(*dims).values.astype(np.float32) for one in (mean, error))
         label = f"{table[quantity].attrs['long_name']} over a band"

@@ -16,7 +16,6 @@ import numpy as np
 import xarray as xr
 
 import splits
-from splits.core.uncertainty import compute_error_parts
 
 ValuesAndErrors = tuple[np.ndarray, np.ndarray]
 """Values and their stated errors, of one shape."""
@@ -103,7 +102,7 @@ def read_combined(*names: str) -> Reader:
             count = dataset.sizes["wavelength"]
             for weights in (np.full(count, 1.0 / count), np.resize([1.0, -1.0], count)):
                 weight = xr.DataArray(weights, dims="wavelength")
-                scatter, bound = compute_error_parts(dataset, name, weight)
+                scatter, bound = dataset.errors.split(name, weight)
                 values.append((dataset[name] * weight).sum("wavelength").values.ravel())
                 errors.append(np.hypot(scatter, bound).values.ravel())
         return np.concatenate(values), np.concatenate(errors)

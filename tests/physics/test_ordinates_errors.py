@@ -5,7 +5,6 @@ import pytest
 from chi2 import NEEDS_JIT, compare_results, judge_z
 
 import splits
-from splits.core.uncertainty import compute_difference
 from splits.discrete_ordinates.applicability import make_granular_stack
 from splits.discrete_ordinates.derivatives import SpectrumDerivatives, solve_derivatives
 from splits.discrete_ordinates.grain_tabulation import N_RAYS, TableAxes, tabulate_grains
@@ -277,8 +276,8 @@ def test_errors_of_differences_cover_more_streams():
         )
         for error in (0.002, 2e-6)
     )
-    change, stderr = compute_difference(few, "reflectance", "clean", "sooty")
-    deviation = np.abs(change - compute_difference(many, "reflectance", "clean", "sooty")[0])
+    change, stderr = few.errors.difference("reflectance", "clean", "sooty")
+    deviation = np.abs(change - many.errors.difference("reflectance", "clean", "sooty")[0])
     assert (deviation < 3.0 * stderr).all()
     errors = few.reflectance_stderr
     np.testing.assert_allclose(

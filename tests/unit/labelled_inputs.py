@@ -343,7 +343,7 @@ def make_cases(folder: Path) -> dict[str, Any]:
         "open_table": ({}, {"path": []}),
         "load_medium": ({}, {"name": [], "keywords": []}),
         "save": ({}, {"dataset": [], "path": []}),
-        **dict.fromkeys(("compute_difference", "make_colour_table", "select_principal_plane"),
+        **dict.fromkeys(("make_colour_table", "select_principal_plane"),
                         ({}, {"dataset": []})),
         "draw": ({}, {"dataset": [], "section": []}),
         "Table": ({}, {"dataset": [labelled(table)]}),

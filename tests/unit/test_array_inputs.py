@@ -11,7 +11,6 @@ from formula_tables import W
 from run_attributes import drop_run_specific_attributes
 
 import splits
-from splits.core.uncertainty import compute_weighted_error
 from splits.core.validation import InvalidValue
 from splits.retrieval.maps import FLAGS
 
@@ -53,7 +52,7 @@ LABELLED = {name: case for name, case in CASES.items() if case.labels}
 NON_ARRAYS = {
     "Progress", "ProgressBar", "Interpretation", "SandInterpretation", "__version__", "list_media",
     "load", "load_medium", "open_table", "read_caaml", "read_crocus",
-    "read_snow_packs", "save", "sensor_bands", "surface_map", "compute_difference", "draw",
+    "read_snow_packs", "save", "sensor_bands", "surface_map", "draw",
     "make_colour_table", "select_principal_plane",
 }  # fmt: skip
 """Public names without array arguments, and those of datasets."""
@@ -182,18 +181,18 @@ def test_maps_of_non_numbers_are_rejected(kind):
 def test_weights_along_a_spectrum_are_matched():
     w, dims = [500.0, 600.0, 700.0], ("wavelength",)
     batches = (("batch", *dims), np.full((2, 3), 0.01))
-    dataset = xr.Dataset(
-        {"r_stderr": (dims, [0.1, 0.2, 0.3]), "r_batches": batches}, {"wavelength": w}
-    )
+    values = {"r": (dims, [0.5, 0.6, 0.7]), "r_stderr": (dims, [0.1, 0.2, 0.3])}
+    dataset = xr.Dataset({**values, "r_batches": batches}, {"wavelength": w})
     weights = xr.DataArray([1.0, -2.0, 3.0], {"wavelength": w}, dims)
-    errors = [compute_weighted_error(dataset, "r", order) for order in (weights, weights[::-1])]
-    assert_same(errors[0].to_dataset(name="error"), errors[1].to_dataset(name="error"))
+    sums = [dataset.errors.weighted_sum("r", order) for order in (weights, weights[::-1])]
+    for one, other in zip(*sums, strict=True):
+        assert_same(one.to_dataset(name="sum"), other.to_dataset(name="sum"))
     for invalid in (
         weights.assign_coords(wavelength=[500.0, 600.0, 800.0]),
         weights.where(weights > 0),
     ):
         with pytest.raises(InvalidValue, match="weights = "):
-            compute_weighted_error(dataset, "r", invalid)
+            dataset.errors.weighted_sum("r", invalid)[1]
 
 
 def make_table(form, dataset):

@@ -170,7 +170,7 @@ RESULTS = {
 NO_DATASET = {
     "Interpretation", "ParticleLayer", "Progress", "ProgressBar", "RoughSurface", "Sand",
     "SandInterpretation", "Sky", "Snow", "Stack", "__version__", "list_media", "load",
-    "compute_difference", "draw", "load_medium", "make_colour_table", "open_table", "read_caaml",
+    "draw", "load_medium", "make_colour_table", "open_table", "read_caaml",
     "read_crocus", "read_snow_packs", "save", "sensor_bands", "sky",
 }  # fmt: skip
 """Public names of inputs, of reading and writing, and of progress reports."""

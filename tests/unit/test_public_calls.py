@@ -101,7 +101,6 @@ INVALID_CALLS = {
     "Table": lambda: splits.Table(EMPTY),
     "albedo": lambda: splits.albedo(splits.Snow(ground="camborthid"), "midlatitude_winter"),
     "beam_spread": lambda: splits.beam_spread(SNOW, "x"),
-    "compute_difference": lambda: splits.compute_difference(EMPTY, "reflectance", "a", "b"),
     "draw": lambda: splits.draw(EMPTY, {"kind": "spectrum"}),
     "make_colour_table": lambda: splits.make_colour_table(EMPTY),
     "select_principal_plane": lambda: splits.select_principal_plane(EMPTY),

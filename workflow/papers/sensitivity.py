@@ -17,7 +17,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from splits.core.escaping import escape_mathtext
-from splits.core.uncertainty import compute_weighted_error, make_variable
+from splits.core.uncertainty import make_variable
 from splits.core.validation import check_choice, invalid
 from splits.experiments.config.media import make_label
 from splits.io.netcdf import make_provenance, select_points, to_netcdf_attributes
@@ -365,8 +365,8 @@ def compute_spectral_sensitivity(
             np.where(is_above_noise, np.where(is_larger, slope_larger, slope_smaller), 0.0)
             / larger.size
         )
-        error = compute_weighted_error(spectrum, quantity, xr.DataArray(slope, dims="wavelength"))
-        variance += float(error) ** 2
+        weights = xr.DataArray(slope, dims="wavelength")
+        variance += float(spectrum.errors.weighted_sum(quantity, weights)[1]) ** 2
     return replace(
         index, stderr=float(np.hypot(variance**0.5, _estimate_threshold_error(*values).mean()))
     )

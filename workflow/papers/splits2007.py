@@ -9,13 +9,10 @@ import pandas as pd
 import xarray as xr
 
 from splits.analysis.colour import make_colour_table
-from splits.core.uncertainty import compute_weighted_error, make_band_weights
 from splits.experiments.config.simulation import SimulationConfig
 from splits.media.sand_composition import SandComposition
 from workflow.papers.statements import (
     Estimate,
-    compute_band_mean,
-    estimate_band,
     make_monotone_row,
     make_significance_row,
     require,
@@ -72,10 +69,11 @@ def make_sand_trend_table(
 
 
 def _make_rise_rows(samples: xr.Dataset) -> list[dict[str, object]]:
-    means = [compute_band_mean(samples, "reflectance", *band) for band in RISING_BANDS_NM]
-    weights = [make_band_weights(samples, *band) for band in RISING_BANDS_NM]
+    errors = samples.errors
+    means = [errors.mean("reflectance", *band)[0] for band in RISING_BANDS_NM]
+    weights = [errors.make_band_weights(*band) for band in RISING_BANDS_NM]
     step, weight = (xr.concat(parts, "band").diff("band") for parts in (means, weights))
-    steps = Estimate(step, compute_weighted_error(samples, "reflectance", weight))
+    steps = Estimate(step, errors.weighted_sum("reflectance", weight)[1])
     bands = ", ".join(f"{low}-{high}" for low, high in RISING_BANDS_NM)
     return [
         make_significance_row(
@@ -88,15 +86,11 @@ def _make_rise_rows(samples: xr.Dataset) -> list[dict[str, object]]:
 
 def _make_reddening_row(dataset: xr.Dataset) -> dict[str, object]:
     """Return the row on the increase of the ratio of red to green reflectance with hematite."""
-    red, green = (
-        compute_band_mean(dataset, "reflectance", *b) for b in (RED_BAND_NM, GREEN_BAND_NM)
-    )
-    slope = (
-        make_band_weights(dataset, *RED_BAND_NM) / red
-        - make_band_weights(dataset, *GREEN_BAND_NM) / green
-    )
-    ratio = red / green
-    error = ratio * compute_weighted_error(dataset, "reflectance", slope)
+    errors, bands = dataset.errors, (RED_BAND_NM, GREEN_BAND_NM)
+    red, green = (errors.mean("reflectance", *band)[0] for band in bands)
+    red_weights, green_weights = (errors.make_band_weights(*band) for band in bands)
+    ratio, slope = red / green, red_weights / red - green_weights / green
+    error = ratio * errors.weighted_sum("reflectance", slope)[1]
     statement = "hematite for goethite shifts to the red: ratio of 620-700 to 480-560 nm"
     steps = Estimate(ratio, error).diff("hematite_ratio")
     return make_significance_row(f"{statement}, smallest step", "Fig 8", *steps)
@@ -156,7 +150,7 @@ def make_shift_table(
         estimate - estimate.sel(**{dimension: reference})
         for estimate in (
             Estimate.from_dataset(dataset, "reflectance"),
-            estimate_band(dataset, "reflectance", low, high),
+            Estimate(*dataset.errors.mean("reflectance", low, high)),
         )
     )
     worst = spectrum.isel(wavelength=abs(spectrum.value).argmax("wavelength"))

@@ -11,7 +11,6 @@ import pandas as pd
 import xarray as xr
 from matplotlib.figure import Figure
 
-from splits.core.uncertainty import compute_weighted_error
 from splits.plotting.style import (
     BAND_SIGMA,
     TWO_COLUMNS_INCHES,
@@ -27,7 +26,6 @@ from workflow.papers.statements import (
     UNRESOLVED_VERDICT,
     Estimate,
     compute_steps,
-    estimate_band,
     make_monotone_row,
     make_row,
     make_significance_row,
@@ -191,7 +189,7 @@ def _compute_density_effect(dataset: xr.Dataset) -> dict[str, Estimate]:
 
     def compute_stderr(weights: np.ndarray) -> float:
         weight = xr.DataArray(weights, dims="wavelength")
-        return math.hypot(*(compute_weighted_error(s, "reflectance", weight) for s in spectra))
+        return math.hypot(*(s.errors.weighted_sum("reflectance", weight)[1] for s in spectra))
 
     weights = np.sign(difference) / (loose.value.values * difference.size)
     return {
@@ -338,7 +336,7 @@ def _make_facetness_rows(dataset: xr.Dataset) -> list[dict[str, object]]:
     The rise flattens, so that neighbouring values may agree within their errors; the second row
     only requires that no step is significantly negative.
     """
-    mean = estimate_band(dataset, "reflectance", 700, 1300)
+    mean = Estimate(*dataset.errors.mean("reflectance", 700, 1300))
     value, error = select_least_significant(*mean.diff("facetness"))
     rises = "reflectance rises from least to most facetness, 700-1300 nm"
     never_falls = "reflectance never falls with facetness, 700-1300 nm: smallest step"
@@ -374,7 +372,7 @@ def _make_peak_row(
 
 def _make_depth_rows(dataset: xr.Dataset) -> list[dict[str, object]]:
     """Return the rows on transmittance at twice the depth, in the visible and at 1030 nm."""
-    visible = estimate_band(dataset, "transmittance", 400, 700).divide_neighbours("depth_m")
+    visible = Estimate(*dataset.errors.mean("transmittance", 400, 700)).divide_neighbours("depth_m")
     infrared = Estimate.from_dataset(dataset.sel(wavelength=1030), "transmittance")
     rows = []
     for depth, ratio, error in zip(dataset.depth_m.values, *visible, strict=False):
@@ -421,9 +419,8 @@ def compute_measured_rmse(dataset: xr.Dataset, measured: pd.DataFrame) -> tuple[
     part = dataset.sel(wavelength=measured.wavelength_nm.values)
 
     def compute_stderr(weights: np.ndarray) -> float:
-        return float(
-            compute_weighted_error(part, "reflectance", xr.DataArray(weights, dims="wavelength"))
-        )
+        by_wavelength = xr.DataArray(weights, dims="wavelength")
+        return float(part.errors.weighted_sum("reflectance", by_wavelength)[1])
 
     return compute_rmse(table.difference, table.stderr, compute_stderr)
 

@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.core.uncertainty import compute_band_error, make_band_weights
 from splits.core.validation import invalid, join_names
 
 DIRECTION_DIMS = {"wavelength", "polar_deg", "azimuth_deg", "screen_depth"}
@@ -150,18 +149,6 @@ MIN_TREND_SIGMA = 3.0
 """Significance (standard errors) that the smallest step of a trend must exceed."""
 
 
-def compute_band_mean(dataset: xr.Dataset, quantity: str, low: float, high: float) -> xr.DataArray:
-    """Return the mean of a quantity over a band (nm), NaN if any of its values is."""
-    inside = make_band_weights(dataset, low, high).values > 0.0
-    return dataset[quantity].isel(wavelength=inside).mean("wavelength", skipna=False)
-
-
-def estimate_band(dataset: xr.Dataset, quantity: str, low: float, high: float) -> Estimate:
-    """Return the mean of a quantity over a band (nm) and its standard error."""
-    mean = compute_band_mean(dataset, quantity, low, high)
-    return Estimate(mean, compute_band_error(dataset, quantity, low, high).transpose(*mean.dims))
-
-
 def compute_steps(
     dataset: xr.Dataset, quantity: str, dimension: str, low: float, high: float
 ) -> Estimate:
@@ -170,7 +157,7 @@ def compute_steps(
     Points of the grid are assumed independent, which overestimates the error where they share
     random numbers.
     """
-    return estimate_band(dataset, quantity, low, high).diff(dimension)
+    return Estimate(*dataset.errors.mean(quantity, low, high)).diff(dimension)
 
 
 def make_row(

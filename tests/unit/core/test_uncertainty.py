@@ -15,20 +15,13 @@ from splits.analysis.colour import (
     to_cielab,
 )
 from splits.core.keywords import ERROR_NAMES, REMEDIES, describe_missed_error, nest_runs
-from splits.core.uncertainty import (
-    compute_band_error,
-    compute_difference,
-    compute_error_parts,
-    compute_weighted_error,
-    make_band_weights,
-)
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.simulation.spectral_tally import rescale_deviations
 from splits.simulation.strata import STOP_REASONS
-from workflow.papers.statements import compute_band_mean, compute_steps
+from workflow.papers.statements import compute_steps
 
 WAVELENGTHS = np.arange(400.0, 781.0, 10.0)
 RED = WAVELENGTHS >= 600.0
@@ -59,35 +52,33 @@ def make_two_node_batches():
 
 def test_errors_are_correlated_within_a_node_only():
     ds = make_dataset(make_two_node_batches())
-    assert float(compute_band_error(ds, "reflectance", 400, 590)) == pytest.approx(ERROR)
-    assert float(compute_band_error(ds, "reflectance", 600, 780)) == pytest.approx(ERROR)
-    difference = make_band_weights(ds, 600, 780) - make_band_weights(ds, 400, 590)
-    error = float(compute_weighted_error(ds, "reflectance", difference))
+    assert float(ds.errors.mean("reflectance", 400, 590)[1]) == pytest.approx(ERROR)
+    assert float(ds.errors.mean("reflectance", 600, 780)[1]) == pytest.approx(ERROR)
+    difference = ds.errors.make_band_weights(600, 780) - ds.errors.make_band_weights(400, 590)
+    error = float(ds.errors.weighted_sum("reflectance", difference)[1])
     assert error == pytest.approx(np.sqrt(2.0) * ERROR)
     fraction = RED.mean()
-    mean = float(compute_band_error(ds, "reflectance", 400, 780))
+    mean = float(ds.errors.mean("reflectance", 400, 780)[1])
     assert mean == pytest.approx(ERROR * np.hypot(fraction, 1.0 - fraction))
 
 
 def test_interpolation_errors_are_correlated_for_equal_signs():
     ds = make_dataset(make_two_node_batches(), bound=0.004)
-    weights = make_band_weights(ds, 600, 780) - make_band_weights(ds, 400, 590)
-    scatter, bound = compute_error_parts(ds, "reflectance", weights)
+    weights = ds.errors.make_band_weights(600, 780) - ds.errors.make_band_weights(400, 590)
+    scatter, bound = ds.errors.split("reflectance", weights)
     assert float(scatter) == pytest.approx(np.sqrt(2.0) * ERROR)
     assert float(bound) == pytest.approx(np.sqrt(2.0) * 0.004, rel=1e-4)
-    separate = make_band_weights(ds, 400, 500) + make_band_weights(ds, 700, 780)
-    assert float(compute_error_parts(ds, "reflectance", separate)[1]) == pytest.approx(
-        0.008, rel=1e-4
-    )
-    error = float(compute_weighted_error(ds, "reflectance", weights))
+    separate = ds.errors.make_band_weights(400, 500) + ds.errors.make_band_weights(700, 780)
+    assert float(ds.errors.split("reflectance", separate)[1]) == pytest.approx(0.008, rel=1e-4)
+    error = float(ds.errors.weighted_sum("reflectance", weights)[1])
     assert error == pytest.approx(np.hypot(float(scatter), float(bound)))
 
 
 @pytest.mark.parametrize("batches", [None, 0.0 * make_two_node_batches()])
 def test_without_scatter_errors_are_upper_bounds(batches):
     ds = make_dataset(batches)
-    weights = make_band_weights(ds, 600, 780) - make_band_weights(ds, 400, 590)
-    scatter, bound = compute_error_parts(ds, "reflectance", weights)
+    weights = ds.errors.make_band_weights(600, 780) - ds.errors.make_band_weights(400, 590)
+    scatter, bound = ds.errors.split("reflectance", weights)
     assert float(scatter) == 0.0
     assert float(bound) == pytest.approx(2.0 * ERROR)
 
@@ -98,12 +89,12 @@ def test_missing_values_give_missing_errors(batches):
     for values in ds.data_vars.values():
         values[..., RED] = np.nan
     for low, high, known in ((400, 590, True), (400, 780, False), (600, 780, False)):
-        assert bool(compute_band_error(ds, "reflectance", low, high).notnull()) == known
-        assert bool(compute_band_mean(ds, "reflectance", low, high).notnull()) == known
+        assert bool(ds.errors.mean("reflectance", low, high)[1].notnull()) == known
+        assert bool(ds.errors.mean("reflectance", low, high)[0].notnull()) == known
     if batches is not None:
         ds = make_dataset(batches)
         ds.reflectance_stderr[5] = np.nan
-        assert compute_band_error(ds, "reflectance", 400, 590).isnull()
+        assert ds.errors.mean("reflectance", 400, 590)[1].isnull()
 
 
 def test_correlated_errors_cancel_in_a_difference():
@@ -120,19 +111,18 @@ def test_correlated_errors_cancel_in_a_difference():
         },
         {"medium": ["clean", "dirty"], "wavelength": [500.0, 600.0]},
     )
-    change, stderr = compute_difference(dataset, "reflectance", "dirty", "clean")
+    change, stderr = dataset.errors.difference("reflectance", "dirty", "clean")
     np.testing.assert_allclose(change, [-0.4, -0.2])
     scatter = 0.01 * (independent[:, 0] ** 2).sum(axis=0)
     np.testing.assert_allclose(stderr, np.sqrt(scatter + np.array([0.1, 0.0]) ** 2), atol=1e-6)
-    reverse, reverse_stderr = compute_difference(dataset, "reflectance", "clean", "dirty")
+    reverse, reverse_stderr = dataset.errors.difference("reflectance", "clean", "dirty")
     np.testing.assert_allclose(reverse, -change)
     np.testing.assert_allclose(reverse_stderr, stderr)
 
 
 def test_a_band_without_wavelengths_is_rejected():
-    for function in (compute_band_mean, compute_band_error):
-        with pytest.raises(ValueError, match=r"wavelength = .*some in 1200 to 1300 nm"):
-            function(make_dataset(make_two_node_batches()), "reflectance", 1200, 1300)
+    with pytest.raises(ValueError, match=r"wavelength = .*some in 1200 to 1300 nm"):
+        make_dataset(make_two_node_batches()).errors.mean("reflectance", 1200, 1300)
 
 
 def test_colour_errors_match_sampled_scatter():
@@ -210,7 +200,7 @@ def test_batches_are_kept_in_grids_and_files(tmp_path):
     splits.save(ds, tmp_path / "mine.nc")
     loaded = splits.load(tmp_path / "mine.nc")
     xr.testing.assert_identical(loaded.reflectance_batches, ds.reflectance_batches)
-    assert (compute_band_error(loaded, "reflectance", 400, 600) > 0.0).all()
+    assert (loaded.errors.mean("reflectance", 400, 600)[1] > 0.0).all()
 
 
 NATURAL = splits.Snow.natural(specific_surface_area_m2_kg=20, depth_m=0.1)

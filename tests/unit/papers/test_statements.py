@@ -8,7 +8,6 @@ import xarray as xr
 from splits.core.validation import InvalidValue
 from workflow.papers.statements import (
     MIN_TREND_SIGMA,
-    compute_band_mean,
     compute_steps,
     make_monotone_row,
     make_significance_row,
@@ -42,8 +41,8 @@ def compute_verdict(values, sign, stderr=0.01):
 
 def test_band_mean_uses_its_band_only():
     dataset = make_transmittance([0.2, 0.4])
-    np.testing.assert_allclose(compute_band_mean(dataset, "transmittance", 400, 600), [0.2, 0.4])
-    np.testing.assert_allclose(compute_band_mean(dataset, "transmittance", 850, 950), 9.0)
+    np.testing.assert_allclose(dataset.errors.mean("transmittance", 400, 600)[0], [0.2, 0.4])
+    np.testing.assert_allclose(dataset.errors.mean("transmittance", 850, 950)[0], 9.0)
 
 
 def test_steps_have_combined_errors():

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import splits
-from splits.kernels.tallies.exits import (
+from splits.kernels.records import (
     EXIT_LENGTH,
     EXIT_ORDER,
     EXIT_SIDE,

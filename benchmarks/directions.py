@@ -20,7 +20,6 @@ import splits
 from splits.analysis.directions import select_principal_plane
 from splits.instruments.angular_tallies import DEFAULT_N_BINS, compute_bin_centres
 from splits.kernels import phase_function
-from splits.kernels.arithmetic import UP
 from splits.kernels.grains.grain_path import sample_entry_variates, sample_grain
 from splits.kernels.grains.spheroid import compute_chord, sample_entry_point
 from splits.kernels.grains.surface import (
@@ -35,10 +34,9 @@ from splits.kernels.interface import (
     compute_mueller,
     rotate_to_plane_of_incidence,
 )
+from splits.kernels.records import N_STOKES_COLUMNS, allocate_exits
 from splits.kernels.rng import start_stream, uniform
-from splits.kernels.scene import ALL_FEATURES, NO_MAX_ORDER, make_bounding_optics
-from splits.kernels.stokes import UNPOLARIZED
-from splits.kernels.tallies.exits import N_STOKES_COLUMNS, allocate_exits
+from splits.kernels.scene import ALL_FEATURES, NO_MAX_ORDER, UNPOLARIZED, UP, make_bounding_optics
 from splits.kernels.transport import history
 from splits.simulation.scene import IncidentPolarization, build_scene, compute_optical_constants
 

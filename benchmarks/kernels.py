@@ -36,8 +36,8 @@ from splits.core.escaping import write_data_frame
 from splits.core.process import count_cpus
 from splits.core.validation import expand_path
 from splits.kernels import vectorized
+from splits.kernels.records import allocate_exits
 from splits.kernels.scene import NO_MAX_ORDER, Features, Optics, make_bounding_optics
-from splits.kernels.tallies.exits import allocate_exits
 from splits.kernels.transport import history
 from splits.kernels.vectorized.trace import select_features
 from splits.materials.library import absorption_coefficient

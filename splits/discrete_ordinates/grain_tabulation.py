@@ -15,7 +15,7 @@ from splits.discrete_ordinates.grains import MAX_ABSORPTION, Axis, GrainTable
 from splits.discrete_ordinates.granular_layers import GranularLayer
 from splits.discrete_ordinates.granular_stack import GranularStack
 from splits.discrete_ordinates.homogeneous_layer import LayerOptics, Streams, solve_slab
-from splits.kernels.grains.single_grain import N_SCATTERING_BATCHES
+from splits.kernels.records import N_SCATTERING_BATCHES
 from splits.kernels.scene import WET_PORE
 from splits.materials.library import load_dataset
 from splits.media.snow import NATURAL_REFRACTIVE_INDICES, Snow

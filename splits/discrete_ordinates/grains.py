@@ -12,8 +12,7 @@ from splits.core.uncertainty import compute_leave_one_out_means
 from splits.discrete_ordinates.adding import WET
 from splits.discrete_ordinates.homogeneous_layer import TINY
 from splits.io.cache import Cache, compute_digest
-from splits.kernels.compiler.cache import find_cache_folder
-from splits.kernels.grains.single_grain import N_SCATTERING_BATCHES
+from splits.kernels.records import N_SCATTERING_BATCHES
 from splits.kernels.scene import Scene
 from splits.media.medium import GranularMedium
 from splits.simulation.engine import simulate
@@ -261,6 +260,8 @@ def load_grains(
         See `choose_rays`.
     threads : int
     """
+    from splits.kernels.compiler.cache import find_cache_folder
+
     index, absorption = compute_material_constants(layer, wavelength_nm)
     # Paths in grains do not depend on the absorption by pores, which may contain impurities.
     absorption[:, :N_PORE_MATERIALS] = 0.0

@@ -11,7 +11,7 @@ from splits.core.uncertainty import compute_jackknife_stderr
 from splits.discrete_ordinates.adding import DRY, WET
 from splits.discrete_ordinates.grains import GrainTable, TracedGrains
 from splits.discrete_ordinates.homogeneous_layer import TINY, LayerOptics
-from splits.kernels.grains.single_grain import N_SCATTERING_BATCHES
+from splits.kernels.records import N_SCATTERING_BATCHES
 from splits.kernels.scene import DRY_PORE, WET_PORE
 from splits.simulation.scene import compute_material_constants
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.core.uncertainty import ErrorTarget, compute_batch_stderr
-from splits.kernels.tallies.distributions import DiskBasis, evaluate_basis_at
+from splits.kernels.records import DiskBasis
 from splits.simulation.spectral_nodes import INTERPOLATION_FACTOR, bound_fraction_error
 from splits.simulation.tally import Tally
 
@@ -58,6 +58,8 @@ def make_direction_grid(
     polar_deg: np.ndarray, azimuth_deg: np.ndarray, basis: DiskBasis
 ) -> DirectionGrid:
     """Return a grid of directions with the polynomials there."""
+    from splits.kernels.tallies.distributions import evaluate_basis_at
+
     polar, azimuth = np.radians(np.meshgrid(polar_deg, azimuth_deg, indexing="ij")).reshape(2, -1)
     sine = np.sin(polar)
     directions = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), np.cos(polar)], axis=1)

@@ -17,6 +17,7 @@ from splits.instruments.angular_estimate import (
     estimate_row,
     join_wavelengths,
 )
+from splits.kernels.records import EXIT_ORDER, AngularSums
 from splits.kernels.scene import NO_MAX_ORDER
 from splits.kernels.tallies.distributions import (
     FIRST_PRODUCT,
@@ -24,11 +25,9 @@ from splits.kernels.tallies.distributions import (
     FIRST_STOKES_SQUARED,
     N_POLARIZED_SUMS,
     WEIGHT,
-    AngularSums,
     tally_angular_bins,
     tally_expansion,
 )
-from splits.kernels.tallies.exits import EXIT_ORDER
 from splits.simulation.spectral_nodes import INTERPOLATION_FACTOR, IndexNodes
 from splits.simulation.strata import Evaluation, StoppingRule, Stratum
 from splits.simulation.tally import RAYS_PER_CHUNK, ExitTally

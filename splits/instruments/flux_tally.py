@@ -10,8 +10,8 @@ import numpy as np
 from splits.core.uncertainty import compute_batch_stderr
 from splits.core.validation import invalid
 from splits.instruments.flux_media import TracedMedium
+from splits.kernels.records import N_BATCHES
 from splits.kernels.scene import Scene
-from splits.kernels.tallies.exits import N_BATCHES
 from splits.kernels.tallies.flux import DOWNWELLING, UPWELLING, FluxSums, tally_flux
 from splits.simulation.engine import MIN_ROUND_GROWTH
 from splits.simulation.spectral_nodes import MAX_LOG_SLOPE, IndexNodes

@@ -49,7 +49,7 @@ from splits.instruments.solver import (
     solve_angular_distributions,
 )
 from splits.instruments.spectrophotometer import MAX_ATTEMPTS, SpectralRequest
-from splits.kernels.tallies.distributions import make_basis
+from splits.kernels.records import make_basis
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.simulation.deep_medium import ERROR_BUDGET_FRACTION, THEORY_UNCERTAINTY, TruncatedMedium

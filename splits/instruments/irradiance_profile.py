@@ -55,7 +55,7 @@ from splits.instruments.solver import (
     SolverChoice,
     choose_solver,
 )
-from splits.kernels.tallies.exits import N_BATCHES
+from splits.kernels.records import N_BATCHES
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.simulation.engine import simulate

@@ -36,8 +36,8 @@ from splits.instruments.solver import (
     solve_estimate,
     solve_parameter_derivatives,
 )
+from splits.kernels.records import N_BATCHES
 from splits.kernels.scene import NO_GROUND
-from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
 from splits.media.snow_packs import SnowPacks

@@ -5,14 +5,3 @@ Nothing in this package imports the rest of `splits` except `splits.core`.  Kern
 of grains are selected by the compiler (`splits.kernels.compiler.jit.specialize`).  Machine code is
 cached on disk (`splits.kernels.compiler.cache`).
 """
-
-from __future__ import annotations
-
-import warnings
-
-import numba
-
-if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
-    # The random stream overflows 2**64 on purpose; NumPy scalars warn about that, machine integers
-    # do not.
-    warnings.filterwarnings("ignore", "overflow encountered", RuntimeWarning)

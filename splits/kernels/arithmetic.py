@@ -22,6 +22,7 @@ from splits.kernels.compiler.jit import (
     float32_constant,
     inline,
 )
+from splits.kernels.scene import Vector
 
 # --------------------------------------------------------------------------------------------------
 # Fused multiply-add and roots, each implemented for the precision of its arguments.
@@ -268,23 +269,11 @@ def sample_half_circle_float32(u):
 # numbers.
 
 
-class Vector(NamedTuple):
-    """Point (m) or direction (unit length)."""
-
-    x: float
-    y: float
-    z: float
-
-
 class Tangents(NamedTuple):
     """Two unit vectors that complete a third one to a right-handed frame."""
 
     u: Vector
     v: Vector
-
-
-UP = Vector(0.0, 0.0, 1.0)
-ORIGIN = Vector(0.0, 0.0, 0.0)
 
 
 @inline

@@ -6,7 +6,6 @@ import math
 from typing import Any, NamedTuple
 
 from splits.kernels.arithmetic import (
-    Vector,
     cross,
     dot,
     fma,
@@ -19,6 +18,7 @@ from splits.kernels.arithmetic import (
 from splits.kernels.compiler.jit import FOUR, HALF, ONE, TINY, ZERO, inline, inline_only
 from splits.kernels.phase_function import sample_phase_function
 from splits.kernels.rng import uniform
+from splits.kernels.scene import Vector
 from splits.kernels.stokes import (
     DirectionSample,
     compute_azimuth,

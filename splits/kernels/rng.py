@@ -107,13 +107,3 @@ def sample_discrete(cdf, u):
     while u >= cdf[i] and i < cdf.size - 1:
         i += 1
     return i
-
-
-def make_table_probabilities(n_points):
-    """Return the probabilities of a quantile table, float64[points], dense at both ends.
-
-    u = 2x² below one half and its mirror image above, x equidistant: the outermost interval of 1025
-    points holds 2e-6 of the probability, so that the tails of distributions are resolved.
-    """
-    x = np.linspace(0.0, 1.0, n_points)
-    return np.where(x < 0.5, 2.0 * x**2, 1.0 - 2.0 * (1.0 - x) ** 2)

@@ -1,4 +1,7 @@
-"""Data of the kernels: scenes with their grains and light source, rays, and the work of a call."""
+"""Data of the kernels: scenes with their grains and light source, rays, and the work of a call.
+
+Nothing here is compiled, so that media and other solvers use these types without the compiler.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,42 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.kernels.arithmetic import ORIGIN, Vector, add, sqrt
-from splits.kernels.compiler.jit import inline, inline_only
-from splits.kernels.stokes import Stokes
+# --------------------------------------------------------------------------------------------------
+# Vectors, and the polarization of a ray.
+#
+# Kernels pass rays as named tuples, which the compiler dissolves: a `Vector` costs as much as three
+# numbers.
+
+
+class Vector(NamedTuple):
+    """Point (m) or direction (unit length)."""
+
+    x: float
+    y: float
+    z: float
+
+
+UP = Vector(0.0, 0.0, 1.0)
+
+
+ORIGIN = Vector(0.0, 0.0, 0.0)
+
+
+class Stokes(NamedTuple):
+    """Polarization of a ray: the reference e, and Q, U and V over I.
+
+    `None` in its place disables polarization at compile time.
+    """
+
+    e: Vector
+    q: float
+    u: float
+    v: float
+
+
+UNPOLARIZED = Stokes(Vector(1.0, 0.0, 0.0), 0.0, 0.0, 0.0)
+"""Unpolarized light, with an arbitrary reference."""
+
 
 # --------------------------------------------------------------------------------------------------
 # Sampling rules: options of the kernels as integer codes, and the names of the codes.
@@ -112,7 +148,7 @@ ALL_FEATURES = Features(*[True] * len(Features._fields))
 
 
 class GrainTypes(NamedTuple):
-    """Grain types; distributions are quantile functions (`rng.make_table_probabilities`).
+    """Grain types; distributions are quantile functions (`make_table_probabilities`).
 
     A table of distributions has one row per type, or a single row that holds for all of them.
     Another shape has a class of its own, with the first four fields and further such tables.
@@ -159,6 +195,58 @@ class GrainPopulation(NamedTuple):
     types: Any
 
 
+def make_table_probabilities(n_points):
+    """Return the probabilities of a quantile table, float64[points], dense at both ends.
+
+    u = 2x² below one half and its mirror image above, x equidistant: the outermost interval of 1025
+    points holds 2e-6 of the probability, so that the tails of distributions are resolved.
+    """
+    x = np.linspace(0.0, 1.0, n_points)
+    return np.where(x < 0.5, 2.0 * x**2, 1.0 - 2.0 * (1.0 - x) ** 2)
+
+
+# --------------------------------------------------------------------------------------------------
+# Randomly rough surfaces on top of layers.
+
+EXPONENTIAL_AS_PRINTED, EXPONENTIAL, GAUSSIAN, TABULATED = range(4)
+"""Distributions of the wave number, see `wave_number_quantile`."""
+
+
+class HeightFields(NamedTuple):
+    """Superposed random fields, one entry each.
+
+    Attributes
+    ----------
+    rms_height : float64[fields]
+        σ (m).
+    n_waves : int64[fields]
+        M.
+    law : int64[fields]
+        `EXPONENTIAL_AS_PRINTED`, `EXPONENTIAL`, `GAUSSIAN` or `TABULATED`.
+    wave_number : float64[fields]
+        k0 (1/m); unused with a table.
+    band_fraction : float64[fields]
+        Cumulative probability of the distribution at the band limit; 1 without one.
+    quantiles : float64[fields, m]
+        Quantile functions of λ (1/m) of fields with a table
+        (`make_table_probabilities`).
+    """
+
+    rms_height: np.ndarray
+    n_waves: np.ndarray
+    law: np.ndarray
+    wave_number: np.ndarray
+    band_fraction: np.ndarray
+    quantiles: np.ndarray
+
+
+MAX_HEIGHT_SIGMA = 50.0
+"""Bound of the height of realizations in standard deviations.
+
+`bands.BOUND_SIGMA` times the root of −ln u, with u the smallest random number, is below it.
+"""
+
+
 # --------------------------------------------------------------------------------------------------
 # Light sources: a collimated beam and diffuse light from above.
 
@@ -176,25 +264,6 @@ class Source(NamedTuple):
 
     cos_incidence: float
     diffuse_fraction: float
-
-
-@inline
-def sample_source_direction(source, u):
-    """Sample the direction of an incident ray, from above, with azimuth 0.
-
-    Media are azimuthally symmetric, so that only the polar angle of diffuse light is sampled.
-
-    Parameters
-    ----------
-    source : Source
-    u : float
-        A uniform random number; unused for a beam alone.
-    """
-    mu = source.cos_incidence
-    if u < source.diffuse_fraction:
-        # Lambert's law; conditional on the choice, u / diffuse_fraction is uniform again.
-        mu = sqrt(u / source.diffuse_fraction)
-    return Vector(sqrt(max((1.0 - mu) * (1.0 + mu), 0.0)), 0.0, -mu)
 
 
 # --------------------------------------------------------------------------------------------------
@@ -450,21 +519,6 @@ class Ray(NamedTuple):
     order: int
     max_order: int
     stokes: Any
-
-
-@inline_only
-def make_ray(position, direction, stokes, pore_variate, next_roulette, max_order):
-    """Return a new ray in the top layer."""
-    return Ray(
-        ALIVE, position, ORIGIN, direction, NO_SEGMENT, 0.0, 0, pore_variate, 1.0, 0.0,
-        next_roulette, 0, 0, max_order, stokes,
-    )  # fmt: skip
-
-
-@inline_only
-def compute_position(ray):
-    """Return the position of a ray (m)."""
-    return add(ray.position, ray.exit_offset)
 
 
 # --------------------------------------------------------------------------------------------------

@@ -20,7 +20,6 @@ import math
 from typing import Any, NamedTuple
 
 from splits.kernels.arithmetic import (
-    Vector,
     add_scaled,
     cross,
     dot,
@@ -35,22 +34,7 @@ from splits.kernels.phase_function import (
     sample_scattering_cosine,
 )
 from splits.kernels.rng import sample_azimuth, uniform
-
-
-class Stokes(NamedTuple):
-    """Polarization of a ray: the reference e, and Q, U and V over I.
-
-    `None` in its place disables polarization at compile time.
-    """
-
-    e: Vector
-    q: float
-    u: float
-    v: float
-
-
-UNPOLARIZED = Stokes(Vector(1.0, 0.0, 0.0), 0.0, 0.0, 0.0)
-"""Unpolarized light, with an arbitrary reference."""
+from splits.kernels.scene import Stokes, Vector
 
 
 class LinearPolarization(NamedTuple):

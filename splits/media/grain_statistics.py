@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from splits.kernels.rng import make_table_probabilities
+from splits.kernels.scene import make_table_probabilities
 
 N_TABLE_POINTS = 1025
 """Number of probabilities at which quantile functions are tabulated."""

@@ -24,9 +24,8 @@ from splits.core.validation import (
     invalid,
     suggest_name,
 )
-from splits.kernels.phase_function import PhaseFunction
-from splits.kernels.rough_surface.realization import HeightFields
-from splits.kernels.scene import DRY_PORE, GrainPopulation
+from splits.kernels.scattering_matrix import PhaseFunction
+from splits.kernels.scene import DRY_PORE, GrainPopulation, HeightFields
 from splits.materials import make_refractive_index, parse_refractive_index
 from splits.media.ground import Ground, check_ground_reached, describe_ground
 from splits.media.interpretations import TransportInterpretation

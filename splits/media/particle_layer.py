@@ -44,14 +44,13 @@ from splits.core.validation import (
     snap_to_limits,
 )
 from splits.io.netcdf import NETCDF_SUFFIXES, open_foreign
-from splits.kernels.phase_function import (
+from splits.kernels.scattering_matrix import (
     PhaseFunction,
     make_henyey_greenstein,
     make_rayleigh,
     make_tabulated,
 )
-from splits.kernels.rough_surface.realization import HeightFields
-from splits.kernels.scene import MATRIX
+from splits.kernels.scene import MATRIX, HeightFields
 from splits.materials.csv_table import read_csv, read_tabulated_function, to_columns
 from splits.media.formatting import find_differences, format_call, format_input
 from splits.media.ground import Ground, GroundInput, describe_ground

@@ -25,8 +25,14 @@ from splits.core.validation import (
     key_prefix,
     to_text_keys,
 )
-from splits.kernels.rng import make_table_probabilities, start_stream
-from splits.kernels.rough_surface import realization as kernels
+from splits.kernels.scene import (
+    EXPONENTIAL,
+    EXPONENTIAL_AS_PRINTED,
+    GAUSSIAN,
+    TABULATED,
+    HeightFields,
+    make_table_probabilities,
+)
 from splits.materials.csv_table import read_tabulated_function
 from splits.media.formatting import format_call, format_input
 
@@ -86,21 +92,21 @@ def _gaussian_mean_square(limit: float) -> float:
 
 HEIGHT_SPECTRA = {
     "exponential": HeightSpectrum(
-        kernels.EXPONENTIAL,
+        EXPONENTIAL,
         _exponential_cdf,
         lambda k: k * (1.0 + k * k) ** -1.5,
         lambda limit: math.hypot(1.0, limit) - 1.0,
         lambda r: np.exp(-r),
     ),
     "exponential_printed": HeightSpectrum(
-        kernels.EXPONENTIAL_AS_PRINTED,
+        EXPONENTIAL_AS_PRINTED,
         lambda limit: 1.0 if math.isinf(limit) else limit / math.hypot(1.0, limit),
         lambda k: (1.0 + k * k) ** -1.5,
         lambda limit: math.asinh(limit) * math.hypot(1.0 / limit, 1.0) - 1.0,
         _correlate_exponential_printed,
     ),
     "gaussian": HeightSpectrum(
-        kernels.GAUSSIAN,
+        GAUSSIAN,
         lambda limit: -math.expm1(-0.25 * limit * limit),
         lambda k: 0.5 * k * np.exp(-0.25 * k * k),
         _gaussian_mean_square,
@@ -284,7 +290,7 @@ class RandomHeightField(ContentEquality):
 
     @cached_property
     def wave_number_quantiles(self) -> np.ndarray:
-        """Quantile function of the wave numbers (1/m) at `rng.make_table_probabilities`.
+        """Quantile function of the wave numbers (1/m) at `make_table_probabilities`.
 
         It is that of the density p(λ) λ, with p linear between the nodes of the spectrum.
         """
@@ -420,10 +426,10 @@ class RoughSurface(ContentEquality):
         rough = [field for field in self.fields if field.rms_height_m > 0.0]
         return math.sqrt(sum(f.rms_height_m**2 * f.mean_square_wave_number() for f in rough))
 
-    def make_height_fields(self) -> kernels.HeightFields:
+    def make_height_fields(self) -> HeightFields:
         """Return the surface in the form the kernels take."""
         n_fields = len(self.fields)
-        law = np.full(n_fields, kernels.TABULATED, dtype=np.int64)
+        law = np.full(n_fields, TABULATED, dtype=np.int64)
         wave_numbers, band_fraction = np.ones(n_fields), np.ones(n_fields)
         tabulated = any(field.spectrum is not None for field in self.fields)
         quantiles = np.zeros((n_fields, N_QUANTILES if tabulated else 2))
@@ -433,7 +439,7 @@ class RoughSurface(ContentEquality):
                 continue
             spectrum, wave_numbers[i], limit = field._height_spectrum
             law[i], band_fraction[i] = spectrum.kernel_code, spectrum.cdf(limit)
-        return kernels.HeightFields(
+        return HeightFields(
             rms_height=np.array([field.rms_height_m for field in self.fields]),
             n_waves=np.array([field.waves for field in self.fields], dtype=np.int64),
             law=law,
@@ -447,12 +453,18 @@ class RoughSurface(ContentEquality):
 
         The rows are those of `splits.kernels.rough_surface.realization`, which evaluates them.
         """
+        from splits.kernels.rng import start_stream
+        from splits.kernels.rough_surface.realization import (
+            allocate_realization,
+            sample_realization,
+        )
+
         state = np.zeros(1, dtype=np.uint64)
         ray = check_integer("number", ray_number, 0)
         start_stream(state, check_integer("seed", seed, 0), 0, ray)
         height_fields = self.make_height_fields()
-        realization = kernels.allocate_realization(height_fields)
-        return np.asarray(kernels.sample_realization(state, height_fields, realization).waves)
+        realization = allocate_realization(height_fields)
+        return np.asarray(sample_realization(state, height_fields, realization).waves)
 
     def describe(self) -> dict[str, Any]:
         """Return the inputs, a list each, and the rms slope as dataset attributes."""

@@ -19,7 +19,7 @@ import numpy as np
 
 from splits.core.arrays import ContentEquality
 from splits.core.validation import ROUNDING_TOLERANCE, check_relations, invalid
-from splits.kernels.rng import make_table_probabilities
+from splits.kernels.scene import make_table_probabilities
 from splits.materials import MINERAL_DENSITY_KG_M3
 from splits.media.grain_statistics import (
     N_TABLE_POINTS,

@@ -8,14 +8,12 @@ import numpy as np
 import xarray as xr
 
 from splits.core.uncertainty import compute_batch_stderr, compute_leave_one_out_means
-from splits.kernels.grains.single_grain import (
+from splits.kernels.records import (
     N_ELEMENTS,
     N_MATRIX_BATCHES,
     N_SCATTERING_BATCHES,
     IsolatedGrain,
     ScatteringSums,
-    tally_scattering_matrix,
-    tally_single_scattering,
 )
 from splits.kernels.scene import DRY_PORE, WET_PORE, Scene
 from splits.media.medium import GranularMedium
@@ -98,6 +96,8 @@ class SingleScatteringTally(Tally):
         self, seed: int, scene: Scene, stratum: Stratum, first_ray: int
     ) -> tuple[ScatteringSums, int]:
         """Return the sums of a chunk of rays that hit one grain each, and their number."""
+        from splits.kernels.grains.single_grain import tally_single_scattering
+
         wet_fraction = self.wet_fractions[self.node_of_row[stratum.node_rows.start]]
         grain = IsolatedGrain(wet_fraction, scene, stratum.optics)
         work = np.array([stratum.stream, first_ray, self.rays_per_chunk, stratum.max_order])
@@ -199,6 +199,8 @@ class ScatteringMatrixTally(Tally):
         self, seed: int, scene: Scene, stratum: Stratum, first_ray: int
     ) -> tuple[np.ndarray, int]:
         """Return the sums of a chunk of rays that hit one grain each, and their number."""
+        from splits.kernels.grains.single_grain import tally_scattering_matrix
+
         wet_fraction = self.wet_fractions[self.node_of_row[stratum.node_rows.start]]
         grain = IsolatedGrain(wet_fraction, scene, stratum.optics)
         work = np.array([stratum.stream, first_ray, GRAIN_RAYS_PER_CHUNK, stratum.max_order])

@@ -12,20 +12,21 @@ from splits.core.arrays import as_1d_array
 from splits.core.declarations import Quantity
 from splits.core.inputs import INCIDENT_STOKES, Numbers, describe_numbers
 from splits.core.validation import as_scalar, invalid
-from splits.kernels.arithmetic import Vector
-from splits.kernels.phase_function import PhaseFunction
-from splits.kernels.rough_surface.realization import HeightFields
+from splits.kernels.scattering_matrix import PhaseFunction
 from splits.kernels.scene import (
+    MAX_HEIGHT_SIGMA,
     NO_GROUND,
     NO_PARTICLES,
+    UNPOLARIZED,
     GrainPopulation,
+    HeightFields,
     Layers,
     ParticleScattering,
     Scene,
     Source,
+    Stokes,
+    Vector,
 )
-from splits.kernels.stokes import UNPOLARIZED, Stokes
-from splits.kernels.transport.events import MAX_HEIGHT_SIGMA
 from splits.materials.library import absorption_coefficient
 from splits.media.interpretations import Interpretation
 from splits.media.medium import Layer, Medium, ParticleMedium

@@ -14,14 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from splits.kernels.records import BLOCK_SIZE, N_BATCHES, WeightSums
 from splits.kernels.scene import Scene
-from splits.kernels.tallies.exits import (
-    BLOCK_SIZE,
-    N_BATCHES,
-    WeightSums,
-    tally_derivatives,
-    tally_weights,
-)
 from splits.simulation.shared_paths import SpectralRows
 from splits.simulation.spectral_nodes import (
     IndexNodes,
@@ -227,6 +221,8 @@ class SpectralTally(ExitTally):
         self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray
     ) -> tuple[WeightSums, np.ndarray | None]:
         """Return the sums of weights, and the derivatives of the block sums, if there are any."""
+        from splits.kernels.tallies.exits import tally_derivatives, tally_weights
+
         rows, ground_column = self.rows[stratum.node_rows], self.scene.ground_column
         absorption = self.absorption[rows]
         sums = tally_weights(

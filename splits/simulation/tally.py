@@ -10,8 +10,13 @@ import numpy as np
 
 from splits.core.uncertainty import compute_batch_stderr
 from splits.core.validation import invalid
-from splits.kernels import vectorized
-from splits.kernels.rough_surface.realization import allocate_realization
+from splits.kernels.records import (
+    CROSSING_RAY,
+    EXIT_LENGTH,
+    N_STOKES_COLUMNS,
+    TraceResult,
+    allocate_exits,
+)
 from splits.kernels.scene import (
     N_RAYS,
     NO_GROUND,
@@ -20,15 +25,6 @@ from splits.kernels.scene import (
     Scene,
     make_bounding_optics,
 )
-from splits.kernels.tallies.exits import (
-    CROSSING_RAY,
-    EXIT_LENGTH,
-    N_STOKES_COLUMNS,
-    TraceResult,
-    allocate_exits,
-)
-from splits.kernels.transport import history
-from splits.kernels.vectorized.trace import select_features
 from splits.simulation.spectral_nodes import IndexNodes, bound_fraction_error
 from splits.simulation.strata import (
     INITIAL_SEGMENTS,
@@ -424,6 +420,8 @@ class ExitTally(Tally):
         """
         if kernel == "scalar":
             return
+        from splits.kernels.vectorized.trace import select_features
+
         for stratum in self.strata:
             stratum.features = select_features(scene, stratum.optics)
             if stratum.features is None:
@@ -437,6 +435,10 @@ class ExitTally(Tally):
 
     def trace_job(self, seed: int, scene: Scene, job: Sequence[WorkItem]) -> list[ItemScores]:
         """Trace the items of a job and score their chunks."""
+        from splits.kernels import vectorized
+        from splits.kernels.rough_surface.realization import allocate_realization
+        from splits.kernels.transport import history
+
         work = np.array([(one.stream, rays.start, len(rays), one.max_order) for one, rays in job])
         strata, end_rays = [stratum for stratum, _ in job], np.cumsum(work[:, N_RAYS])
         n_stokes = 0 if scene.stokes is None else N_STOKES_COLUMNS

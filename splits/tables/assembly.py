@@ -22,7 +22,7 @@ from splits.io.netcdf import (
     make_provenance,
     to_netcdf_attributes,
 )
-from splits.kernels.tallies.exits import N_BATCHES
+from splits.kernels.records import N_BATCHES
 from splits.simulation.run_options import make_wavelength_coordinate
 from splits.simulation.spectral_tally import QUANTITY_LABELS
 from splits.simulation.strata import STOP_REASONS

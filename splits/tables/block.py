@@ -27,7 +27,7 @@ from splits.instruments.solver import (
 )
 from splits.instruments.spectrophotometer import SpectralRequest
 from splits.io.netcdf import make_provenance
-from splits.kernels.tallies.exits import N_BATCHES
+from splits.kernels.records import N_BATCHES
 from splits.simulation.spectral_tally import SIDE_QUANTITIES
 from splits.simulation.threads import DaemonThreadPool, limit_blas_threads
 from splits.tables.axes import DIFFUSE_PREFIX, VIEW_AXES, ViewGrid, has_diffuse, list_view_axes

@@ -14,8 +14,13 @@ from scenes import compute_optics, make_medium_scene, make_oracle_slab
 
 import splits
 from splits.kernels import vectorized
+from splits.kernels.records import (
+    EXIT_LENGTH,
+    EXIT_SIDE,
+    EXIT_WEIGHT,
+    allocate_exits,
+)
 from splits.kernels.scene import NO_MAX_ORDER, Optics
-from splits.kernels.tallies.exits import EXIT_LENGTH, EXIT_SIDE, EXIT_WEIGHT, allocate_exits
 from splits.kernels.transport import history
 from splits.kernels.vectorized.trace import select_features
 

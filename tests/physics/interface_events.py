@@ -11,7 +11,6 @@ import sys
 import numpy as np
 
 from splits.kernels.arithmetic import (
-    Vector,
     dot,
     make_tangents,
     normalize,
@@ -19,7 +18,7 @@ from splits.kernels.arithmetic import (
 )
 from splits.kernels.interface import ComplexIndex, sample_polarized_interface
 from splits.kernels.rng import start_stream, uniform
-from splits.kernels.stokes import Stokes
+from splits.kernels.scene import Stokes, Vector
 
 INDEX = 1.31
 

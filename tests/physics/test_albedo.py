@@ -9,8 +9,7 @@ from scenes import make_medium_scene
 import splits
 from splits.illumination.bands import as_bands
 from splits.kernels import vectorized
-from splits.kernels.scene import Optics, make_bounding_optics
-from splits.kernels.tallies.exits import (
+from splits.kernels.records import (
     CROSSING_LENGTH,
     CROSSING_RAY,
     CROSSING_WEIGHT,
@@ -19,6 +18,7 @@ from splits.kernels.tallies.exits import (
     EXIT_WEIGHT,
     allocate_exits,
 )
+from splits.kernels.scene import Optics, make_bounding_optics
 from splits.kernels.transport import history
 from splits.kernels.vectorized.trace import select_features
 from splits.simulation.scene import compute_optical_constants

@@ -14,10 +14,10 @@ from spheroids import normalize, to_real_space, to_unit_sphere
 
 import splits
 from splits.kernels import rng
-from splits.kernels.arithmetic import Vector, dot
+from splits.kernels.arithmetic import dot
 from splits.kernels.grains import spheroid
 from splits.kernels.grains.spheroid import EntryPoint, GrainSize, Spheroid
-from splits.kernels.scene import PROJECTED_ENTRY, UNIFORM_ENTRY, Segment
+from splits.kernels.scene import PROJECTED_ENTRY, UNIFORM_ENTRY, Segment, Vector
 
 B = 1.7
 SPHERICITIES = (0.35, 0.7, 0.9, 1.0)

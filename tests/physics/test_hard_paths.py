@@ -18,12 +18,7 @@ from scipy import integrate
 
 import splits
 from splits.kernels import arithmetic
-from splits.kernels.arithmetic import (
-    Vector,
-    add_scaled,
-    dot,
-    scale,
-)
+from splits.kernels.arithmetic import add_scaled, dot, scale
 from splits.kernels.grains import spheroid
 from splits.kernels.grains.grain_path import sample_interaction
 from splits.kernels.grains.spheroid import EntryPoint, GrainSize, Spheroid
@@ -36,6 +31,7 @@ from splits.kernels.scene import (
     TRANSMITTED,
     UNWEIGHTED_FACETS,
     Segment,
+    Vector,
 )
 
 pytestmark = pytest.mark.long

@@ -15,18 +15,15 @@ from numba import njit
 from scenes import compute_optics
 
 import splits
-from splits.kernels.arithmetic import (
-    ORIGIN,
-    UP,
-    Vector,
-    linear_combination,
-)
+from splits.kernels.arithmetic import linear_combination
 from splits.kernels.grains.grain_path import trace_through_grain
-from splits.kernels.grains.single_grain import IsolatedGrain, sample_hit_grain
+from splits.kernels.grains.single_grain import sample_hit_grain
 from splits.kernels.grains.spheroid import FIRST_ROULETTE_DEPTH
+from splits.kernels.rays import make_ray
+from splits.kernels.records import IsolatedGrain
 from splits.kernels.rng import start_stream
-from splits.kernels.scene import ALIVE, NO_MAX_ORDER, make_ray
-from splits.kernels.stokes import Stokes, compute_azimuth, rotate_reference_to
+from splits.kernels.scene import ALIVE, NO_MAX_ORDER, ORIGIN, UP, Stokes, Vector
+from splits.kernels.stokes import compute_azimuth, rotate_reference_to
 from splits.kernels.tallies.exits import compute_path_weight
 from splits.simulation.scene import IncidentPolarization, build_scene
 

@@ -15,7 +15,7 @@ from numba import njit
 from scenes import compute_optics
 
 import splits
-from splits.kernels.arithmetic import ORIGIN, UP, Vector, dot
+from splits.kernels.arithmetic import dot
 from splits.kernels.grains import grain_path
 from splits.kernels.grains.grain_path import (
     sample_entry_variates,
@@ -23,13 +23,23 @@ from splits.kernels.grains.grain_path import (
     trace_through_grain,
 )
 from splits.kernels.grains.spheroid import FIRST_ROULETTE_DEPTH, sample_entry_point
+from splits.kernels.rays import make_ray
 from splits.kernels.rng import start_stream
 from splits.kernels.rough_surface.realization import (
     allocate_realization,
     sample_realization_if_rough,
 )
-from splits.kernels.scene import ALIVE, NO_MAX_ORDER, REFLECTED, make_bounding_optics, make_ray
-from splits.kernels.stokes import Stokes, make_tangents, rotate_reference_to
+from splits.kernels.scene import (
+    ALIVE,
+    NO_MAX_ORDER,
+    ORIGIN,
+    REFLECTED,
+    UP,
+    Stokes,
+    Vector,
+    make_bounding_optics,
+)
+from splits.kernels.stokes import make_tangents, rotate_reference_to
 from splits.kernels.transport import events, history
 from splits.kernels.transport.events import enter_layer
 from splits.kernels.transport.history import trace_history

@@ -23,7 +23,7 @@ import splits
 from splits.core.validation import InvalidValue
 from splits.instruments.lens import lens
 from splits.kernels import rng
-from splits.kernels.arithmetic import Vector, add_scaled, scale
+from splits.kernels.arithmetic import add_scaled, scale
 from splits.kernels.interface import ComplexIndex, sample_interface
 from splits.kernels.rough_surface.intersection import (
     NO_HIT,
@@ -39,7 +39,7 @@ from splits.kernels.rough_surface.realization import (
     compute_height_and_slope,
     sample_realization,
 )
-from splits.kernels.transport.events import MAX_HEIGHT_SIGMA
+from splits.kernels.scene import MAX_HEIGHT_SIGMA, Vector
 from splits.media.rough_surface import RoughSurface
 
 NM = [550.0]

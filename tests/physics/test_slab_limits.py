@@ -11,8 +11,9 @@ from scipy import integrate
 
 import splits
 from splits.kernels.interface import fresnel
+from splits.kernels.records import allocate_exits
 from splits.kernels.scene import NO_GROUND, NO_MAX_ORDER, TRANSMITTED
-from splits.kernels.tallies.exits import allocate_exits, tally_weights
+from splits.kernels.tallies.exits import tally_weights
 from splits.kernels.transport import history
 
 pytestmark = NEEDS_JIT

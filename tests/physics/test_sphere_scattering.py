@@ -12,10 +12,10 @@ from scipy import integrate
 from spheroids import compute_normal, evaluate_quadratic, to_real_space
 
 import splits
-from splits.kernels.arithmetic import Vector, dot
+from splits.kernels.arithmetic import dot
 from splits.kernels.grains.spheroid import GrainSize
 from splits.kernels.interface import FresnelResult, fresnel, fresnel_between, refract
-from splits.kernels.scene import ALIVE
+from splits.kernels.scene import ALIVE, Vector
 
 RADIUS = 2.5e-4
 COUNT = 200_000

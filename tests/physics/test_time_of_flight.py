@@ -10,8 +10,7 @@ import splits
 from splits.core.uncertainty import compute_batch_stderr
 from splits.instruments.beam_spread import N_MAP_PIXELS
 from splits.instruments.delay_record import compute_slowness
-from splits.kernels.tallies.distributions import tally_radial
-from splits.kernels.tallies.exits import (
+from splits.kernels.records import (
     EXIT_DIRECTION,
     EXIT_LENGTH,
     EXIT_ORDER,
@@ -20,6 +19,7 @@ from splits.kernels.tallies.exits import (
     EXIT_WEIGHT,
     allocate_exits,
 )
+from splits.kernels.tallies.distributions import tally_radial
 
 SPEED_OF_LIGHT = 299_792_458.0
 CLEAR = {"ice": 1.31, "water": 1.33}

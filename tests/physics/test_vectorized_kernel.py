@@ -12,12 +12,11 @@ from scenes import make_medium_scene, to_single_item
 
 import splits
 from splits.kernels import vectorized
-from splits.kernels.arithmetic import Vector
 from splits.kernels.grains.spheroid import Spheroid
 from splits.kernels.grains.surface import RelativeIndex
 from splits.kernels.interface import ComplexIndex
-from splits.kernels.scene import NO_MAX_ORDER, Features, Optics
-from splits.kernels.tallies.exits import EXIT_DIRECTION, EXIT_POSITION, allocate_exits
+from splits.kernels.records import EXIT_DIRECTION, EXIT_POSITION, allocate_exits
+from splits.kernels.scene import NO_MAX_ORDER, Features, Optics, Vector
 from splits.kernels.vectorized import lanes
 from splits.kernels.vectorized.lanes import (
     N_LANES,

@@ -12,7 +12,7 @@ from numba import njit
 from scenes import make_ray_at
 
 from splits.kernels import rng
-from splits.kernels.arithmetic import UP, Angle, Vector
+from splits.kernels.arithmetic import Angle
 from splits.kernels.grains import spheroid, surface
 from splits.kernels.grains.grain_path import (
     GrainSample,
@@ -23,7 +23,7 @@ from splits.kernels.grains.grain_path import (
 from splits.kernels.grains.spheroid import FIRST_ROULETTE_DEPTH, Spheroid
 from splits.kernels.grains.surface import InteractionVariates, InterfaceState
 from splits.kernels.interface import InterfaceSample
-from splits.kernels.scene import ALIVE, ALL_FEATURES, NO_MAX_ORDER, WRONG_SIDE_LOBE
+from splits.kernels.scene import ALIVE, ALL_FEATURES, NO_MAX_ORDER, UP, WRONG_SIDE_LOBE, Vector
 from splits.kernels.transport import history
 from splits.kernels.vectorized import lanes as lane_module
 from splits.kernels.vectorized.lanes import Lane

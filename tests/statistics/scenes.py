@@ -7,13 +7,14 @@ from numba import njit
 from oracle import scene as oracle_scene
 
 import splits
-from splits.kernels.arithmetic import ORIGIN, Vector
 from splits.kernels.compiler.jit import replace
 from splits.kernels.grains import grain_path as ray_state
+from splits.kernels.rays import make_ray
 from splits.kernels.scene import (
     NO_GROUND,
     NO_MAX_ORDER,
     NO_PARTICLES,
+    ORIGIN,
     OVERLAP_KEEP,
     GrainPopulation,
     GrainTypes,
@@ -22,8 +23,8 @@ from splits.kernels.scene import (
     Scene,
     Segment,
     Source,
+    Vector,
     make_bounding_optics,
-    make_ray,
 )
 from splits.kernels.transport import history
 from splits.materials.library import absorption_coefficient

@@ -35,9 +35,9 @@ from spheroids import compute_normal, dot_product, find_closest_approach, to_rea
 import splits
 from splits.kernels import interface, rng
 from splits.kernels import scene as ray_module
-from splits.kernels.arithmetic import ORIGIN, UP, Vector
 from splits.kernels.interface import ComplexIndex
-from splits.kernels.scene import DRY_PORE, WET_PORE, Source, sample_source_direction
+from splits.kernels.rays import sample_source_direction
+from splits.kernels.scene import DRY_PORE, ORIGIN, UP, WET_PORE, Source, Vector
 from splits.kernels.transport.flight import BOUNDARY, NO_EVENT
 from splits.media import grain_statistics
 

@@ -25,9 +25,10 @@ from scipy import stats
 
 import splits
 from splits.kernels import arithmetic, rng
-from splits.kernels.arithmetic import Angle, Vector
+from splits.kernels.arithmetic import Angle
 from splits.kernels.grains.surface import InterfaceState, relative_index
 from splits.kernels.interface import ComplexIndex
+from splits.kernels.scene import Vector
 
 N_SAMPLES = scale_sample_size(200_000)
 NORMALS = np.array(

@@ -22,11 +22,9 @@ from spheroids import compute_normal, dot_product, evaluate_quadratic, to_real_s
 
 import splits
 from splits.kernels import rng
-from splits.kernels.arithmetic import Vector
 from splits.kernels.grains.grain_path import sample_entry_variates
 from splits.kernels.grains.spheroid import GrainSize
-from splits.kernels.rng import make_table_probabilities
-from splits.kernels.scene import PROJECTED_ENTRY, UNIFORM_ENTRY
+from splits.kernels.scene import PROJECTED_ENTRY, UNIFORM_ENTRY, Vector, make_table_probabilities
 from splits.kernels.transport.flight import BOUNDARY
 from splits.media import grain_statistics
 
@@ -351,7 +349,7 @@ def test_mean_size_of_hit_sand_grains_is_consistent_with_attenuation():
     for texture in TEXTURES.values():
         sizes = splits.Sand(texture=texture).size_distribution
         table = sizes.tabulate_hit_inverse_sizes()
-        probabilities = np.diff(rng.make_table_probabilities(table.size))
+        probabilities = np.diff(make_table_probabilities(table.size))
         probabilities *= np.diff(np.log(table)) / np.diff(table)
         assert probabilities.sum() * sizes.size_attenuation_per_m == pytest.approx(1.0, rel=1e-4)
 

@@ -12,7 +12,7 @@ from splits.instruments.angular_estimate import (
     join_wavelengths,
     make_direction_grid,
 )
-from splits.kernels.tallies.distributions import make_basis
+from splits.kernels.records import make_basis
 
 POLAR = np.array([0.0, 20.0, 40.0, 60.0, 65.0, 70.0, 72.5, 75.0, 77.5, 80.0])
 AZIMUTH = np.array([0.0, 5.0, 10.0, 60.0, 90.0, 120.0, 180.0])

@@ -15,21 +15,21 @@ from chi2 import (
 )
 from numba import njit
 
-from splits.kernels import interface, phase_function, stokes
-from splits.kernels.arithmetic import Vector
+from splits.kernels import interface, phase_function, scattering_matrix, stokes
 from splits.kernels.interface import ComplexIndex
+from splits.kernels.scene import Stokes, Vector
 
 N_SAMPLES = scale_sample_size(200_000)
-RAYLEIGH = phase_function.make_rayleigh()
+RAYLEIGH = scattering_matrix.make_rayleigh()
 ASYMMETRIES = (-0.99, -0.5, 0.0, 1e-9, 0.3, 0.875, 0.99)
 # A forward peak over four decades, a rainbow, an interval with one end 0, and an empty interval.
-TABLE = phase_function.make_tabulated(
+TABLE = scattering_matrix.make_tabulated(
     [1.0, 0.999, 0.97, 0.8, 0.5, 0.1, 0.0, -0.3, -0.7, -0.75, -0.8, -1.0],
     [9e3, 3e2, 2e1, 3.0, 0.5, 0.0, 0.0, 0.2, 0.3, 1.4, 0.3, 0.6],
     np.outer(np.linspace(0.1, -0.6, 12), [1.0, 0.5, 0.5, 0.2, 0.5]),
 )
-DEPOLARIZING = phase_function.make_rayleigh(0.2)
-MODELS = {f"g = {g}": phase_function.make_henyey_greenstein(g) for g in ASYMMETRIES}
+DEPOLARIZING = scattering_matrix.make_rayleigh(0.2)
+MODELS = {f"g = {g}": scattering_matrix.make_henyey_greenstein(g) for g in ASYMMETRIES}
 MODELS |= {"Rayleigh": RAYLEIGH, "depolarizing": DEPOLARIZING, "table": TABLE}
 
 # Cosines dense at both ends, where phase functions have peaks, and the nodes of the table.
@@ -107,7 +107,7 @@ def test_henyey_greenstein_density_agrees_with_high_precision():
             with mp.workdps(50):
                 a = mp.mpf(g)
                 exact = (1 - a * a) / (4 * mp.pi * (1 + a * a - 2 * a * mp.mpf(mu)) ** mp.mpf(1.5))
-            model = phase_function.make_henyey_greenstein(g)
+            model = scattering_matrix.make_henyey_greenstein(g)
             assert phase_function.evaluate_phase_function(model, mu) == pytest.approx(
                 float(exact), rel=2e-15
             )
@@ -115,7 +115,7 @@ def test_henyey_greenstein_density_agrees_with_high_precision():
 
 def test_tabulated_phase_function():
     x = np.array([-1.0, -0.25, 0.5, 1.0])
-    table = phase_function.make_tabulated(x[::-1], [4.0, 0.0, 2.0, 2.0])
+    table = scattering_matrix.make_tabulated(x[::-1], [4.0, 0.0, 2.0, 2.0])
     # The integral over µ is 2 × 0.75 + 0.75 + 1.
     assert table.density == pytest.approx(np.array([2.0, 2.0, 0.0, 4.0]) / (6.5 * np.pi))
     assert table.cdf == pytest.approx(np.array([0.0, 1.5, 2.25, 3.25]) / 3.25)
@@ -133,7 +133,7 @@ def test_tabulated_phase_function():
 
 def test_fine_table_of_rayleigh_has_zero_mean():
     theta = np.radians(np.arange(181.0))
-    table = phase_function.make_tabulated(np.cos(theta), 1.0 + np.cos(theta) ** 2)
+    table = scattering_matrix.make_tabulated(np.cos(theta), 1.0 + np.cos(theta) ** 2)
     assert table.g == pytest.approx(0.0, abs=1e-15)
     assert phase_function.evaluate_phase_function(table, 1.0) == pytest.approx(
         3 / (8 * math.pi), rel=1e-3
@@ -180,7 +180,7 @@ def make_joint_bins(model, s, probabilities):
         t = m * D + math.sqrt(1.0 - m * m) * sides
         for column, pair in enumerate(t):
             for one in pair:
-                light, toward = stokes.Stokes(REFERENCE, *s), Vector(*one.tolist())
+                light, toward = Stokes(REFERENCE, *s), Vector(*one.tolist())
                 density = stokes.evaluate_polarized_scattering(model, ALONG, light, toward).density
                 out[row, column] += w * density * 0.5 * (AZIMUTH_EDGES[1] - AZIMUTH_EDGES[0])
     return edges, out
@@ -196,13 +196,13 @@ def count_directions(directions, edges):
 def test_directions_of_polarized_light_follow_their_density():
     p = {}
     edge_probabilities = np.arange(1, 8) / 8
-    forward = phase_function.make_henyey_greenstein(0.5)
+    forward = scattering_matrix.make_henyey_greenstein(0.5)
     models = {
         "forward": forward, "Rayleigh": RAYLEIGH, "depolarizing": DEPOLARIZING, "table": TABLE,
     }  # fmt: skip
     for model_name, model in models.items():
         for i, (name, s) in enumerate(LIGHT.items()):
-            light = stokes.Stokes(REFERENCE, *s)
+            light = Stokes(REFERENCE, *s)
             out = draw_samples(
                 _sample_direction, N_SAMPLES // 2, model, ALONG, light, width=3, ray=i
             )
@@ -233,7 +233,7 @@ def test_reflected_fraction_of_polarized_light():
             normal = Vector(*(-cos_i * D + math.sqrt(1.0 - cos_i * cos_i) * side).tolist())
             for s in LIGHT.values():
                 media = ComplexIndex(n1, 0.0), ComplexIndex(n2, 0.0)
-                beam = ALONG, stokes.Stokes(REFERENCE, *s), normal, *media
+                beam = ALONG, Stokes(REFERENCE, *s), normal, *media
                 reflectance = interface.reflect_polarized(*beam).reflectance
                 transmitted = draw_samples(_sample_transmission, N_SAMPLES // 8, *beam, ray=len(z))
                 if reflectance == 1.0:

@@ -20,10 +20,10 @@ from numba import njit
 from scipy import stats
 
 from splits.kernels import rng
-from splits.kernels.arithmetic import UP, Vector, dot
+from splits.kernels.arithmetic import dot
 from splits.kernels.rough_surface import realization as kernels
 from splits.kernels.rough_surface.realization import AMPLITUDE, KX, KY, PHASE
-from splits.kernels.scene import ANY_FACETS, PROJECTED_FACETS, UNWEIGHTED_FACETS
+from splits.kernels.scene import ANY_FACETS, PROJECTED_FACETS, UNWEIGHTED_FACETS, UP, Vector
 from splits.media.rough_surface import RoughSurface
 
 N_REALIZATIONS = scale_sample_size(60_000)

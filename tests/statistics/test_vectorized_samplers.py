@@ -27,9 +27,9 @@ from scipy import stats
 
 import splits
 from splits.kernels import rng
-from splits.kernels.arithmetic import UP, Vector, log, to_single
+from splits.kernels.arithmetic import log, to_single
 from splits.kernels.grains.grain_path import get_layer_geometry
-from splits.kernels.scene import Features
+from splits.kernels.scene import UP, Features, Vector
 from splits.kernels.vectorized import lanes as lane_module
 from splits.kernels.vectorized import passes
 from splits.kernels.vectorized.lanes import Lane, gather_interpolate

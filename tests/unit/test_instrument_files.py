@@ -49,11 +49,19 @@ def test_a_new_file_is_an_instrument(tmp_path, monkeypatch):
         discovery.list_instrument_names.cache_clear()
 
 
+SPECTRUM = "splits.spectrophotometer(splits.Snow.natural(optical_radius_um=100), [500, 900])"
+
+
 @pytest.mark.parametrize(
-    ("use", "module"), [("dir(splits)", "instruments"), ("splits.albedo", "instruments.lens")]
+    ("use", "module"),
+    [
+        ("dir(splits)", "splits.instruments"),
+        ("splits.albedo", "splits.instruments.lens"),
+        (SPECTRUM, "numba"),
+    ],
 )
-def test_names_and_one_instrument_import_no_other(use, module):
-    program = f"import sys, splits; {use}; print('splits.{module}' in sys.modules)"
+def test_only_what_is_used_is_imported(use, module):
+    program = f"import sys, splits; {use}; print('{module}' in sys.modules)"
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert result.stdout.strip() == "False", result.stderr
 

@@ -19,8 +19,9 @@ LAYERS = (
 """Packages from the lowest to the highest layer."""
 INNER_LAYERS = {
     "kernels": (
-        "compiler", "arithmetic", "rng", "interpolation", "phase_function", "stokes", "interface",
-        "scene", "tallies", "rough_surface", "grains", "transport", "vectorized",
+        "compiler", "scene", "records", "scattering_matrix", "arithmetic", "rng", "interpolation",
+        "phase_function", "stokes", "interface", "rays", "tallies", "rough_surface", "grains",
+        "transport", "vectorized",
     ),
     "experiments": ("config", "report"),
 }  # fmt: skip
@@ -142,8 +143,8 @@ def test_names_that_scripts_import_exist(path):
         if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "splits":
             module = import_module(node.module)
             for alias in node.names:
-                submodule = PACKAGE.parent.joinpath(*node.module.split("."), f"{alias.name}.py")
-                assert hasattr(module, alias.name) or submodule.is_file(), alias.name
+                submodule = f"{node.module}.{alias.name}"
+                assert hasattr(module, alias.name) or submodule in list_module_files(), alias.name
         elif isinstance(node, ast.Import):
             for alias in node.names:
                 if alias.name.split(".")[0] == "splits":

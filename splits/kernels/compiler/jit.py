@@ -19,6 +19,11 @@ from numba.extending import overload
 
 from splits.kernels.compiler.cache import enable_caching
 
+if config.DISABLE_JIT:  # type: ignore[attr-defined]
+    # The random stream overflows 2**64 on purpose; NumPy scalars warn about that, machine integers
+    # do not.
+    warnings.filterwarnings("ignore", "overflow encountered", RuntimeWarning)
+
 # --------------------------------------------------------------------------------------------------
 # Numba compiler passes: reference-count check, and pruning of None fields.
 #

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from splits.kernels.arithmetic import UP, Angle, add_scaled
+from splits.kernels.arithmetic import Angle, add_scaled
 from splits.kernels.compiler.jit import inline_only, replace
 from splits.kernels.grains.spheroid import (
     EntryPoint,
@@ -43,6 +43,7 @@ from splits.kernels.scene import (
     ALL_FEATURES,
     OVERLAP_KEEP,
     OVERLAP_SKIP,
+    UP,
     WET_PORE,
     WRONG_SIDE_LOBE,
 )

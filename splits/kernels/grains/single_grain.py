@@ -6,17 +6,9 @@ path segment can reject it (SPLITS 4.3.3-4.3.4).
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from splits.kernels.arithmetic import (
-    ORIGIN,
-    UP,
-    Vector,
-    dot,
-    linear_combination,
-)
+from splits.kernels.arithmetic import dot, linear_combination
 from splits.kernels.compiler.jit import entry_point, inline
 from splits.kernels.grains.grain_path import (
     sample_entry_variates,
@@ -25,41 +17,27 @@ from splits.kernels.grains.grain_path import (
 )
 from splits.kernels.grains.spheroid import FIRST_ROULETTE_DEPTH, sample_entry_point
 from splits.kernels.phase_function import find_interval
+from splits.kernels.rays import make_ray
+from splits.kernels.records import (
+    N_ELEMENTS,
+    N_MATRIX_BATCHES,
+    N_SCATTERING_BATCHES,
+    ScatteringSums,
+)
 from splits.kernels.rng import start_stream, uniform
 from splits.kernels.scene import (
     ALIVE,
     FIRST_RAY,
     MAX_ORDER,
     N_RAYS,
+    ORIGIN,
     STREAM,
-    Optics,
-    Scene,
-    make_ray,
+    UP,
+    Stokes,
+    Vector,
 )
-from splits.kernels.stokes import Stokes, compute_azimuth, make_unpolarized, rotate_reference_to
+from splits.kernels.stokes import compute_azimuth, make_unpolarized, rotate_reference_to
 from splits.kernels.tallies.exits import compute_path_weight
-
-N_SCATTERING_BATCHES = 16
-"""Batches of rays for the standard errors of derived quantities, known to 18 %."""
-
-
-class ScatteringSums(NamedTuple):
-    """Sums over all rays and over batches of rays, see `tally_single_scattering`."""
-
-    sums: np.ndarray
-    batches: np.ndarray
-
-
-class IsolatedGrain(NamedTuple):
-    """Isolated grain, which rays reach through a wet pore with `wet_probability`.
-
-    Of the layer of the scene only the wet_fraction is used, not the boundaries.  Rays are polarized
-    if the scene is; the incident light is not.
-    """
-
-    wet_probability: float
-    scene: Scene
-    optics: Optics
 
 
 @inline
@@ -184,9 +162,6 @@ def score_ray(scores, path_lengths, weight, absorption, sums, batch_sums):
 #
 # for linear, and I = P11, Q = P12, U = P34, V = P44 for circular polarization.
 
-N_ELEMENTS = 6
-N_MATRIX_BATCHES = 32
-"""Batches of rays for standard errors, known to 13 %."""
 _ALONG_X, _ALONG_Y = Vector(1.0, 0.0, 0.0), Vector(0.0, 1.0, 0.0)
 
 

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 from splits.kernels.arithmetic import (
     Angle,
-    Vector,
     add_scaled,
     direction_around,
     dot,
@@ -20,7 +19,8 @@ from splits.kernels.arithmetic import (
     sqrt,
 )
 from splits.kernels.compiler.jit import HALF, ONE, THREE, TWO, ZERO, float32_constant, inline
-from splits.kernels.scene import PROJECTED_ENTRY, Segment, compute_position
+from splits.kernels.rays import compute_position
+from splits.kernels.scene import PROJECTED_ENTRY, Segment, Vector
 
 # --------------------------------------------------------------------------------------------------
 # Prolate spheroids: entry points of rays, chords, and overlap with boundaries and segments.

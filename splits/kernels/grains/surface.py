@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 from splits.kernels.arithmetic import (
     Angle,
-    Vector,
     add_scaled,
     cross,
     dot,
@@ -30,8 +29,8 @@ from splits.kernels.interface import (
     rotate_to_plane_of_incidence,
     unpolarized_reflectance,
 )
-from splits.kernels.scene import ALL_FEATURES, ANY_FACETS, PROJECTED_FACETS
-from splits.kernels.stokes import Stokes, make_unpolarized
+from splits.kernels.scene import ALL_FEATURES, ANY_FACETS, PROJECTED_FACETS, Stokes, Vector
+from splits.kernels.stokes import make_unpolarized
 
 # --------------------------------------------------------------------------------------------------
 # Microfacets: sampling of the facet normal at a rough grain surface.

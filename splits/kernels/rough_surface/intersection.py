@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.kernels.arithmetic import (
-    Vector,
     add_scaled,
     dot,
     normalize,
@@ -36,6 +35,7 @@ from splits.kernels.rough_surface.realization import (
     sum_ray_bounds,
     sum_waves,
 )
+from splits.kernels.scene import Vector
 
 NO_HIT = -1.0
 """No intersection within the distance that matters."""

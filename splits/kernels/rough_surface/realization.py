@@ -22,7 +22,6 @@ from llvmlite import ir
 from numba.core import cgutils, errors, types
 from numba.extending import intrinsic, overload
 
-from splits.kernels.arithmetic import ORIGIN, Vector
 from splits.kernels.compiler.jit import (
     INLINE_OPTIONS,
     entry_point,
@@ -31,6 +30,7 @@ from splits.kernels.compiler.jit import (
     inline_only,
 )
 from splits.kernels.rng import interpolate_quantile, sample_azimuth, uniform
+from splits.kernels.scene import EXPONENTIAL_AS_PRINTED, GAUSSIAN, ORIGIN, TABULATED, Vector
 
 # --------------------------------------------------------------------------------------------------
 # Sums over the plane waves of a surface: heights, slopes, and bounds along a ray.
@@ -317,8 +317,6 @@ def split_bands(waves, bands, max_finer_height):
 # --------------------------------------------------------------------------------------------------
 # Realizations of a randomly rough surface z = Ψ(x, y) as sums of plane waves, and their bounds.
 
-EXPONENTIAL_AS_PRINTED, EXPONENTIAL, GAUSSIAN, TABULATED = range(4)
-"""Distributions of the wave number, see `wave_number_quantile`."""
 
 _MAX_FINER_SIGMA = 4.0
 """Largest height of the waves outside a band, in standard deviations of the surface."""
@@ -326,34 +324,6 @@ _MAX_FINER_SIGMA = 4.0
 _MIN_ONE_MINUS_BETA = 2.0**-40
 """Smallest 1 − β: unbounded distributions are cut off at 1e12 k0, which keeps arguments below 2⁵¹
 cycles."""
-
-
-class HeightFields(NamedTuple):
-    """Superposed random fields, one entry each.
-
-    Attributes
-    ----------
-    rms_height : float64[fields]
-        σ (m).
-    n_waves : int64[fields]
-        M.
-    law : int64[fields]
-        `EXPONENTIAL_AS_PRINTED`, `EXPONENTIAL`, `GAUSSIAN` or `TABULATED`.
-    wave_number : float64[fields]
-        k0 (1/m); unused with a table.
-    band_fraction : float64[fields]
-        Cumulative probability of the distribution at the band limit; 1 without one.
-    quantiles : float64[fields, m]
-        Quantile functions of λ (1/m) of fields with a table
-        (`rng.make_table_probabilities`).
-    """
-
-    rms_height: np.ndarray
-    n_waves: np.ndarray
-    law: np.ndarray
-    wave_number: np.ndarray
-    band_fraction: np.ndarray
-    quantiles: np.ndarray
 
 
 class SurfaceRealization(NamedTuple):

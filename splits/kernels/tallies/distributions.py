@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.kernels.compiler.jit import entry_point, inline
-from splits.kernels.tallies.exits import (
+from splits.kernels.records import (
     CROSSING_CODE,
     CROSSING_RAY,
     EXIT_DIRECTION,
@@ -17,8 +17,9 @@ from splits.kernels.tallies.exits import (
     EXIT_POSITION,
     EXIT_SIDE,
     EXIT_WEIGHT,
-    compute_path_weight,
+    AngularSums,
 )
+from splits.kernels.tallies.exits import compute_path_weight
 
 # --------------------------------------------------------------------------------------------------
 # Angular distributions of exits: expansion over the hemisphere, and angular bins.
@@ -39,56 +40,6 @@ FIRST_STOKES, FIRST_STOKES_SQUARED, FIRST_PRODUCT = 2, 5, 8
 """Rows of sums of polarized rays: of Q, U and V, of their squares, and of IQ, IU and QU."""
 N_POLARIZED_SUMS = 11
 _X, _Y, _Z = range(3)
-
-
-class DiskBasis(NamedTuple):
-    """Polynomials up to a degree, by increasing m and, for each m, increasing l.
-
-    Attributes
-    ----------
-    n_per_m : int64[…]
-        Polynomials for each m from 0 on.
-    degrees : int64[polynomials]
-        n = m + 2l.
-    norms : float64[polynomials]
-        Normalization factors.
-    recurrence_slope, recurrence_offset, recurrence_previous : float64[polynomials]
-        P_l = (slope·t + offset)·P_(l−1) − previous·P_(l−2).
-    """
-
-    n_per_m: np.ndarray
-    degrees: np.ndarray
-    norms: np.ndarray
-    recurrence_slope: np.ndarray
-    recurrence_offset: np.ndarray
-    recurrence_previous: np.ndarray
-
-
-class AngularSums(NamedTuple):
-    """Sums over scattered rays, by direction, and over unscattered rays."""
-
-    scattered: np.ndarray
-    unscattered: np.ndarray
-
-
-def make_basis(degree: int) -> DiskBasis:
-    """Return the polynomials up to a degree (DLMF 18.9.2 with α = m and β = 1)."""
-    rows = [(m, i) for m in range(degree + 1) for i in range((degree - m) // 2 + 1)]
-    m, i = np.array(rows, dtype=float).T
-    # ∫ (1 − μ)^m μ P² dμ is (l + 1) / ((2l + m + 2)(l + m + 1)); cosines give π, or 2π for m = 0.
-    azimuth_integral = np.where(m == 0.0, 2.0 * np.pi, np.pi)
-    scale = np.sqrt((2.0 * i + m + 2.0) * (i + m + 1.0) / ((i + 1.0) * azimuth_integral))
-    denominator = 2.0 * i * (i + m + 1.0) * (2.0 * i + m - 1.0)
-    # The first two need no recurrence, which would divide by 0.
-    denominator = np.where(i < 2, 1.0, denominator)
-    slope = (2.0 * i + m) * (2.0 * i + m + 1.0) * (2.0 * i + m - 1.0) / denominator
-    offset = (2.0 * i + m) * (m * m - 1.0) / denominator
-    previous = 2.0 * (i + m - 1.0) * i * (2.0 * i + m + 1.0) / denominator
-    slope = np.where(i == 1, 0.5 * (m + 3.0), slope)
-    offset = np.where(i == 1, 0.5 * (m - 1), offset)
-    previous = np.where(i == 1, 0.0, previous)
-    per_m = np.array([(degree - k) // 2 + 1 for k in range(degree + 1)])
-    return DiskBasis(per_m, (m + 2 * i).astype(np.int64), scale, slope, offset, previous)
 
 
 @inline

@@ -8,7 +8,7 @@ exponential as the survival probability).
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +21,21 @@ from splits.kernels.compiler.jit import (
     inline,
     inline_allocating,
 )
+from splits.kernels.records import (
+    BLOCK_SIZE,
+    CROSSING_CODE,
+    CROSSING_LENGTH,
+    CROSSING_RAY,
+    CROSSING_WEIGHT,
+    EXIT_DIRECTION,
+    EXIT_LENGTH,
+    EXIT_ORDER,
+    EXIT_POSITION,
+    EXIT_SIDE,
+    EXIT_WEIGHT,
+    N_BATCHES,
+    WeightSums,
+)
 
 # --------------------------------------------------------------------------------------------------
 # Records of rays that cross layer boundaries or hit the ground, with their path lengths.
@@ -29,14 +44,6 @@ from splits.kernels.compiler.jit import (
 # hits of a reflecting ground unless absorption is analog.  The records of a ray are in the order of
 # time, those of different rays in any order.
 
-CROSSING_RAY = 0
-"""Column of the ray, as its row in the exits."""
-CROSSING_CODE = 1
-"""Column of the code, see `encode_crossing`."""
-CROSSING_WEIGHT = 2
-"""Column of the statistical weight without absorption in materials."""
-CROSSING_LENGTH = 3
-"""First of the columns of path lengths (m), one per material, and of the number of ground hits."""
 _INITIAL_CAPACITY = 64
 _N_RECORDED, _CURRENT_RAY = 0, 1
 
@@ -136,80 +143,6 @@ def append_crossing(buffer, code, weight, path_lengths):
 
 # --------------------------------------------------------------------------------------------------
 # Exits of rays, and spectral tallies of their weights.
-
-EXIT_SIDE = 0
-"""Column of the side: 0 reflected, 1 transmitted, −1 for rays that did not leave."""
-EXIT_WEIGHT = 1
-"""Column of the statistical weight without absorption in materials."""
-EXIT_ORDER = 2
-"""Column of the order of scattering: collisions with grains and particles, and hits of facets of a
-rough surface and of the ground.  NaN for rays without an exit."""
-EXIT_DIRECTION = 3
-"""First of three columns: direction outside the slab."""
-EXIT_POSITION = 6
-"""First of two columns: horizontal position (m); NaN for rays without an exit."""
-EXIT_LENGTH = 8
-"""First of the columns of path lengths (m), one per material."""
-
-N_STOKES_COLUMNS = 3
-"""Columns of Q, U, V over I of polarized exits, after the path lengths."""
-BLOCK_SIZE = 8
-"""Successive rays with separate sums, whose scatter gives the correlation of errors."""
-N_BATCHES = 32
-"""Batches of rays with separate means.  Blocks of successive rays are assigned to them in turn, so
-that even the smallest first round of a stratum reaches all.  The relative uncertainty of a standard
-error from 32 batches is 13 %."""
-
-
-class TraceResult(NamedTuple):
-    """Result of a kernel call besides its exits or scores: its cost and the crossing records.
-
-    Attributes
-    ----------
-    n_segments : int64[items]
-        Path segments of each work item, a measure of the cost.
-    lost : bool
-        The call ended early because a ray was lost.
-    crossings : float64[crossings, columns], or None
-        Records of crossings; None from kernels that record none.
-    """
-
-    n_segments: np.ndarray
-    lost: bool
-    crossings: Any
-
-
-class WeightSums(NamedTuple):
-    """Sums of the weights of rays at every wavelength.
-
-    Attributes
-    ----------
-    moments : float64[3, 3, wavelengths]
-        Over rays, [reflected, transmitted, both][Σ weight, Σ weight², largest weight].
-    min_weight : float64[wavelengths]
-        Smallest exit weight of any ray; 0 if one did not leave.
-    blocks : float32[blocks, 2, wavelengths]
-        Σ weight of every `BLOCK_SIZE` successive rays; the last block may have fewer.  Blocks in
-        excess of `N_BATCHES` are added to the first ones in turn.
-    """
-
-    moments: np.ndarray
-    min_weight: np.ndarray
-    blocks: np.ndarray
-
-
-def allocate_exits(n_rays: int, n_materials: int, n_extra_columns: int = 0) -> np.ndarray:
-    """Return empty exit records, float64[rays, columns].
-
-    Parameters
-    ----------
-    n_rays, n_materials : int
-    n_extra_columns : int, optional
-        Further columns of a kernel after those of the materials.
-    """
-    rows = np.full((n_rays, EXIT_LENGTH + n_materials + n_extra_columns), np.nan)
-    rows[:, EXIT_SIDE] = -1.0
-    return rows
 
 
 @inline

@@ -13,7 +13,7 @@ import numpy as np
 
 from splits.kernels.arithmetic import exp_float32
 from splits.kernels.compiler.jit import HALF, ONE, ZERO, entry_point, float32_constant, inline
-from splits.kernels.tallies.exits import (
+from splits.kernels.records import (
     CROSSING_CODE,
     CROSSING_LENGTH,
     CROSSING_RAY,
@@ -21,8 +21,8 @@ from splits.kernels.tallies.exits import (
     EXIT_LENGTH,
     EXIT_SIDE,
     EXIT_WEIGHT,
-    transpose_absorption,
 )
+from splits.kernels.tallies.exits import transpose_absorption
 
 DOWNWELLING, UPWELLING = range(2)
 _MAX_SERIES_DEPTH = float32_constant(0.05)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from splits.kernels.arithmetic import ORIGIN, UP, add_scaled, sample_cosine_lobe, scale
+from splits.kernels.arithmetic import add_scaled, sample_cosine_lobe, scale
 from splits.kernels.compiler.jit import inline_only, replace
 from splits.kernels.grains.grain_path import (
     attenuate,
@@ -19,7 +19,7 @@ from splits.kernels.interface import (
     reflect_or_refract_ray,
     sample_scattering,
 )
-from splits.kernels.phase_function import PhaseFunction
+from splits.kernels.rays import compute_position
 from splits.kernels.rng import uniform
 from splits.kernels.rough_surface.intersection import (
     NO_HIT,
@@ -28,6 +28,7 @@ from splits.kernels.rough_surface.intersection import (
     find_first_intersection,
     nudge_off_surface,
 )
+from splits.kernels.scattering_matrix import PhaseFunction
 from splits.kernels.scene import (
     ABSORBED,
     ALIVE,
@@ -35,10 +36,11 @@ from splits.kernels.scene import (
     NO_GROUND,
     NO_PARTICLES,
     NO_SEGMENT,
+    ORIGIN,
     REFLECTED,
     TO_GROUND,
     TRANSMITTED,
-    compute_position,
+    UP,
 )
 from splits.kernels.stokes import make_unpolarized
 from splits.kernels.transport.flight import (
@@ -269,12 +271,6 @@ def reflect_from_ground(state, ray, scene, optics, path_lengths):
 # to the next particle; outside it is traced from facet to facet until it is in the sample again or
 # leaves.  A facet is the tangent plane at the point hit.  For a smooth top, `rough_top` is None and
 # all of this is compiled away.
-
-MAX_HEIGHT_SIGMA = 50.0
-"""Bound of the height of realizations in standard deviations.
-
-`bands.BOUND_SIGMA` times the root of −ln u, with u the smallest random number, is below it.
-"""
 
 
 @inline_only

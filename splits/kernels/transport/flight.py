@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from splits.kernels.arithmetic import ORIGIN, Vector
 from splits.kernels.compiler.jit import inline_only, replace
 from splits.kernels.grains.grain_path import (
     GrainSample,
@@ -32,14 +31,16 @@ from splits.kernels.grains.spheroid import (
     compute_boundary_hit,
     sample_collision,
 )
+from splits.kernels.rays import compute_position
 from splits.kernels.rng import uniform
 from splits.kernels.rough_surface.realization import SurfaceSlope
 from splits.kernels.scene import (
     ALIVE,
     LOST,
     NO_PARTICLES,
+    ORIGIN,
     Segment,
-    compute_position,
+    Vector,
 )
 from splits.kernels.tallies.exits import append_crossing, encode_crossing
 

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from splits.kernels.arithmetic import Vector
 from splits.kernels.compiler.jit import entry_point, inline_only
+from splits.kernels.rays import make_ray, sample_source_direction
+from splits.kernels.records import EXIT_LENGTH, TraceResult
 from splits.kernels.rng import start_stream, uniform
 from splits.kernels.rough_surface.realization import (
     compute_entry_position,
@@ -27,13 +28,10 @@ from splits.kernels.scene import (
     REFLECTED,
     STREAM,
     TO_GROUND,
-    make_ray,
-    sample_source_direction,
+    Vector,
 )
 from splits.kernels.stokes import make_unpolarized, rotate_reference_to
 from splits.kernels.tallies.exits import (
-    EXIT_LENGTH,
-    TraceResult,
     allocate_crossings,
     append_crossing,
     copy_into_row,

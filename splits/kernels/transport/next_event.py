@@ -15,17 +15,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.kernels.arithmetic import Vector, dot, store_vector
+from splits.kernels.arithmetic import dot, store_vector
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.interface import ComplexIndex, orient_horizontal_normal, reflect_or_refract_ray
 from splits.kernels.phase_function import (
-    PhaseFunction,
     compute_wide_fraction,
     evaluate_phase_function,
     sample_peak_direction,
 )
+from splits.kernels.rays import compute_position
 from splits.kernels.rng import uniform
-from splits.kernels.scene import compute_position
+from splits.kernels.scattering_matrix import PhaseFunction
+from splits.kernels.scene import Vector
 from splits.kernels.stokes import (
     ScatteredDensity,
     evaluate_polarized_scattering,

@@ -12,7 +12,7 @@ from numba.extending import intrinsic
 from numpy import float32 as single
 from numpy import int32, uint32
 
-from splits.kernels.arithmetic import ORIGIN, Vector, select, to_single
+from splits.kernels.arithmetic import select, to_single
 from splits.kernels.compiler.jit import HALF, ONE, ZERO, inline_allocating, inline_only
 from splits.kernels.compiler.structure_of_arrays import StructureOfArrays, list_addresses
 from splits.kernels.grains.grain_path import get_layer_geometry, refractive_index_of
@@ -20,7 +20,7 @@ from splits.kernels.grains.spheroid import FIRST_ROULETTE_DEPTH, LayerGeometry, 
 from splits.kernels.grains.surface import RelativeIndex
 from splits.kernels.interface import ComplexIndex
 from splits.kernels.rng import GOLDEN_GAMMA, mix64
-from splits.kernels.scene import WET_PORE, Ray, Segment
+from splits.kernels.scene import ORIGIN, WET_PORE, Ray, Segment, Vector
 
 # --------------------------------------------------------------------------------------------------
 # State of all lanes, as a structure of arrays.

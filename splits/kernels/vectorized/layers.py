@@ -10,12 +10,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy import float32 as single
 
-from splits.kernels.arithmetic import UP, Vector, sample_cosine_lobe, to_single
+from splits.kernels.arithmetic import sample_cosine_lobe, to_single
 from splits.kernels.compiler.jit import ZERO, inline_only
 from splits.kernels.compiler.structure_of_arrays import initialize
 from splits.kernels.grains.grain_path import pore_material, refractive_index_of
 from splits.kernels.grains.spheroid import compute_boundary_hit
 from splits.kernels.interface import orient_horizontal_normal, sample_interface
+from splits.kernels.rays import sample_source_direction
+from splits.kernels.records import EXIT_LENGTH
 from splits.kernels.rng import compute_stream_start
 from splits.kernels.scene import (
     DRY_PORE,
@@ -23,14 +25,14 @@ from splits.kernels.scene import (
     MAX_ORDER,
     NO_GROUND,
     STREAM,
+    UP,
     WET_PORE,
     Features,
     Optics,
     Scene,
-    sample_source_direction,
+    Vector,
 )
 from splits.kernels.tallies.exits import (
-    EXIT_LENGTH,
     append_crossing,
     copy_into_row,
     encode_crossing,

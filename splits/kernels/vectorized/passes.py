@@ -7,7 +7,6 @@ from numpy import float32 as single
 
 from splits.kernels.arithmetic import (
     Angle,
-    Vector,
     log,
     sample_circle,
     sample_half_circle,
@@ -44,7 +43,7 @@ from splits.kernels.grains.surface import (
     relative_index,
     sample_microfacet,
 )
-from splits.kernels.scene import WRONG_SIDE_LOBE
+from splits.kernels.scene import WRONG_SIDE_LOBE, Vector
 from splits.kernels.vectorized import lanes
 from splits.kernels.vectorized.lanes import (
     STRIDE,
@@ -73,7 +72,7 @@ _SHIFT_33 = np.uint64(33)
 def compute_quantile_position(u, last_node):
     """Return the position of the probability u in a quantile table, from 0 to `last_node`.
 
-    See `rng.make_table_probabilities`.
+    See `scene.make_table_probabilities`.
     """
     below = u < HALF
     x = sqrt(HALF * (u if below else max(ONE - u, ZERO)))
@@ -132,7 +131,7 @@ def draw_grain_properties(state, width, features, tables, type_cdf):
         See `run_flight_pass`.
     tables : tuple of 3 float32[rows, m]
         Curvature, flattening and half facetness at the probabilities of
-        `rng.make_table_probabilities`.
+        `scene.make_table_probabilities`.
     type_cdf : float64[layers, types]
         See `splits.kernels.scene.Layers`.
     """

@@ -17,6 +17,7 @@ from splits.kernels.compiler.jit import (
     replace,
 )
 from splits.kernels.interface import fresnel
+from splits.kernels.records import TraceResult
 from splits.kernels.scene import (
     DRY_PORE,
     N_RAYS,
@@ -28,7 +29,6 @@ from splits.kernels.scene import (
     Scene,
 )
 from splits.kernels.tallies.exits import (
-    TraceResult,
     allocate_crossings,
     count_recorded,
     enlarge_buffer,

@@ -18,7 +18,7 @@ from splits.core.keywords import ERROR_NAMES, REMEDIES, describe_missed_error, n
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run
-from splits.kernels.tallies.exits import N_BATCHES
+from splits.kernels.records import N_BATCHES
 from splits.simulation.spectral_tally import rescale_deviations
 from splits.simulation.strata import STOP_REASONS
 from workflow.papers.statements import compute_steps

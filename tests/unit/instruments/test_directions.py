@@ -23,19 +23,19 @@ from splits.instruments.angular_tallies import (
     compute_bin_centres,
     compute_linear_polarization,
 )
-from splits.kernels.tallies.distributions import (
-    evaluate_basis_at,
-    make_basis,
-    tally_angular_bins,
-    tally_expansion,
-)
-from splits.kernels.tallies.exits import (
+from splits.kernels.records import (
     EXIT_DIRECTION,
     EXIT_LENGTH,
     EXIT_ORDER,
     EXIT_SIDE,
     EXIT_WEIGHT,
     allocate_exits,
+    make_basis,
+)
+from splits.kernels.tallies.distributions import (
+    evaluate_basis_at,
+    tally_angular_bins,
+    tally_expansion,
 )
 from splits.plotting import draw
 

@@ -18,7 +18,7 @@ from splits.instruments.flux_tally import (
 )
 from splits.instruments.radiation_profile import make_sky_targets
 from splits.kernels.interface import compute_fresnel_mueller
-from splits.kernels.tallies.exits import N_BATCHES
+from splits.kernels.records import N_BATCHES
 from splits.kernels.transport.next_event import ABOVE, BELOW, DOWNWARD, UPWARD
 from splits.media.stack import absorb_along_path
 from splits.simulation.scene import compute_optical_constants

@@ -11,7 +11,7 @@ import pytest
 from chi2 import NEEDS_JIT
 from numba import njit
 
-from splits.kernels.arithmetic import Angle, Vector
+from splits.kernels.arithmetic import Angle
 from splits.kernels.grains import spheroid, surface
 from splits.kernels.grains.spheroid import (
     EntryPoint,
@@ -33,6 +33,7 @@ from splits.kernels.scene import (
     Features,
     Ray,
     Segment,
+    Vector,
 )
 
 pytestmark = NEEDS_JIT

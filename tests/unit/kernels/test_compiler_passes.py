@@ -16,7 +16,7 @@ from numba.extending import overload
 from scenes import compute_optics, make_medium_scene
 
 import splits
-from splits.kernels.arithmetic import Vector, select, to_single
+from splits.kernels.arithmetic import select, to_single
 from splits.kernels.compiler import cache
 from splits.kernels.compiler.jit import (
     RefcountCheckedCompiler,
@@ -28,7 +28,8 @@ from splits.kernels.compiler.jit import (
     replace,
 )
 from splits.kernels.compiler.structure_of_arrays import StructureOfArrays, initialize
-from splits.kernels.tallies.exits import allocate_exits
+from splits.kernels.records import allocate_exits
+from splits.kernels.scene import Vector
 from splits.kernels.transport import history
 from splits.kernels.vectorized.lanes import N_LANES, STATE_SIZE, Lane
 

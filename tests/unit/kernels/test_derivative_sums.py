@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from splits.kernels.tallies.exits import (
+from splits.kernels.records import (
     BLOCK_SIZE,
     CROSSING_CODE,
     CROSSING_LENGTH,
@@ -13,9 +13,8 @@ from splits.kernels.tallies.exits import (
     EXIT_SIDE,
     EXIT_WEIGHT,
     allocate_exits,
-    tally_derivatives,
-    tally_weights,
 )
+from splits.kernels.tallies.exits import tally_derivatives, tally_weights
 
 RAYS, MATERIALS, WAVELENGTHS, PARAMETERS = 48, 3, 5, 2
 STEP = 1e-2

@@ -10,7 +10,7 @@ from scenes import make_coated_grains, make_medium_scene, make_optics, make_scen
 from scipy import integrate
 
 import splits
-from splits.kernels.arithmetic import Vector, make_tangents, sample_circle
+from splits.kernels.arithmetic import make_tangents, sample_circle
 from splits.kernels.grains.spheroid import (
     EntryVariates,
     GrainSize,
@@ -19,7 +19,7 @@ from splits.kernels.grains.spheroid import (
     sample_collision,
 )
 from splits.kernels.interface import fresnel
-from splits.kernels.scene import DRY_PORE, UNIFORM_ENTRY, WET_PORE, Features, Ray, Segment
+from splits.kernels.scene import DRY_PORE, UNIFORM_ENTRY, WET_PORE, Features, Ray, Segment, Vector
 from splits.kernels.vectorized.trace import (
     EXTINCTION_TOLERANCE,
     MAX_DEPTH_MFP,

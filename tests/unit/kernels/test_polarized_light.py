@@ -9,10 +9,10 @@ from chi2 import scale_sample_size, start_random_stream
 from numba import njit
 
 from splits.kernels import interface as interface
-from splits.kernels import phase_function, stokes
-from splits.kernels.arithmetic import Vector
+from splits.kernels import scattering_matrix, stokes
 from splits.kernels.interface import ComplexIndex, fresnel
-from splits.kernels.stokes import Stokes, rotate_reference_to
+from splits.kernels.scene import UNPOLARIZED, Stokes, Vector
+from splits.kernels.stokes import rotate_reference_to
 
 GEOMETRIES = scale_sample_size(50_000) // 1000 * 4
 IDENTITY = np.eye(3)
@@ -376,19 +376,19 @@ def test_sampled_interaction_is_reflection_or_refraction():
 # --- rotation and scattering ----------------------------------------------------------------------
 
 
-RAYLEIGH = phase_function.make_rayleigh()
+RAYLEIGH = scattering_matrix.make_rayleigh()
 # Rows are m12, m22, m33, m34, m44 of matrices of single particles or of sums of them.
-TABLE = phase_function.make_tabulated(
+TABLE = scattering_matrix.make_tabulated(
     [1.0, -1.0, 0.2, 0.8],
     [5.0, 1.0, 0.0, 2.0],
     [[0.0, 1.0, 1.0, 0.0, 1.0], [0.0, 0.6, -0.6, 0.0, -0.2], [0.4, 0.9, 0.3, 0.5, 0.3],
      [-0.5, 0.9, 0.6, -0.4, 0.7]],
 )  # fmt: skip
 MODELS = {
-    "forward": phase_function.make_henyey_greenstein(0.6),
-    "backward": phase_function.make_henyey_greenstein(-0.4),
+    "forward": scattering_matrix.make_henyey_greenstein(0.6),
+    "backward": scattering_matrix.make_henyey_greenstein(-0.4),
     "Rayleigh": RAYLEIGH,
-    "depolarizing": phase_function.make_rayleigh(0.1),
+    "depolarizing": scattering_matrix.make_rayleigh(0.1),
     "table": TABLE,
 }
 
@@ -437,7 +437,7 @@ def test_rotation_is_invertible():
 
 def test_unpolarized_light_has_a_valid_frame():
     for d in draw_unit_vectors(np.random.default_rng(2), 100):
-        light = stokes.make_unpolarized(to_vector(d), stokes.UNPOLARIZED)
+        light = stokes.make_unpolarized(to_vector(d), UNPOLARIZED)
         assert_frame(d, np.array(light.e))
         assert light[1:] == (0.0, 0.0, 0.0)
     assert stokes.make_unpolarized(to_vector(d), None) is None
@@ -484,19 +484,19 @@ def compute_angle(e, t, d):
 
 def evaluate_matrix(model, mu):
     """Return the phase function and the normalized scattering matrix at a cosine, independently."""
-    if model.kind == phase_function.TABLE:
+    if model.kind == scattering_matrix.TABLE:
         p = np.interp(mu, model.cosines, model.density)
         elements = [np.interp(mu, model.cosines, column) / p for column in model.elements.T]
     else:
         # Rayleigh scattering with a depolarization factor of 0.1, or Henyey & Greenstein with 0.
-        rho = 0.1 if model.kind == phase_function.RAYLEIGH else 0.0
+        rho = 0.1 if model.kind == scattering_matrix.RAYLEIGH else 0.0
         delta, delta_2 = (1.0 - rho) / (1.0 + rho / 2.0), (1.0 - 2.0 * rho) / (1.0 - rho)
         p11 = 0.75 * delta * (1.0 + mu * mu) + 1.0 - delta
         p12, p22 = -0.75 * delta * (1.0 - mu * mu), 0.75 * delta * (1.0 + mu * mu)
         elements = np.array([p12, p22, 1.5 * delta * mu, 0.0, 1.5 * delta * delta_2 * mu]) / p11
         g = model.g
         p = p11 / (4.0 * math.pi)
-        if model.kind == phase_function.HENYEY_GREENSTEIN:
+        if model.kind == scattering_matrix.HENYEY_GREENSTEIN:
             p = (1 - g * g) / (4 * math.pi * (1 + g * g - 2 * g * mu) ** 1.5)
     m12, m22, m33, m34, m44 = elements
     return p, np.array([[1, m12, 0, 0], [m12, m22, 0, 0], [0, 0, m33, m34], [0, 0, -m34, m44]])
@@ -572,14 +572,14 @@ def test_sampled_scattering_matches_the_evaluated_density(model):
 @njit
 def _scatter_repeatedly(state, model, n_scatterings):
     d = Vector(0.0, 0.6, 0.8)
-    light = stokes.Stokes(Vector(1.0, 0.0, 0.0), 0.5, 0.3, -0.4)
+    light = Stokes(Vector(1.0, 0.0, 0.0), 0.5, 0.3, -0.4)
     for _ in range(n_scatterings):
         d, light = stokes.scatter_polarized(state, model, d, light)
     return d, light
 
 
 def test_frames_stay_orthonormal_after_many_scatterings():
-    for model in (*MODELS.values(), phase_function.make_henyey_greenstein(0.99)):
+    for model in (*MODELS.values(), scattering_matrix.make_henyey_greenstein(0.99)):
         d, light = _scatter_repeatedly(start_random_stream(), model, scale_sample_size(50_000))
         assert_frame(np.array(d), np.array(light.e))
         assert np.linalg.norm(light[1:]) <= 1.0 + 1e-15

@@ -9,7 +9,6 @@ from chi2 import NEEDS_JIT, scale_sample_size, start_random_stream
 from mpmath import mp
 from scipy import integrate, optimize, special
 
-from splits.kernels.arithmetic import Vector
 from splits.kernels.rough_surface import intersection, realization
 from splits.kernels.rough_surface.intersection import NO_HIT, STEP_LIMIT_REACHED
 from splits.kernels.rough_surface.realization import (
@@ -25,6 +24,7 @@ from splits.kernels.rough_surface.realization import (
     make_realization,
     sample_realization,
 )
+from splits.kernels.scene import Vector
 from splits.media.rough_surface import HEIGHT_SPECTRA, RandomHeightField, RoughSurface
 
 GAUSSIAN = {"rms_height_m": 0.5, "wave_number_per_m": 1.0, "correlation": "gaussian", "waves": 16}

@@ -11,9 +11,7 @@ from numba.core.errors import TypingError
 
 import splits
 from splits.kernels.arithmetic import (
-    UP,
     Angle,
-    Vector,
     add_scaled,
     direction_around,
     dot,
@@ -25,7 +23,7 @@ from splits.kernels.grains import grain_path, spheroid
 from splits.kernels.grains.grain_path import GrainSample
 from splits.kernels.grains.spheroid import Chord
 from splits.kernels.rng import interpolate_quantile, sample_azimuth, uniform
-from splits.kernels.scene import make_bounding_optics
+from splits.kernels.scene import UP, Vector, make_bounding_optics
 from splits.kernels.vectorized.trace import select_features
 from splits.media import ParticleLayer, Snow, Stack
 from splits.simulation.scene import build_scene, compute_optical_constants

@@ -12,13 +12,13 @@ import pytest
 from chi2 import start_random_stream
 
 import splits
-from splits.kernels.arithmetic import UP, Angle, Vector
+from splits.kernels.arithmetic import Angle
 from splits.kernels.grains import spheroid, surface
 from splits.kernels.grains.spheroid import Spheroid
 from splits.kernels.grains.surface import InteractionVariates
 from splits.kernels.interface import fresnel
-from splits.kernels.rng import make_table_probabilities, sample_half_normal
-from splits.kernels.scene import UNWEIGHTED_FACETS
+from splits.kernels.rng import sample_half_normal
+from splits.kernels.scene import UNWEIGHTED_FACETS, UP, Vector, make_table_probabilities
 from splits.materials import ice_density
 from splits.materials.refractive_index import maxwell_garnett
 from splits.media import grain_statistics as statistics

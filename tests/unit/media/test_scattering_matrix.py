@@ -9,7 +9,8 @@ import xarray as xr
 
 from splits import ParticleLayer
 from splits.core.validation import InvalidValue
-from splits.kernels.phase_function import evaluate_scattering_ratios, make_rayleigh
+from splits.kernels.phase_function import evaluate_scattering_ratios
+from splits.kernels.scattering_matrix import make_rayleigh
 from splits.media.particle_layer import COEFFICIENTS, ELEMENTS, ScatteringMatrix, sum_expansion
 
 ANGLE = np.linspace(0.0, 180.0, 91)

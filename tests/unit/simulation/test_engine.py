@@ -10,8 +10,13 @@ from stub_tracing import SEGMENTS, StubTally
 
 import splits
 from splits.core.validation import InvalidValue
+from splits.kernels.records import (
+    CROSSING_LENGTH,
+    CROSSING_RAY,
+    EXIT_LENGTH,
+    TraceResult,
+)
 from splits.kernels.scene import ALL_FEATURES
-from splits.kernels.tallies.exits import CROSSING_LENGTH, CROSSING_RAY, EXIT_LENGTH, TraceResult
 from splits.kernels.transport import history
 from splits.simulation import engine
 from splits.simulation.engine import (

@@ -21,7 +21,7 @@ from splits.instruments.angular_tallies import ORDER_CLASSES, AngularBinTally, E
 from splits.instruments.beam_spread import BeamSpreadTally
 from splits.instruments.flux_tally import FluxTally
 from splits.io.netcdf import NETCDF_LOCK
-from splits.kernels.tallies.distributions import make_basis
+from splits.kernels.records import make_basis
 from splits.simulation import engine
 from splits.simulation.grain_optics import SingleScatteringTally
 from splits.simulation.run_options import RunOptions

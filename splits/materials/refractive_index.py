@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
@@ -127,18 +128,22 @@ class TabulatedIndex(ContentEquality):
         low, high = self.wavelength_nm[0], self.wavelength_nm[-1]
         return f"TabulatedIndex({self.name!r}, {low:g}-{high:g} nm)"
 
+    @cached_property
+    def _logarithms(self) -> tuple[np.ndarray, np.ndarray]:
+        """Logarithms of the wavelengths, and of k where it is not 0."""
+        return np.log(self.wavelength_nm), np.log(np.where(self.k > 0.0, self.k, 1.0))
+
     def __call__(self, wavelength_nm: Any) -> np.ndarray:
         """Return complex n + i k; a wavelength outside the table raises ValueError."""
         w = check_wavelength_range(
             wavelength_nm, self.wavelength_nm[0], self.wavelength_nm[-1], self.name
         )
-        x, xp = np.log(w), np.log(self.wavelength_nm)
+        x, (xp, log_k) = np.log(w), self._logarithms
         n = np.interp(x, xp, self.n)
         k = np.interp(x, xp, self.k)
         # Logarithmic where both neighbours absorb; linear next to a row with k = 0.
         row = np.clip(np.searchsorted(xp, x, side="right"), 1, xp.size - 1)
         logarithmic = (self.k[row - 1] > 0.0) & (self.k[row] > 0.0)
-        log_k = np.log(np.where(self.k > 0.0, self.k, 1.0))
         k = np.where(logarithmic, np.exp(np.interp(x, xp, log_k)), k)
         return n + 1j * k
 

@@ -179,6 +179,7 @@ NATURAL_DEFAULTS: dict[str, Any] = {
     "depth_m": math.inf,
 }
 """Defaults of natural snow where they differ from those of `Snow`; its grains have none."""
+NATURAL_INTERPRETATION = Interpretation.from_input(NATURAL_DEFAULTS["interpretation"])
 
 # --------------------------------------------------------------------------------------------------
 # Snow, after SPLITSnow and as in nature.
@@ -527,5 +528,4 @@ def is_natural(snow: Any) -> bool:
     same_grains = all(
         getattr(snow, name) == NATURAL_DEFAULTS[name] for name in ("facetness", "sphericity")
     )
-    interpretation = type(snow.interpretation).from_input(NATURAL_DEFAULTS["interpretation"])
-    return same_grains and snow.interpretation == interpretation
+    return same_grains and snow.interpretation == NATURAL_INTERPRETATION

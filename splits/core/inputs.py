@@ -160,6 +160,14 @@ def check_wavelengths(key: str, wavelength_nm: Any, *, is_sorted: bool = True) -
     return check(key, values, *WAVELENGTH_RANGE_NM, "nm")
 
 
+def check_table_wavelengths(key: str, wavelength_nm: np.ndarray) -> None:
+    """Check that increasing wavelengths of a table are not in micrometres."""
+    low, last = WAVELENGTH_RANGE_NM[0], wavelength_nm[-1]
+    if last < low:
+        hint = f"in micrometres? write {1e3 * last:g}"
+        raise invalid(f"{key}.wavelength_nm", float(last), f"up to at least {low:g} nm", hint)
+
+
 def check_beam_angle(key: str, value: Any, allowed: str = "an angle in degrees") -> float:
     """Return the polar angle of a beam in [0, 89.9999] degrees, after checking it."""
     if isinstance(value, str):

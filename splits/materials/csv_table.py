@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 from splits.core.arrays import check_increasing, read_columns
+from splits.core.inputs import check_table_wavelengths
 from splits.core.labels import TIME_EXAMPLE, parse_time
 from splits.core.validation import (
     InvalidValue,
@@ -252,6 +253,8 @@ def read_tabulated_function(
         raise invalid(key, given, f"{alternative}a mapping of {names}, lists of the same length")
     arrays = read_columns(key, {name: columns[name] for name in column_names})
     check_increasing(f"{key}.{column_names[0]}", arrays[0])
+    if column_names[0] == "wavelength_nm":
+        check_table_wavelengths(key, arrays[0])
     sizes = [array.size for array in arrays]
     if min(sizes) < max(*sizes, 2):
         counts = [f"{size} {name}" for size, name in zip(sizes, column_names, strict=True)]

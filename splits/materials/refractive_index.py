@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from splits.core.arrays import ContentEquality, as_float_array, check_array_range
+from splits.core.inputs import check_table_wavelengths
 from splits.core.validation import (
     InvalidValue,
     check_range,
@@ -123,6 +124,7 @@ class TabulatedIndex(ContentEquality):
             ),
             ((n > 0).all() and (k >= 0).all(), key, "n, k", "n > 0 and k >= 0 in every row"),
         )  # fmt: skip
+        check_table_wavelengths(key, w)
 
     def __repr__(self) -> str:
         low, high = self.wavelength_nm[0], self.wavelength_nm[-1]

@@ -1,5 +1,6 @@
 """Tables of CSV files: those of users, and those of the package."""
 
+import re
 import time
 from pathlib import Path
 
@@ -252,3 +253,38 @@ def test_picard_absorption_equals_snowoptics():
     (wavelength_nm, absorption), _ = library._load_columns("ice_picard_2016")
     np.testing.assert_array_equal(wavelength_nm, snowoptics.wavelengths2016)
     np.testing.assert_array_equal(absorption, snowoptics.ki2016_clean_i)
+
+
+MICROMETRES = {"wavelength_nm": [0.4, 0.7, 2.5]}
+NATURAL = {"optical_radius_um": 100, "depth_m": 0.1}
+
+
+@pytest.mark.parametrize(
+    ("key", "make"),
+    [
+        ("ground", lambda w: splits.Snow.natural(**NATURAL, ground=w | {"albedo": [0.1, 0.2, 0.3]})),
+        ("sky", lambda w: splits.sky(w | {"direct": [1.0] * 3, "diffuse": [0.1] * 3}, 30.0)),
+        (
+            "refractive_index (user table for ice)",
+            lambda w: splits.Snow(refractive_index={"ice": w | {"n": [1.3] * 3, "k": [0.0] * 3}}),
+        ),
+        (
+            "impurities_ng_g.dust",
+            lambda w: splits.Snow.natural(
+                **NATURAL,
+                impurities_ng_g={"dust": w | {"ng_g": 1.0, "absorption_m2_kg": [1.0] * 3}},
+            ),
+        ),
+        (
+            "bands.mine",
+            lambda w: splits.albedo(
+                splits.Snow.natural(**NATURAL), "midlatitude_winter", [400, 500],
+                bands={"mine": w | {"response": [1.0] * 3}},
+            ),
+        ),
+    ],
+)  # fmt: skip
+def test_tables_in_micrometres_are_rejected(key, make):
+    message = f"{key}.wavelength_nm = 2.5: must be up to at least 200 nm (in micrometres? write"
+    with pytest.raises(ValueError, match=re.escape(message)):
+        make(MICROMETRES)

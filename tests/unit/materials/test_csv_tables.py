@@ -262,7 +262,10 @@ NATURAL = {"optical_radius_um": 100, "depth_m": 0.1}
 @pytest.mark.parametrize(
     ("key", "make"),
     [
-        ("ground", lambda w: splits.Snow.natural(**NATURAL, ground=w | {"albedo": [0.1, 0.2, 0.3]})),
+        (
+            "ground",
+            lambda w: splits.Snow.natural(**NATURAL, ground=w | {"albedo": [0.1, 0.2, 0.3]}),
+        ),
         ("sky", lambda w: splits.sky(w | {"direct": [1.0] * 3, "diffuse": [0.1] * 3}, 30.0)),
         (
             "refractive_index (user table for ice)",

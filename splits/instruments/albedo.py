@@ -142,7 +142,9 @@ def albedo(
     def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
         if packs:
             request = SpectralRequest(wavelengths, incidence, max_stderr, max_rays, run)
-            return make_pack_spectrum(request, packs, choice, solution)
+            spectrum = make_pack_spectrum(request, packs, choice, solution)
+            # Without the memory of the other quantities.
+            return spectrum[["reflectance", "reflectance_stderr"]].copy(deep=True)
         return spectrophotometer(
             medium, wavelengths, incidence, max_stderr=max_stderr, solver=solver,
             seed=run.seed + number, max_rays=max_rays, threads=run.threads, kernel=kernel,

@@ -145,7 +145,7 @@ class SpectralEstimate:
         """Return a solution of the equation of transfer: no rays, no noise, no interpolation."""
         sides, none = mean[:2], mean[:2, np.newaxis][:, :0]
         return cls(
-            mean, stderr, np.zeros_like(stderr), np.zeros((n_batches, *sides.shape)),
+            mean, stderr, np.broadcast_to(0.0, stderr.shape), np.zeros((n_batches, *sides.shape)),
             Derivatives.from_solution(none, none), np.zeros(mean.shape[1]),
             {"rays": 0, **attributes},
         )  # fmt: skip

@@ -125,14 +125,14 @@ def read_stored_ground(data: xr.Dataset, label: str) -> PackGround:
             variable = variable.expand_dims({label: index})
         albedo = read_ground(variable, label, index)
     if GROUND_ATTRIBUTE not in data:
-        return _read_attributes(data.attrs) if albedo is None else albedo
+        return _read_ground_attributes(data.attrs) if albedo is None else albedo
     names = data[GROUND_ATTRIBUTE]
     if names.dims != (label,):
         raise invalid(f"{GROUND_ATTRIBUTE} dimensions", names.dims, f"over {label}")
     is_named = ~pd.isna(names.values)
     distinct = [*dict.fromkeys(str(name) for name in names.values[is_named])]
     if is_named.all() and len(distinct) == 1:
-        common = _read_attributes(data.attrs)
+        common = _read_ground_attributes(data.attrs)
         is_same = name_ground(common) == distinct[0]
         return common if is_same else Ground.from_input(_parse_name(distinct[0]))
     numbers = {BLACK: 0.0, **{name: _parse_name(name) for name in distinct if name != BLACK}}
@@ -145,8 +145,8 @@ def read_stored_ground(data: xr.Dataset, label: str) -> PackGround:
     return named if albedo is None else named.fillna(albedo).transpose(*albedo.dims)
 
 
-def _read_attributes(attributes: Mapping[str, Any]) -> Ground | None:
-    """Return the ground of all snowpacks in attributes, see `describe_ground`."""
+def _read_ground_attributes(attributes: Mapping[str, Any]) -> Ground | None:
+    """Return the ground of all snowpacks in attributes, see `store_ground`."""
     name, table = attributes.get(GROUND_ATTRIBUTE), [attributes.get(n) for n in _TABLE_ATTRIBUTES]
     if name is None or table[0] is None:
         return Ground.from_input(name)
@@ -159,7 +159,7 @@ def name_ground(ground: Ground | None) -> str:
     """Return the text that identifies a ground of all snowpacks among those of others."""
     if ground is None:
         return OPEN
-    name = str(describe_ground(ground)[GROUND_ATTRIBUTE])
+    name = str(store_ground(ground)[GROUND_ATTRIBUTE])
     if not is_ground_table(ground) or ground.wavelength_nm is None:
         return name
     content = np.concatenate([ground.wavelength_nm, ground.albedo_values])
@@ -171,7 +171,7 @@ def is_ground_table(ground: Ground) -> bool:
     return bool(ground.sha256) or ground.name == TABLE_NAME
 
 
-def describe_ground(ground: Ground | None) -> dict[str, Any]:
+def store_ground(ground: Ground | None) -> dict[str, Any]:
     """Return a ground of all snowpacks as attributes of a dataset."""
     if ground is None or not is_ground_table(ground):
         return {GROUND_ATTRIBUTE: OPEN if ground is None else ground.as_input()}

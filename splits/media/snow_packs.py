@@ -52,10 +52,10 @@ from splits.media.snow_pack_input import (
     WAVELENGTH_DIM,
     ZENITH_KEY,
     PackGround,
-    describe_ground,
     describe_variable,
     name_ground,
     read_input,
+    store_ground,
 )
 from splits.media.stack import Stack
 
@@ -157,7 +157,7 @@ def complete_dataset(given: xr.Dataset, ground: PackGround) -> xr.Dataset:
     if albedo is not None and WAVELENGTH_DIM in albedo.coords:
         wavelengths = (WAVELENGTH_DIM, albedo[WAVELENGTH_DIM].values, WAVELENGTH.attributes)
         dataset = dataset.assign_coords({WAVELENGTH_DIM: wavelengths})
-    of_ground = describe_ground(common) if albedo is None else {}
+    of_ground = store_ground(common) if albedo is None else {}
     dataset.attrs = {"title": "Snowpacks", **of_ground}
     return dataset
 

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from splits.discrete_ordinates.applicability import (
-    MAX_SATURATION,
-    find_table_obstacle,
-    make_granular_stack,
-)
+from splits.discrete_ordinates.applicability import MAX_SATURATION
 from splits.discrete_ordinates.grains import MAX_ABSORPTION
 from splits.discrete_ordinates.granular_layers import GranularLayer
 from splits.discrete_ordinates.granular_stack import (
@@ -28,11 +24,21 @@ from splits.discrete_ordinates.granular_stack import (
 )
 from splits.materials.impurities import make_impurities
 from splits.materials.library import absorption_coefficient, interpolate_ice_density
-from splits.media.snow import MAX_SURFACE_AREA_M2_KG, Snow
-from splits.media.snow_packs import SnowPackArrays
+from splits.media.snow import MAX_SURFACE_AREA_M2_KG, SURFACE_AREA_KEY, Snow
+from splits.media.snow_pack_input import (
+    DENSITY_KEY,
+    IMPURITIES_KEY,
+    TEMPERATURE_KEY,
+    THICKNESS_KEY,
+    WATER_KEY,
+)
 
 # --------------------------------------------------------------------------------------------------
 # Optical inputs of many snowpacks of natural snow, from arrays of their properties.
+
+
+Layers = Mapping[str, np.ndarray]
+"""Variables of `splits.SnowPacks.select_good` by name, shape (snowpacks, layers)."""
 
 
 class SnowPackMaterials(NamedTuple):
@@ -47,7 +53,7 @@ class SnowPackMaterials(NamedTuple):
     pore_absorption : float, shape (wavelengths, 2)
         Absorption coefficients (1/m) of dry pores, 0, and of water in wet ones.
     impurity_absorption : dict of float, shape (wavelengths,)
-        Absorption cross-section per mass of ice (m²/kg) for 1 ng/g, by type.
+        Absorption cross-section per mass of ice (m²/kg) for 1 ng/g, by variable.
     """
 
     contrast: np.ndarray
@@ -65,7 +71,7 @@ class SnowPackMaterials(NamedTuple):
         ice, water = (snow.refractive_index[name](wavelength_nm) for name in ("ice", "water"))
         wet = absorption_coefficient(water, wavelength_nm)
         per_ng_g = {
-            one.name: one.compute_absorption_per_kg_ice(wavelength_nm)
+            f"{IMPURITIES_KEY}.{one.name}": one.compute_absorption_per_kg_ice(wavelength_nm)
             for one in make_impurities(dict.fromkeys(impurities, 1.0), {})
         }
         return cls(
@@ -74,78 +80,66 @@ class SnowPackMaterials(NamedTuple):
         )  # fmt: skip
 
 
-def find_spectral_obstacle(wavelength_nm: np.ndarray, *, wet: bool) -> str | None:
-    """Return why discrete ordinates do not apply at some wavelength (nm) to any natural snow."""
-    fine = Snow.natural(
-        specific_surface_area_m2_kg=MAX_SURFACE_AREA_M2_KG,
-        liquid_water_content=1e-3 if wet else 0.0,
-    )
-    return find_table_obstacle(fine, make_granular_stack(fine, wavelength_nm), wavelength_nm)
-
-
-def find_unsupported(arrays: SnowPackArrays, materials: SnowPackMaterials) -> np.ndarray:
+def find_unsupported(layers: Layers, materials: SnowPackMaterials) -> np.ndarray:
     """Return which snowpacks are outside the tables of grains, bool, shape (snowpacks,).
 
     They have more water than the table of wet grains, or grains that absorb too strongly.
     """
-    saturation = compute_saturation(arrays)
+    _, saturation = compute_pores(layers)
     unsupported: np.ndarray = np.any(saturation > MAX_SATURATION, axis=1)
-    for layer in range(arrays.thickness_m.shape[1]):
+    for number in range(saturation.shape[1]):
         for start in range(0, unsupported.size, 1024):
             rows = slice(start, start + 1024)
-            absorption = _compute_grain_absorption(arrays, materials, rows, layer)
+            absorption = _compute_grain_absorption(layers, materials, rows, number)
             unsupported[rows] |= (absorption > MAX_ABSORPTION).any(axis=1)
     return unsupported
 
 
-def compute_saturation(arrays: SnowPackArrays) -> np.ndarray:
-    """Return the fraction of the pore space that is water, shape (snowpacks, layers)."""
-    porosity = 1.0 - arrays.density_kg_m3 / interpolate_ice_density(arrays.temperature_c)
+def compute_pores(layers: Layers) -> tuple[np.ndarray, np.ndarray]:
+    """Return the porosity, and the fraction of the pores that is water."""
+    porosity = 1.0 - layers[DENSITY_KEY] / interpolate_ice_density(layers[TEMPERATURE_KEY])
     # As in `Snow`, water fills at most all of the pores.
-    return np.minimum(arrays.liquid_water_content / porosity, 1.0)
+    return porosity, np.minimum(layers[WATER_KEY] / porosity, 1.0)
 
 
 def make_snow_packs(
-    arrays: SnowPackArrays, rows: np.ndarray, ground: np.ndarray, materials: SnowPackMaterials
+    layers: Layers, n_layers: int, ground: np.ndarray, materials: SnowPackMaterials
 ) -> GranularStack:
-    """Return some of the snowpacks, all of the same number of layers.
+    """Return snowpacks of the same number of layers.
 
     Parameters
     ----------
-    arrays : SnowPackArrays
-    rows : int, shape (snowpacks,)
-        Their positions in the arrays.
+    layers : mapping of float, shape (snowpacks, layers)
+    n_layers : int
+        Number of their layers, without those that repeat the last one.
     ground : float, shape (snowpacks, wavelengths)
     materials : SnowPackMaterials
     """
-    saturation = compute_saturation(arrays)[rows]
-    ice_density = interpolate_ice_density(arrays.temperature_c[rows])
-    porosity = 1.0 - arrays.density_kg_m3[rows] / ice_density
-    layers = []
-    for number in range(int(arrays.n_layers[rows[0]])):
-        density, area = (
-            values[rows, number]
-            for values in (arrays.density_kg_m3, arrays.specific_surface_area_m2_kg)
-        )
-        layers.append(
+    porosity, saturation = compute_pores(layers)
+    # 𝓔 K, with the volume fraction of ice 𝓔 and K of a quarter of the surface area.
+    collisions_per_m = 0.25 * layers[DENSITY_KEY] * layers[SURFACE_AREA_KEY]
+    grains = load_natural_grains(wet=bool(saturation.any()))
+    return GranularStack(
+        [
             GranularLayer(
-                arrays.thickness_m[rows, number],
-                # 𝓔 K, with the volume fraction of ice 𝓔 and K of a quarter of the surface area.
-                0.25 * density * area,
+                layers[THICKNESS_KEY][:, number],
+                collisions_per_m[:, number],
                 saturation[:, number],
                 materials.contrast,
                 materials.water_index,
-                _compute_grain_absorption(arrays, materials, rows, number),
+                _compute_grain_absorption(layers, materials, slice(None), number),
                 # A path between point grains includes them, see `GranularMedium.pore_fraction`.
                 porosity[:, number, np.newaxis, np.newaxis] * materials.pore_absorption,
-                load_natural_grains(wet=bool(saturation.any())),
+                grains,
             )
-        )
-    return GranularStack(layers, ground)
+            for number in range(n_layers)
+        ],
+        ground,
+    )
 
 
 def _compute_grain_absorption(
-    arrays: SnowPackArrays, materials: SnowPackMaterials, rows: np.ndarray | slice, layer: int
+    layers: Layers, materials: SnowPackMaterials, rows: slice, number: int
 ) -> np.ndarray:
     """Return the absorption coefficient of the grains times their mean chord, of one layer.
 
@@ -153,13 +147,12 @@ def _compute_grain_absorption(
     -------
     float, shape (snowpacks, wavelengths)
     """
-    ice_density = interpolate_ice_density(arrays.temperature_c[rows, layer])[:, np.newaxis]
-    per_kg = materials.ice_absorption / ice_density
-    for kind, absorption in materials.impurity_absorption.items():
-        per_kg = per_kg + arrays.impurities_ng_g[kind][rows, layer, np.newaxis] * absorption
+    one = {name: values[rows, number, np.newaxis] for name, values in layers.items()}
+    per_kg = materials.ice_absorption / interpolate_ice_density(one[TEMPERATURE_KEY])
+    for name, absorption in materials.impurity_absorption.items():
+        per_kg = per_kg + one[name] * absorption
     # The mean chord is 1/K, with K of a quarter of the surface per volume of ice.
-    area = arrays.specific_surface_area_m2_kg[rows, layer, np.newaxis]
-    return np.asarray(4.0 * per_kg / area)
+    return np.asarray(4.0 * per_kg / one[SURFACE_AREA_KEY])
 
 
 # --------------------------------------------------------------------------------------------------

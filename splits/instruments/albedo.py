@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
 import xarray as xr
 
 from splits.core.inputs import (
@@ -28,8 +29,23 @@ from splits.instruments.sky_mixing import (
     make_sky_attributes,
     mix_direct_and_diffuse,
 )
-from splits.instruments.snow_packs import compute_snow_pack_albedo
-from splits.instruments.spectrophotometer import spectrophotometer
+from splits.instruments.snow_packs import (
+    PACK_DIM,
+    SUN,
+    SUN_OF_EACH,
+    ZENITH_STEP_DEG,
+    average_over_pack_bands,
+    choose_pack_solver,
+    describe_solution,
+    label_snow_packs,
+    make_skies,
+    solve_snow_packs,
+)
+from splits.instruments.spectrophotometer import (
+    SpectralRequest,
+    make_pack_spectrum,
+    spectrophotometer,
+)
 from splits.media.medium import Medium
 from splits.media.snow_packs import SnowPacks
 from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
@@ -100,41 +116,72 @@ def albedo(
         For a value outside its range, or wavelengths outside the spectrum of the sky.
     """
     run = RunOptions.start(seed, threads, kernel, progress)
-    if isinstance(medium, SnowPacks):
-        return compute_snow_pack_albedo(medium, sky, wavelength_nm, max_stderr, solver, bands, run)
-    sky_spectrum = as_sky(sky)
-    wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 2)
-    named = sky_spectrum.make_bands(bands)
-    sky_spectrum.check_bands(named, wavelengths)
+    packs = medium if isinstance(medium, SnowPacks) else None
+    if packs:
+        skies, members, sun = make_skies(sky, packs)
+    else:
+        skies = [as_sky(sky)]
+    first_sky = skies[0]
+    wavelengths = choose_wavelengths(wavelength_nm, first_sky, 2)
+    fractions = [one.compute_direct_fraction(wavelengths) for one in skies]
+    named = first_sky.make_bands(bands)
+    first_sky.check_bands(named, wavelengths)
+    leading = ("medium",) if isinstance(medium, Mapping) else (PACK_DIM,) if packs else ()
+    dims = (*leading, "wavelength")
+    coordinates = {"wavelength": wavelengths}
+    direct_fraction = xr.DataArray(fractions[0], coordinates, ("wavelength",))
+    if packs:
+        choice = choose_pack_solver(solver, packs, wavelengths)
+        # One solution holds the spectra under the sun of each snowpack, and under diffuse light.
+        solution, flags = solve_snow_packs(packs, wavelengths, sun, max_stderr, run)
+        by_pack = np.full((len(packs), wavelengths.size), np.nan)
+        for rows, fraction in zip(members, fractions, strict=True):
+            by_pack[rows] = fraction
+        direct_fraction = xr.DataArray(by_pack, coordinates, dims)
 
     def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
+        if packs:
+            request = SpectralRequest(wavelengths, incidence, max_stderr, max_rays, run)
+            spectrum = make_pack_spectrum(request, packs, choice, solution)
+            # Without the memory of the other quantities.
+            return spectrum[["reflectance", "reflectance_stderr"]].copy(deep=True)
         return spectrophotometer(
             medium, wavelengths, incidence, max_stderr=max_stderr, solver=solver,
             seed=run.seed + number, max_rays=max_rays, threads=run.threads, kernel=kernel,
             progress=progress,
         )  # fmt: skip
 
-    mixed = mix_direct_and_diffuse(sky_spectrum, wavelengths, simulate_component, ["reflectance"])
+    mixed = mix_direct_and_diffuse(
+        first_sky, wavelengths, simulate_component, ["reflectance"], direct_fraction
+    )
     first = next(iter(medium.values())) if isinstance(medium, Mapping) else medium
     attributes = {
         **run.make_attributes("Albedo under a sky", "albedo", first),
-        **make_sky_attributes(sky_spectrum, named),
+        **make_sky_attributes(first_sky, named),
         "max_stderr": max_stderr,
         **mixed.attrs,
     }
     axes = {**mixed.coords, "wavelength": make_wavelength_coordinate(wavelengths)}
     axes["band"] = list(named)
-    dims = ("medium", "wavelength") if isinstance(medium, Mapping) else ("wavelength",)
-    values, stderr, deviations = (
-        mixed[f"reflectance{suffix}"].transpose(..., *dims).values
-        for suffix in ("", "_stderr", "_batches")
+    values, stderr = (
+        mixed[name].transpose(*dims).values for name in ("reflectance", "reflectance_stderr")
     )
-    direct_fraction = sky_spectrum.compute_direct_fraction(wavelengths)
+    deviations = None
+    if "reflectance_batches" in mixed:
+        deviations = mixed.reflectance_batches.transpose("batch", *dims).values
     variables = {
         **make_variable(
             "albedo", dims, values, stderr, "albedo under this sky", deviations=deviations
         ),
-        "direct_fraction": ("wavelength", direct_fraction, DIRECT_FRACTION.attributes),
-    }
+        "direct_fraction": (
+            direct_fraction.dims, direct_fraction.values, DIRECT_FRACTION.attributes,
+        ),
+    }  # fmt: skip
     spectrum = xr.Dataset(variables, axes, attributes)
-    return spectrum.assign(average_over_bands(spectrum, "albedo", sky_spectrum, named, "albedo"))
+    if not packs:
+        return spectrum.assign(average_over_bands(spectrum, "albedo", first_sky, named, "albedo"))
+    if sun == SUN:
+        spectrum.attrs |= {"zenith_deg": SUN_OF_EACH, "sky_zenith_step_deg": ZENITH_STEP_DEG}
+    spectrum.attrs |= describe_solution(solution)
+    means = average_over_pack_bands(spectrum, skies, members, named)
+    return label_snow_packs(spectrum.assign(means), packs, flags)

@@ -57,6 +57,7 @@ def mix_direct_and_diffuse(
     wavelength_nm: np.ndarray,
     instrument: Callable[[float | str, int], xr.Dataset],
     names: Sequence[str],
+    direct_fraction: xr.DataArray | None = None,
 ) -> xr.Dataset:
     """Return the results of an instrument under a sky: values, errors, and batch deviations if any.
 
@@ -72,10 +73,15 @@ def mix_direct_and_diffuse(
         both runs are independent.
     names : sequence of str
         Variables over wavelength and any other dimensions.
+    direct_fraction : xarray.DataArray, optional
+        Over wavelength and any of these dimensions; by default that of the sky.
     """
-    direct_fraction = xr.DataArray(
-        sky.compute_direct_fraction(wavelength_nm), {"wavelength": wavelength_nm}, ("wavelength",)
-    )
+    if direct_fraction is None:
+        direct_fraction = xr.DataArray(
+            sky.compute_direct_fraction(wavelength_nm),
+            {"wavelength": wavelength_nm},
+            ("wavelength",),
+        )
     components: list[tuple[xr.DataArray, float | str]] = [
         (direct_fraction, sky.zenith_deg),
         (1.0 - direct_fraction, "diffuse"),

@@ -27,9 +27,19 @@ from splits.core.inputs import (
 from splits.core.keywords import declare_function
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import Variable, make_variable
-from splits.core.validation import invalid, to_text_keys
+from splits.core.validation import check_relations, invalid, to_text_keys
 from splits.discrete_ordinates.applicability import find_parameter_obstacle
-from splits.instruments.snow_packs import SUN, compute_snow_pack_spectra
+from splits.discrete_ordinates.snow_packs import SpectraSolution
+from splits.instruments.snow_packs import (
+    PACK_DIM,
+    SUN,
+    SUN_OF_EACH,
+    choose_incidence,
+    choose_pack_solver,
+    label_snow_packs,
+    make_pack_estimate,
+    solve_snow_packs,
+)
 from splits.instruments.solver import (
     SolverChoice,
     choose_solver,
@@ -40,6 +50,7 @@ from splits.kernels.records import N_BATCHES
 from splits.kernels.scene import NO_GROUND
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
+from splits.media.snow_pack_input import ZENITH_KEY
 from splits.media.snow_packs import SnowPacks
 from splits.simulation.deep_medium import (
     ERROR_BUDGET_FRACTION,
@@ -87,7 +98,7 @@ SpectralEstimator = Annotated[
 
 
 def _check_snow_pack_incidence(key: str, value: Any) -> Any:
-    # Snowpacks of a season have angles of their own, which `compute_snow_pack_spectra` checks.
+    # Snowpacks of a season have angles of their own, which `choose_incidence` checks.
     is_single = value != SUN if isinstance(value, str) else np.ndim(value) == 0
     return check_incidence(key, value) if is_single else value
 
@@ -236,13 +247,18 @@ def spectrophotometer(
     run = RunOptions.start(seed, threads, kernel, progress)
     wavelengths = np.asarray(wavelength_nm)
     if isinstance(medium, SnowPacks):
-        if estimator != "spectral":
-            raise invalid("estimator", estimator, "left out for SnowPacks", "it needs paths")
-        if np.size(jacobian):
-            raise invalid("jacobian", list(jacobian), "left out for SnowPacks")
-        return compute_snow_pack_spectra(
-            medium, wavelengths, incidence_deg, max_stderr, solver, run
+        of_packs = "left out for SnowPacks"
+        check_relations(
+            (estimator == "spectral", "estimator", estimator, of_packs, "it needs paths"),
+            (not np.size(jacobian), "jacobian", jacobian, of_packs),
+            (stokes is False, "stokes", stokes, of_packs, "polarization needs paths"),
         )
+        packs, incidence = choose_incidence(medium, incidence_deg)
+        request = SpectralRequest(wavelengths, incidence, max_stderr, max_rays, run)
+        choice = choose_pack_solver(solver, packs, wavelengths)
+        solution, flags = solve_snow_packs(packs, wavelengths, incidence, max_stderr, run)
+        dataset = make_pack_spectrum(request, packs, choice, solution)
+        return label_snow_packs(dataset, packs, flags)
     incidence = check_incidence("incidence_deg", incidence_deg)
     is_mapping, analog = isinstance(medium, Mapping), estimator == "analog"
     parameters: tuple[str, ...] = ()
@@ -444,10 +460,10 @@ class SpectralRequest(NamedTuple):
 
 def make_spectrum(
     request: SpectralRequest,
-    medium: Medium,
+    medium: Medium | SnowPacks,
     estimate: SpectralEstimate,
     *,
-    truncation: TruncatedMedium | None,
+    truncation: TruncatedMedium | None = None,
     size_ratio: float = 1.0,
     dims: tuple[str, ...] = ("wavelength",),
 ) -> xr.Dataset:
@@ -456,9 +472,10 @@ def make_spectrum(
     Parameters
     ----------
     request : SpectralRequest
-    medium : Medium
+    medium : Medium or SnowPacks
         Its inputs are attributes.
     estimate : SpectralEstimate
+        Without batches of rays for snowpacks.
     truncation : TruncatedMedium or None
     size_ratio : float
         Size of the medium relative to the traced one.
@@ -472,7 +489,7 @@ def make_spectrum(
         long_name = label if name == "absorptance" else f"{illumination}-{label}"
         mean, stderr = estimate.mean[row].reshape(shape), estimate.stderr[row].reshape(shape)
         deviations = None
-        if name in SIDE_QUANTITIES:
+        if name in SIDE_QUANTITIES and len(estimate.batch_deviations):
             deviations = estimate.batch_deviations[:, row].reshape(N_BATCHES, *shape)
         variables |= make_variable(name, dims, mean, stderr, long_name, deviations=deviations)
     attributes = {
@@ -483,7 +500,7 @@ def make_spectrum(
         **describe_polarization(request.polarization),
         "max_stderr": request.max_stderr,
         "stop_reason": estimate.get_stop_reason(request.max_stderr, request.max_rays),
-        "max_stderr_reached": float(estimate.stderr.max()),
+        "max_stderr_reached": estimate.max_stderr,
         "interpolation_error_bound": float(estimate.interpolation_error.max()),
         "max_rays": request.max_rays,
         **estimate.rays,
@@ -496,6 +513,30 @@ def make_spectrum(
         "incidence_deg": make_incidence_coordinate(request.incidence),
     }
     return xr.Dataset(variables, coordinates, attributes)
+
+
+def make_pack_spectrum(
+    request: SpectralRequest, packs: SnowPacks, choice: SolverChoice, solution: SpectraSolution
+) -> xr.Dataset:
+    """Return the dataset of `splits.spectrophotometer` for snowpacks, without their labels.
+
+    Parameters
+    ----------
+    request : SpectralRequest
+        The incidence is an angle, "diffuse" or "sun".
+    packs : SnowPacks
+    choice : SolverChoice
+    solution : SpectraSolution
+        For one beam, if any, and for diffuse light.
+    """
+    estimate = make_pack_estimate(solution, -1 if request.incidence == DIFFUSE else 0)
+    dataset = make_spectrum(request, packs, estimate, dims=(PACK_DIM, "wavelength"))
+    dataset.attrs |= choice.attributes
+    if request.incidence == SUN:
+        angles = make_incidence_coordinate(packs.dataset[ZENITH_KEY].values, (PACK_DIM,))
+        dataset.attrs["incidence_deg"] = SUN_OF_EACH
+        dataset = dataset.assign_coords(incidence_deg=angles)
+    return dataset
 
 
 def simulate_spectra(path_sharing: PathSharingMedia, request: SpectralRequest) -> list[xr.Dataset]:

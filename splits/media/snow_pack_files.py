@@ -26,32 +26,21 @@ from splits.core.validation import (
     invalid,
     suggest_name,
 )
-from splits.io.layer_profiles import (
-    SnowPit,
-    average_over_layers,
-    interpolate_to_layers,
-    read_snow_pit,
-)
+from splits.io.caaml import WATER_DENSITY_KG_M3, read_snow_pit
 from splits.io.netcdf import NETCDF_SUFFIXES, SCHEMA_ATTRIBUTE, load, open_foreign
 from splits.materials.csv_table import read_csv
-from splits.media.snow import SURFACE_AREA_KEY
 from splits.media.snow_pack_input import (
     DEFAULT_LABEL,
-    DEFAULTS,
-    DENSITY_KEY,
     GROUND_ATTRIBUTE,
     LAYER_DIM,
     LAYER_HINT,
-    TEMPERATURE_KEY,
     THICKNESS_KEY,
-    WATER_KEY,
 )
 from splits.media.snow_packs import SnowPacks
 
 # --------------------------------------------------------------------------------------------------
 # Snow pits in CAAML files.
 
-WATER_DENSITY_KG_M3 = 1000.0
 Extend = Annotated[
     bool,
     Quantity("whether layers above the first or below the last measurement take its value"),
@@ -118,35 +107,19 @@ def read_caaml(
     paths = [path] if isinstance(path, str | os.PathLike) else list(path)
     if not paths:
         raise invalid("path", [], "at least one file")
-    pits = [read_snow_pit(one, with_time=label == DEFAULT_LABEL) for one in paths]
-    columns = [_assign_to_layers(pit, extend) for pit in pits]
-    n_layers = max(1, *(pit.top_m.size for pit in pits))
-    variables = {}
-    for name in columns[0]:
-        table = np.full((len(pits), n_layers), np.nan)
-        for row, column in zip(table, columns, strict=True):
-            row[: column[name].size] = column[name]
-        variables[name] = ((label, LAYER_DIM), table)
-    labels = pd.Index([Path(one).name for one in paths])
-    if label == DEFAULT_LABEL:
-        labels = pd.DatetimeIndex([pit.time for pit in pits])
+    has_times = label == DEFAULT_LABEL
+    pits = [read_snow_pit(one, extend=extend, with_time=has_times) for one in paths]
+    times, layers = zip(*pits, strict=True)
+    n_layers = max(1, *(one[THICKNESS_KEY].size for one in layers))
+    variables = {
+        name: ((label, LAYER_DIM), [
+            np.pad(one[name], (0, n_layers - one[name].size), constant_values=np.nan)
+            for one in layers
+        ])
+        for name in layers[0]
+    }  # fmt: skip
+    labels = pd.DatetimeIndex(times) if has_times else [Path(one).name for one in paths]
     return SnowPacks(xr.Dataset(variables, {label: labels}))
-
-
-def _assign_to_layers(pit: SnowPit, extend: bool) -> dict[str, np.ndarray]:
-    """Return the variables of the layers of a snow pit."""
-    values = {THICKNESS_KEY: pit.thickness_m}
-    for name in (DENSITY_KEY, SURFACE_AREA_KEY, TEMPERATURE_KEY, WATER_KEY):
-        assign = interpolate_to_layers if name == TEMPERATURE_KEY else average_over_layers
-        if name in pit.profiles:
-            profile = pit.profiles[name]
-            values[name] = assign(profile, pit.top_m, pit.thickness_m, extend=extend)
-        else:
-            values[name] = np.full(pit.top_m.shape, DEFAULTS.get(name, np.nan))
-    values[DENSITY_KEY] = values[DENSITY_KEY] - WATER_DENSITY_KG_M3 * values[WATER_KEY]
-    for name in (DENSITY_KEY, SURFACE_AREA_KEY):
-        values[name] = np.where(pit.is_gap, np.nan, values[name])
-    return values
 
 
 # --------------------------------------------------------------------------------------------------
@@ -224,26 +197,75 @@ def read_crocus(
     Model Dev. 5, 773–791.
     """
     if isinstance(source, xr.Dataset):
-        selected = _select(source, point, patch, impurities)
+        return SnowPacks(_convert_output(source, point, patch, impurities))
+    path = expand_path(source, "source")
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file")
+    with open_foreign("source", path) as file:
+        return SnowPacks(_convert_output(file, point, patch, impurities))
+
+
+def _convert_output(
+    dataset: xr.Dataset, point: int | None, patch: int | None, impurities: Mapping[str, str] | None
+) -> xr.Dataset:
+    """Return output of Crocus in the variables and units of `splits.SnowPacks`."""
+    types = _choose_impurities(dataset, impurities)
+    output = _select(dataset, [*types], point, patch)
+    thickness, density = _read(output, THICKNESS, "m"), _read(output, DENSITIES[0], "kg m-3")
+    # Layers without thickness and mass are absent, whatever their other variables are.
+    thickness = thickness.where(thickness.notnull() | (density > 0.0), 0.0)
+    unit = _find_unit(output[WATER])
+    if unit is None:
+        hint = "kg m-3 with LVOLUMETRIC_SNOWLIQ in SURFEX, otherwise m"
+        raise invalid(f"{WATER}.units", None, "kg m-3 or m", hint)
+    # SURFEX writes the mass of water per volume of snow, or its depth in a layer.
+    if is_unit(unit, "m"):
+        water = _read(output, WATER, "m") / thickness.where(thickness > 0.0)
     else:
-        path = expand_path(source, "source")
-        if not path.is_file():
-            raise FileNotFoundError(f"{path}: no such file")
-        with open_foreign("source", path) as file:
-            selected = _select(file, point, patch, impurities).load()
-    return SnowPacks(_convert_output(selected, impurities))
+        water = _read(output, WATER, "kg m-3") / WATER_DENSITY_KG_M3
+    dry_density = density - WATER_DENSITY_KG_M3 * water
+    variables = {
+        "thickness_m": thickness,
+        "density_kg_m3": dry_density,
+        "specific_surface_area_m2_kg": _read(output, SURFACE_AREA, "m2 kg-1"),
+        "liquid_water_content": water,
+    }
+    if TEMPERATURE in output:
+        temperature = _read(output, TEMPERATURE, "degC", default_unit="K")
+        is_melting = (temperature > 0.0) & (temperature <= MELTING_EXCESS_C)
+        variables["temperature_c"] = temperature.where(~is_melting, 0.0)
+    for name, kind in types.items():
+        per_snow = _read(output, name, "1e-9", default_unit="g g-1")
+        variables[f"impurities_ng_g.{kind}"] = per_snow * density / dry_density
+    for variable in variables.values():
+        variable.attrs.clear()
+    return xr.Dataset(variables).drop_vars("layer", errors="ignore")
+
+
+def _choose_impurities(
+    dataset: xr.Dataset, impurities: Mapping[str, str] | None
+) -> Mapping[str, str]:
+    """Return the types of the impurities to read, by variable."""
+    if impurities is None:
+        return {name: kind for name, kind in DEFAULT_IMPURITIES.items() if name in dataset}
+    if not isinstance(impurities, Mapping):
+        allowed = "a mapping of variables to types, such as {'SNOWIMP1': 'black_carbon'}"
+        raise invalid("impurities", impurities, allowed)
+    if len(set(impurities.values())) < len(impurities):
+        raise invalid("impurities", dict(impurities), "different types for different variables")
+    known = [str(name) for name in dataset.data_vars if str(name).startswith("SNOWIMP")]
+    return {check_choice("impurities", name, known): kind for name, kind in impurities.items()}
 
 
 def _select(
-    dataset: xr.Dataset, point: int | None, patch: int | None, impurities: Mapping[str, str] | None
+    dataset: xr.Dataset, impurities: list[str], point: int | None, patch: int | None
 ) -> xr.Dataset:
     """Return the variables needed, over time and layer, or over snowpack and layer."""
     density = next((name for name in DENSITIES if name in dataset), DENSITIES[0])
     names, allowed = [THICKNESS, density, SURFACE_AREA, WATER], "a variable of the output of Crocus"
     hint = "add it to CSELECT of the namelist of SURFEX, with LSNOWDIMNC = T"
     check_relations(*((name in dataset, name, None, allowed, hint) for name in names))
-    names += list_impurity_names(dataset, impurities)
-    names += [TEMPERATURE] if TEMPERATURE in dataset else []
+    names += [*impurities, *({TEMPERATURE} & {*dataset.variables})]
     selected = dataset[names].rename({density: DENSITIES[0]})
     dims = [str(dim) for dim in selected.dims]
     for new, known in (("time", TIME_DIMS), ("layer", LAYER_DIMS)):
@@ -259,7 +281,13 @@ def _select(
     patches = [dim for dim in dims if dim in PATCH_DIMS]
     points = [dim for dim in dims if dim not in (*TIME_DIMS, *LAYER_DIMS, *PATCH_DIMS)]
     for key, index, among in (("patch", patch, patches), ("point", point, points)):
-        selected = _select_index(selected, key, index, among)
+        # Several dimensions, such as those of a grid, have no common index.
+        allowed, hint = f"left out for dimensions {tuple(among)}", "select with source.isel first"
+        check_relations((index is None or len(among) == 1, key, index, allowed, hint))
+        if index is not None:
+            check_integer(key, index, 0, selected.sizes[among[0]] - 1)
+        chosen = [dim for dim in among if index is not None or selected.sizes[dim] == 1]
+        selected = selected.isel(dict.fromkeys(chosen, index or 0), drop=True)
     n_patches = math.prod(selected.sizes[dim] for dim in patches if dim in selected.dims)
     remaining = [dim for dim in points if dim in selected.dims]
     check_relations(
@@ -278,78 +306,10 @@ def _select(
     return selected.stack({SNOWPACK: ("time", *remaining)}) if remaining else selected
 
 
-def _select_index(dataset: xr.Dataset, key: str, index: int | None, dims: list[str]) -> xr.Dataset:
-    """Return a dataset at an index along the only one of some dimensions, without those of size 1.
-
-    Several dimensions, such as those of a grid, have no common index.
-    """
-    if index is not None:
-        if len(dims) != 1:
-            hint = "select with source.isel first"
-            raise invalid(key, index, f"left out for dimensions {tuple(dims)}", hint)
-        check_integer(key, index, 0, dataset.sizes[dims[0]] - 1)
-        return dataset.isel({dims[0]: index}, drop=True)
-    return dataset.isel({dim: 0 for dim in dims if dataset.sizes[dim] == 1}, drop=True)
-
-
-def list_impurity_names(dataset: xr.Dataset, impurities: Mapping[str, str] | None) -> list[str]:
-    """Return the names of the variables of impurities to read."""
-    if impurities is None:
-        return [name for name in DEFAULT_IMPURITIES if name in dataset]
-    if not isinstance(impurities, Mapping):
-        allowed = "a mapping of variables to types, such as {'SNOWIMP1': 'black_carbon'}"
-        raise invalid("impurities", impurities, allowed)
-    known = [str(name) for name in dataset.data_vars if str(name).startswith("SNOWIMP")]
-    if len(set(impurities.values())) < len(impurities):
-        raise invalid("impurities", dict(impurities), "different types for different variables")
-    return [check_choice("impurities", name, known) for name in impurities]
-
-
-def _convert_output(output: xr.Dataset, impurities: Mapping[str, str] | None) -> xr.Dataset:
-    """Return the output in the variables and units of `splits.SnowPacks`."""
-    thickness = _read(output, THICKNESS, "m", "m")
-    density = _read(output, DENSITIES[0], "kg m-3", "kg m-3")
-    # Layers without thickness and mass are absent, whatever their other variables are.
-    thickness = thickness.where(thickness.notnull() | (density > 0.0), 0.0)
-    water = _read_water(output, thickness.where(thickness > 0.0))
-    dry_density = density - WATER_DENSITY_KG_M3 * water
-    variables = {
-        "thickness_m": thickness,
-        "density_kg_m3": dry_density,
-        "specific_surface_area_m2_kg": _read(output, SURFACE_AREA, "m2 kg-1", "m2 kg-1"),
-        "liquid_water_content": water,
-    }
-    if TEMPERATURE in output:
-        temperature = _read(output, TEMPERATURE, "K", "degC")
-        is_melting = (temperature > 0.0) & (temperature <= MELTING_EXCESS_C)
-        variables["temperature_c"] = temperature.where(~is_melting, 0.0)
-    types = DEFAULT_IMPURITIES if impurities is None else impurities
-    for name in list_impurity_names(output, impurities):
-        per_snow = _read(output, name, "g g-1", "1e-9")
-        variables[f"impurities_ng_g.{types[name]}"] = per_snow * density / dry_density
-    for variable in variables.values():
-        variable.attrs.clear()
-    dataset = xr.Dataset(variables)
-    return dataset.drop_vars("layer", errors="ignore")
-
-
-def _read_water(output: xr.Dataset, thickness: xr.DataArray) -> xr.DataArray:
-    """Return the volume fraction of liquid water.
-
-    SURFEX writes its mass per volume of snow (kg m-3) with LVOLUMETRIC_SNOWLIQ, otherwise the
-    depth of the water in a layer (m).
-    """
-    unit = _find_unit(output[WATER])
-    if unit is None:
-        hint = "kg m-3 with LVOLUMETRIC_SNOWLIQ in SURFEX, otherwise m"
-        raise invalid(f"{WATER}.units", None, "kg m-3 or m", hint)
-    if is_unit(unit, "m"):
-        return _read(output, WATER, unit, "m") / thickness
-    return _read(output, WATER, unit, "kg m-3") / WATER_DENSITY_KG_M3
-
-
-def _read(output: xr.Dataset, name: str, default_unit: str, unit: str) -> xr.DataArray:
-    """Return a variable in a unit, with NaN for fill values."""
+def _read(
+    output: xr.Dataset, name: str, unit: str, default_unit: str | None = None
+) -> xr.DataArray:
+    """Return a variable in a unit, by default that of the file, with NaN for fill values."""
     numbers = as_float_array(name, output[name], allow_gaps=True)
     numbers[np.abs(numbers) >= MIN_FILL_VALUE] = np.nan
     given = _find_unit(output[name]) or default_unit
@@ -361,14 +321,9 @@ def _find_unit(variable: xr.DataArray) -> str | None:
 
     Older versions of SURFEX write descriptions such as "snow temperature (K)".
     """
-    unit = str(variable.attrs.get("units", "")).strip()
-    if unit:
-        return unit
-    for attribute in ("long_name", "comment"):
-        match = _UNIT_PATTERN.search(str(variable.attrs.get(attribute, "")))
-        if match:
-            return match[1]
-    return None
+    texts = (str(variable.attrs.get(name, "")) for name in ("long_name", "comment"))
+    described = (match[1] for match in map(_UNIT_PATTERN.search, texts) if match)
+    return str(variable.attrs.get("units", "")).strip() or next(described, None)
 
 
 # --------------------------------------------------------------------------------------------------
@@ -415,27 +370,37 @@ def read_snow_packs(
     files = [expand_path(one, "file") for one in given]
     suffixes = {one.suffix.lower() for one in files}
     are_caaml = suffixes <= {*CAAML_SUFFIXES}
-    if not suffixes <= {*SNOW_PACK_SUFFIXES} or (len(files) != 1 and not are_caaml) or not files:
-        raise invalid("file", file, f"a file with one of {', '.join(SNOW_PACK_SUFFIXES)}")
-    hint = f"looked in {Path.cwd()}"
+    is_known = suffixes <= {*SNOW_PACK_SUFFIXES} and (len(files) == 1 or (files and are_caaml))
     check_relations(
-        *((one.is_file(), "file", str(one), "a file that exists", hint) for one in files)
+        (is_known, "file", file, f"a file with one of {', '.join(SNOW_PACK_SUFFIXES)}"),
+        *(
+            (one.is_file(), "file", str(one), "a file that exists", f"looked in {Path.cwd()}")
+            for one in files
+        ),
     )
-    is_crocus = suffixes <= {*NETCDF_SUFFIXES} and _has_crocus_output(files[0])
-    if point is not None and not is_crocus:
-        raise invalid("point", point, "left out", "only output of Crocus has points")
-    if is_crocus or are_caaml:
-        packs = read_caaml(files) if are_caaml else read_crocus(files[0], point=point)
+    is_crocus = False
+    if are_caaml:
+        packs = read_caaml(files)
         packs = packs if ground is None else packs.with_ground(ground)
+    elif suffixes == {".csv"}:
+        packs = SnowPacks(_read_csv(files[0]), ground=ground)
     else:
-        is_csv = suffixes == {".csv"}
-        packs = SnowPacks(_read_csv(files[0]) if is_csv else _read_netcdf(files[0]), ground=ground)
+        data, is_crocus = _read_netcdf(files[0], point)
+        packs = SnowPacks(data, ground=ground)
     place = {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg}
     missing = [key for key, value in place.items() if value is None]
-    if len(missing) == len(place):
-        return packs
+    check_relations(
+        (
+            point is None or is_crocus, "point", point, "left out",
+            "only output of Crocus has points",
+        ),
+        (
+            len(missing) != 1, "".join(missing[:1]), None, "given",
+            "a place has a latitude and a longitude",
+        ),
+    )  # fmt: skip
     if missing:
-        raise invalid(missing[0], None, "given", "a place has a latitude and a longitude")
+        return packs
     return packs.with_sun_zenith(_compute_sun_zenith(packs, *place.values()))
 
 
@@ -470,13 +435,11 @@ def _read_csv(path: Path) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def _has_crocus_output(path: Path) -> bool:
+def _read_netcdf(path: Path, point: int | None) -> tuple[xr.Dataset, bool]:
+    """Return the variables of `splits.SnowPacks`, and whether the file is output of Crocus."""
     with open_foreign("file", path) as dataset:
-        return THICKNESS in dataset
-
-
-def _read_netcdf(path: Path) -> xr.Dataset:
-    with open_foreign("file", path) as dataset:
+        if THICKNESS in dataset:
+            return _convert_output(dataset, point, None, None), True
         if SCHEMA_ATTRIBUTE not in dataset.attrs:
-            return dataset.load()
-    return load(path)
+            return dataset.load(), False
+    return load(path), False

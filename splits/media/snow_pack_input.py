@@ -6,7 +6,8 @@ import hashlib
 import os
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -36,7 +37,6 @@ from splits.core.validation import (
     unknown_key,
 )
 from splits.materials.impurities import list_impurities
-from splits.materials.refractive_index import check_wavelength_range
 from splits.media.ground import (
     BLACK,
     OPEN,
@@ -58,174 +58,127 @@ from splits.media.snow import OPTICAL_RADIUS_KEY, SURFACE_AREA_KEY
 GROUND_KEY = "ground_albedo"
 GROUND_ATTRIBUTE = "ground"
 _TABLE_ATTRIBUTES = ("ground_wavelength_nm", "ground_values")
+PackGround = Ground | xr.DataArray | None
+"""Ground of all snowpacks, an albedo for each with NaN where it is missing, or none."""
 
 
-class SnowPackGround(NamedTuple):
-    """Ground below snowpacks.
+def read_ground(value: Any, label: str, labels: pd.Index) -> PackGround:
+    """Return the ground for a user's value, see `splits.SnowPacks`.
 
-    Attributes
+    Parameters
     ----------
-    common : Ground or None
-        Ground of all snowpacks, or an open lower boundary.
-    albedo : float, shape (snowpacks,) or (snowpacks, n), or None
-        Albedo for each snowpack, NaN where it is missing; instead of `common`.
-    wavelength_nm : float, shape (n,), or None
-        Wavelengths (nm) of the albedo, if it depends on them.
+    value : object
+    label : str
+        Dimension of the snowpacks.
+    labels : pandas.Index
+        Labels of the snowpacks.
     """
+    is_array = isinstance(value, xr.DataArray) and bool(value.ndim)
+    is_row = isinstance(value, np.ndarray | pd.Series | Sequence) and not isinstance(value, str)
+    if is_ground_spectrum(value) or not (is_array or (is_row and np.ndim(value))):
+        return Ground.from_input(value)
+    if not is_array:
+        albedo = align_to_labels(GROUND_KEY, value, labels.tolist(), allow_gaps=True)
+        if albedo.shape != (labels.size,):
+            given = f"numbers of shape {albedo.shape}"
+            raise invalid(GROUND_KEY, given, f"one ground, or {labels.size} albedos")
+        return xr.DataArray(albedo, dims=label)
+    has_wavelengths = WAVELENGTH_DIM in value.dims
+    check_relations(
+        (
+            {label} <= set(value.dims) <= {label, WAVELENGTH_DIM},
+            f"{GROUND_KEY} dimensions", value.dims,
+            f"{label}, or {label} and {WAVELENGTH_DIM}, with coordinates",
+        ),
+        (
+            not has_wavelengths
+            or (WAVELENGTH_DIM in value.coords and value.sizes[WAVELENGTH_DIM] >= 2),
+            f"{GROUND_KEY}.{WAVELENGTH_DIM}", "left out or short",
+            "a coordinate (nm) of at least 2 wavelengths",
+        ),
+    )  # fmt: skip
+    coordinates = {}
+    if has_wavelengths:
+        check_nanometres(GROUND_KEY, value[WAVELENGTH_DIM])
+        value = value.sortby(WAVELENGTH_DIM)
+        wavelength_nm = as_1d_array(WAVELENGTH_DIM, value[WAVELENGTH_DIM], "numbers (nm)")
+        check_increasing(f"{GROUND_KEY}.{WAVELENGTH_DIM}", wavelength_nm)
+        coordinates = {WAVELENGTH_DIM: wavelength_nm}
+    value = value.transpose(label, ...)
+    value = value[match_labels(GROUND_KEY, find_labels(value), [labels.tolist()])]
+    if value.sizes[label] != labels.size:
+        raise invalid(GROUND_KEY, f"{value.sizes[label]} albedos", f"{labels.size} of them")
+    numbers = as_float_array(GROUND_KEY, value, allow_gaps=True)
+    numbers[~np.isfinite(numbers)] = np.nan
+    return xr.DataArray(numbers, coordinates, value.dims)
 
-    common: Ground | None = None
-    albedo: np.ndarray | None = None
-    wavelength_nm: np.ndarray | None = None
 
-    @classmethod
-    def from_input(cls, value: Any, label: str, labels: pd.Index) -> SnowPackGround:
-        """Return the ground for a user's value, see `splits.SnowPacks`.
+def read_stored_ground(data: xr.Dataset, label: str) -> PackGround:
+    """Return the ground in a dataset of snowpacks; its names differ after a concatenation."""
+    index = data.get_index(label)
+    albedo: Any = None
+    if GROUND_KEY in data:
+        variable = data[GROUND_KEY].drop_vars(
+            [name for name in data[GROUND_KEY].coords if name not in (label, WAVELENGTH_DIM)]
+        )
+        if not variable.ndim:
+            variable = variable.expand_dims({label: index})
+        albedo = read_ground(variable, label, index)
+    if GROUND_ATTRIBUTE not in data:
+        return _read_ground_attributes(data.attrs) if albedo is None else albedo
+    names = data[GROUND_ATTRIBUTE]
+    if names.dims != (label,):
+        raise invalid(f"{GROUND_ATTRIBUTE} dimensions", names.dims, f"over {label}")
+    is_named = ~pd.isna(names.values)
+    distinct = [*dict.fromkeys(str(name) for name in names.values[is_named])]
+    if is_named.all() and len(distinct) == 1:
+        common = _read_ground_attributes(data.attrs)
+        is_same = name_ground(common) == distinct[0]
+        return common if is_same else Ground.from_input(_parse_name(distinct[0]))
+    numbers = {BLACK: 0.0, **{name: _parse_name(name) for name in distinct if name != BLACK}}
+    if any(isinstance(numbers[name], str) for name in distinct):
+        allowed = "the same below all snowpacks, or albedos"
+        hint = "SnowPacks(data, ground=…) gives one for all, or an albedo for each"
+        raise invalid(GROUND_ATTRIBUTE, distinct, allowed, hint)
+    named = xr.DataArray([numbers.get(str(name), np.nan) for name in names.values], dims=label)
+    # Where a name is missing, there is an albedo.
+    return named if albedo is None else named.fillna(albedo).transpose(*albedo.dims)
 
-        Parameters
-        ----------
-        value : object
-        label : str
-            Dimension of the snowpacks.
-        labels : pandas.Index
-            Labels of the snowpacks.
-        """
-        is_array = isinstance(value, xr.DataArray) and bool(value.ndim)
-        is_row = isinstance(value, np.ndarray | pd.Series | Sequence) and not isinstance(value, str)
-        if is_ground_spectrum(value) or not (is_array or (is_row and np.ndim(value))):
-            return cls(Ground.from_input(value))
-        if not is_array:
-            albedo = align_to_labels(GROUND_KEY, value, labels.tolist(), allow_gaps=True)
-            if albedo.shape != (labels.size,):
-                given = f"numbers of shape {albedo.shape}"
-                raise invalid(GROUND_KEY, given, f"one ground, or {labels.size} albedos")
-            return cls(albedo=albedo)
-        if not {label} <= set(value.dims) <= {label, WAVELENGTH_DIM}:
-            allowed = f"{label}, or {label} and {WAVELENGTH_DIM}, with coordinates"
-            raise invalid(f"{GROUND_KEY} dimensions", value.dims, allowed)
-        wavelength_nm = None
-        if WAVELENGTH_DIM in value.dims:
-            if WAVELENGTH_DIM not in value.coords or value.sizes[WAVELENGTH_DIM] < 2:
-                allowed = "a coordinate (nm) of at least 2 wavelengths"
-                raise invalid(f"{GROUND_KEY}.{WAVELENGTH_DIM}", "left out or short", allowed)
-            check_nanometres(GROUND_KEY, value[WAVELENGTH_DIM])
-            value = value.sortby(WAVELENGTH_DIM)
-            wavelength_nm = as_1d_array(WAVELENGTH_DIM, value[WAVELENGTH_DIM], "numbers (nm)")
-            check_increasing(f"{GROUND_KEY}.{WAVELENGTH_DIM}", wavelength_nm)
-        value = value.transpose(label, ...)
-        value = value[match_labels(GROUND_KEY, find_labels(value), [labels.tolist()])]
-        if value.sizes[label] != labels.size:
-            raise invalid(GROUND_KEY, f"{value.sizes[label]} albedos", f"{labels.size} of them")
-        numbers = as_float_array(GROUND_KEY, value, allow_gaps=True)
-        numbers[~np.isfinite(numbers)] = np.nan
-        return cls(None, numbers, wavelength_nm)
 
-    @classmethod
-    def from_attributes(cls, attributes: Mapping[str, Any]) -> SnowPackGround:
-        """Return the common ground in attributes, see `make_attributes`."""
-        if GROUND_ATTRIBUTE not in attributes:
-            return cls()
-        name, table = attributes[GROUND_ATTRIBUTE], [attributes.get(n) for n in _TABLE_ATTRIBUTES]
-        if table[0] is None:
-            return cls(Ground.from_input(name))
-        columns = {"wavelength_nm": table[0], "albedo": table[1]}
-        ground = Ground.from_input(columns)
-        assert ground is not None
-        digest = attributes.get("ground_sha256", "")
-        return cls(Ground(name, ground.source, ground.albedo_values, ground.wavelength_nm, digest))
+def _read_ground_attributes(attributes: Mapping[str, Any]) -> Ground | None:
+    """Return the ground of all snowpacks in attributes, see `store_ground`."""
+    name, table = attributes.get(GROUND_ATTRIBUTE), [attributes.get(n) for n in _TABLE_ATTRIBUTES]
+    if name is None or table[0] is None:
+        return Ground.from_input(name)
+    ground = Ground.from_input({"wavelength_nm": table[0], "albedo": table[1]})
+    assert ground is not None
+    return replace(ground, name=name, sha256=attributes.get("ground_sha256", ""))
 
-    @classmethod
-    def from_names(
-        cls, names: np.ndarray, attributes: Mapping[str, Any], albedo: SnowPackGround | None
-    ) -> SnowPackGround:
-        """Return the ground of snowpacks by its names, which differ after a concatenation.
 
-        Parameters
-        ----------
-        names : str or missing, shape (snowpacks,)
-            See `get_name`.
-        attributes : mapping
-            Those of `make_attributes` of one of the grounds.
-        albedo : SnowPackGround or None
-            Albedo for each snowpack, used where a name is missing.
-        """
-        is_named = ~pd.isna(names)
-        distinct = [*dict.fromkeys(str(name) for name in names[is_named])]
-        if is_named.all() and len(distinct) == 1:
-            common = cls.from_attributes(attributes)
-            is_same = common.get_name() == distinct[0]
-            return common if is_same else cls(Ground.from_input(_parse_name(distinct[0])))
-        numbers = {BLACK: 0.0, **{name: _parse_name(name) for name in distinct if name != BLACK}}
-        texts = [name for name in distinct if isinstance(numbers[name], str)]
-        if texts:
-            allowed = "the same below all snowpacks, or albedos"
-            hint = "SnowPacks(data, ground=…) gives one for all, or an albedo for each"
-            raise invalid(GROUND_ATTRIBUTE, distinct, allowed, hint)
-        named = np.array([numbers.get(str(name), np.nan) for name in names])
-        if albedo is None or albedo.albedo is None:
-            return cls(albedo=named)
-        own = albedo.albedo
-        columns = named.reshape(-1, *[1] * (own.ndim - 1))
-        return albedo._replace(albedo=np.where(np.isnan(columns), own, columns))
+def name_ground(ground: Ground | None) -> str:
+    """Return the text that identifies a ground of all snowpacks among those of others."""
+    if ground is None:
+        return OPEN
+    name = str(store_ground(ground)[GROUND_ATTRIBUTE])
+    if not is_ground_table(ground) or ground.wavelength_nm is None:
+        return name
+    content = np.concatenate([ground.wavelength_nm, ground.albedo_values])
+    return f"{name} {hashlib.sha256(content.tobytes()).hexdigest()[:12]}"
 
-    def get_name(self) -> str:
-        """Return the text that identifies the common ground among those of other snowpacks."""
-        if self.common is None:
-            return OPEN
-        name = str(self.make_attributes()[GROUND_ATTRIBUTE])
-        if not self.is_table or self.common.wavelength_nm is None:
-            return name
-        content = np.concatenate([self.common.wavelength_nm, self.common.albedo_values])
-        return f"{name} {hashlib.sha256(content.tobytes()).hexdigest()[:12]}"
 
-    @property
-    def is_table(self) -> bool:
-        """Whether the common ground is a table of the user."""
-        ground = self.common
-        return ground is not None and (bool(ground.sha256) or ground.name == TABLE_NAME)
+def is_ground_table(ground: Ground) -> bool:
+    """Return whether a ground is a table of the user."""
+    return bool(ground.sha256) or ground.name == TABLE_NAME
 
-    def make_attributes(self) -> dict[str, Any]:
-        """Return the common ground as attributes of a dataset."""
-        if self.albedo is not None:
-            return {}
-        if self.common is None:
-            return {GROUND_ATTRIBUTE: OPEN}
-        if not self.is_table:
-            return {GROUND_ATTRIBUTE: self.common.as_input()}
-        columns = (self.common.wavelength_nm, self.common.albedo_values)
-        attributes = dict(zip(_TABLE_ATTRIBUTES, columns, strict=True))
-        digest = {"ground_sha256": self.common.sha256} if self.common.sha256 else {}
-        return {GROUND_ATTRIBUTE: self.common.name, **attributes, **digest}
 
-    def describe(self) -> str:
-        """Return the ground in a few words."""
-        if self.albedo is not None:
-            return "an albedo for each snowpack"
-        return OPEN if self.common is None else self.common.name
-
-    def get_ground(self, position: int) -> Ground | None:
-        """Return the ground of one snowpack."""
-        if self.albedo is None:
-            return self.common
-        if self.wavelength_nm is None:
-            return Ground.from_input(float(self.albedo[position]))
-        columns = {"wavelength_nm": self.wavelength_nm, "albedo": self.albedo[position]}
-        return Ground.from_input(columns)
-
-    def compute_albedo(self, wavelength_nm: np.ndarray, positions: np.ndarray) -> np.ndarray:
-        """Return the albedo below snowpacks at positions, shape (positions, wavelengths).
-
-        It is linear between its wavelengths, and 0 for an open lower boundary.
-        """
-        shape = (positions.size, wavelength_nm.size)
-        if self.albedo is None:
-            ground = self.common if self.common and self.common.is_reflecting else None
-            return np.broadcast_to(ground.albedo(wavelength_nm) if ground else 0.0, shape)
-        if self.wavelength_nm is None:
-            return np.broadcast_to(self.albedo[positions, np.newaxis], shape)
-        first, last = self.wavelength_nm[[0, -1]]
-        inside = check_wavelength_range(wavelength_nm, first, last, "the ground of the snowpacks")
-        rows = [np.interp(inside, self.wavelength_nm, self.albedo[row]) for row in positions]
-        return np.reshape(rows, shape)
+def store_ground(ground: Ground | None) -> dict[str, Any]:
+    """Return a ground of all snowpacks as attributes of a dataset."""
+    if ground is None or not is_ground_table(ground):
+        return {GROUND_ATTRIBUTE: OPEN if ground is None else ground.as_input()}
+    columns = (ground.wavelength_nm, ground.albedo_values)
+    attributes = dict(zip(_TABLE_ATTRIBUTES, columns, strict=True))
+    digest = {"ground_sha256": ground.sha256} if ground.sha256 else {}
+    return {GROUND_ATTRIBUTE: ground.name, **attributes, **digest}
 
 
 def _parse_name(name: str) -> float | str:
@@ -261,38 +214,23 @@ KNOWN_NAMES = (
 )  # fmt: skip
 
 
-class SnowPackInput(NamedTuple):
-    """Variables of snowpacks as arrays.
-
-    Attributes
-    ----------
-    label : str
-        Dimension of the snowpacks.
-    coordinates : xarray.Dataset
-        Coordinates along this dimension, without variables.
-    values : dict of float, shape (snowpacks, layers)
-        Variables of layers by name, in their units; NaN for missing and for infinite numbers.
-    layered : set of str
-        Names of the variables that were given for each layer, not for a snowpack as a whole.
-    sun_zenith_deg : float, shape (snowpacks,), or None
-    ground : SnowPackGround
-    """
-
-    label: str
-    coordinates: xr.Dataset
-    values: dict[str, np.ndarray]
-    layered: set[str]
-    sun_zenith_deg: np.ndarray | None
-    ground: SnowPackGround
-
-
 def describe_variable(name: str) -> tuple[str, str]:
     """Return the long name and units of a variable of snowpacks."""
     return DESCRIPTIONS.get(name) or describe_parameter(name)
 
 
-def read_input(data: Any, label: str | None, ground: Any) -> SnowPackInput:
-    """Return the variables of snowpacks; see `splits.SnowPacks` for the arguments and errors."""
+def read_input(data: Any, label: str | None, ground: Any) -> tuple[xr.Dataset, PackGround]:
+    """Return the variables of snowpacks in their units, and the ground.
+
+    See `splits.SnowPacks` for the arguments and errors.
+
+    Returns
+    -------
+    dataset : xarray.Dataset
+        Variables over the label and ``layer``, or over one of both if they are the same along the
+        other; NaN for missing and for infinite numbers.  The layers have no coordinate.
+    ground : Ground, xarray.DataArray or None
+    """
     if isinstance(data, pd.DataFrame):
         data = _pivot_frame(data, label)
     if not isinstance(data, xr.Dataset):
@@ -306,53 +244,55 @@ def read_input(data: Any, label: str | None, ground: Any) -> SnowPackInput:
     own_names = (*KNOWN_NAMES, GROUND_ATTRIBUTE)
     data = data.reset_coords([name for name in own_names if name in data.coords])
     check_names(name for name in data.data_vars if name != GROUND_ATTRIBUTE)
-    dims = [str(dim) for dim in data[THICKNESS_KEY].dims]
-    others = [dim for dim in dims if dim != LAYER_DIM]
-    if LAYER_DIM not in dims or len(others) != 1 or label not in (None, *others):
-        hint = "stack other dimensions: dataset.stack(snowpack=('time', 'point'))"
-        allowed = f"over {label or 'time, or another label,'} and {LAYER_DIM}"
-        raise invalid(f"{THICKNESS_KEY} dimensions", tuple(dims), allowed, hint)
-    sizes = data[THICKNESS_KEY].sizes.items()
-    check_relations(*((size, str(name), "no values", "at least one") for name, size in sizes))
-    label = others[0]
+    sizes = dict(data[THICKNESS_KEY].sizes)
+    others = [dim for dim in sizes if dim != LAYER_DIM]
+    has_two = LAYER_DIM in sizes and len(others) == 1 and label in (None, *others)
+    check_relations(
+        (
+            has_two, f"{THICKNESS_KEY} dimensions", tuple(map(str, sizes)),
+            f"over {label or 'time, or another label,'} and {LAYER_DIM}",
+            "stack other dimensions: dataset.stack(snowpack=('time', 'point'))",
+        ),
+        *((size, str(name), "no values", "at least one") for name, size in sizes.items()),
+    )  # fmt: skip
+    label = str(others[0])
     _check_label_name(label)
     data = _normalize_coordinates(data, label)
-    pack_ground, data = _read_ground(data, label, ground)
+    index = data.get_index(label)
+    pack_ground = read_stored_ground(data, label) if ground is None else read_ground(
+        ground, label, index
+    )  # fmt: skip
+    data = data.drop_vars([GROUND_KEY, GROUND_ATTRIBUTE, WAVELENGTH_DIM], errors="ignore")
     if LAYER_DIM in data.coords:
         number = as_float_array(LAYER_DIM, data[LAYER_DIM], "numbers, 0 at the top")
         check_increasing(LAYER_DIM, np.sort(number))
         data = data.sortby(LAYER_DIM)
         check_direction(data[LAYER_DIM], "down")
-    layered: set[str] = set()
-    values = {}
-    for name in map(str, data.data_vars):
-        variable = data[name]
-        expected = (label,) if name == ZENITH_KEY else (label, LAYER_DIM)
+    variables = {}
+    for name, variable in data.data_vars.items():
+        key, expected = str(name), (label,) if name == ZENITH_KEY else (label, LAYER_DIM)
         if not set(variable.dims) <= set(expected):
-            raise invalid(f"{name} dimensions", variable.dims, f"among {', '.join(expected)}")
-        if LAYER_DIM in variable.dims:
-            layered.add(name)
-        numbers = as_float_array(name, variable, allow_gaps=True)
+            raise invalid(f"{key} dimensions", variable.dims, f"among {', '.join(expected)}")
+        numbers = as_float_array(key, variable, allow_gaps=True)
         numbers[~np.isfinite(numbers)] = np.nan
         unit = variable.attrs.get("units")
-        numbers = convert_units(name, numbers, unit, describe_variable(name)[1])
-        sizes = {dim: data.sizes[dim] for dim in expected}
-        full = xr.Variable(variable.dims, numbers).set_dims(sizes).transpose(*expected)
-        values[name] = np.array(full.values)
-    zenith = values.pop(ZENITH_KEY, None)
-    depths_m = values.pop(DEPTH_KEY, np.empty((0, 1)))
-    # The depths of each snowpack increase; absent layers may have none.
-    deepest = np.fmax.accumulate(depths_m, axis=1)
-    rows, layers = np.nonzero(depths_m[:, 1:] <= deepest[:, :-1])
-    if rows.size:
-        row, layer = rows[0], layers[0]
-        pair = [float(deepest[row, layer]), float(depths_m[row, layer + 1])]
-        place = f"layer {layer + 1} of the snowpack at {data.get_index(label)[row]}"
-        allowed = "strictly increasing from the surface down"
-        raise invalid(DEPTH_KEY, pair, allowed, f"{place}; {LAYER_DIM} 0 is at the top")
-    elsewhere = [name for name, v in data.coords.items() if not set(v.dims) <= {label}]
+        numbers = convert_units(key, numbers, unit, describe_variable(key)[1])
+        variables[name] = variable.variable.copy(data=numbers)
+    if DEPTH_KEY in variables:
+        # The depths of each snowpack increase; absent layers may have none.
+        full_sizes = {dim: data.sizes[dim] for dim in (label, LAYER_DIM)}
+        depths_m = variables.pop(DEPTH_KEY).set_dims(full_sizes).values
+        deepest = np.fmax.accumulate(depths_m, axis=1)
+        rows, layers = np.nonzero(depths_m[:, 1:] <= deepest[:, :-1])
+        if rows.size:
+            row, layer = rows[0], layers[0]
+            pair = [float(deepest[row, layer]), float(depths_m[row, layer + 1])]
+            place = f"layer {layer + 1} of the snowpack at {index[row]}"
+            allowed = "strictly increasing from the surface down"
+            raise invalid(DEPTH_KEY, pair, allowed, f"{place}; {LAYER_DIM} 0 is at the top")
+    elsewhere = [name for name, one in data.coords.items() if not set(one.dims) <= {label}]
     coordinates = data.drop_vars([*data.data_vars, *elsewhere])
-    return SnowPackInput(label, coordinates, values, layered - {DEPTH_KEY}, zenith, pack_ground)
+    return coordinates.assign(variables), pack_ground
 
 
 def _check_label_name(label: Any) -> None:
@@ -373,12 +313,17 @@ def _normalize_coordinates(data: xr.Dataset, label: str) -> xr.Dataset:
     """Return a dataset whose labels, and other coordinates of snowpacks, files can hold."""
     index = data.get_index(label)
     labels = normalize_labels(label, index)
-    if labels.to_frame().isna().to_numpy().any():
-        raise invalid(label, "a gap", "a label for each snowpack", "masked, NaN or missing")
-    duplicates = labels[labels.duplicated()]
-    if duplicates.size:
-        hint = f"{duplicates.size} of {labels.size} labels repeat an earlier one"
-        raise invalid(label, str(duplicates[0]), "different for each snowpack", hint)
+    is_gap, repeated = labels.to_frame().isna().to_numpy(), labels[labels.duplicated()]
+    check_relations(
+        (
+            not is_gap.any(), label, "a gap", "a label for each snowpack",
+            "masked, NaN or missing",
+        ),
+        (
+            not repeated.size, label, str(next(iter(repeated), "")), "different for each snowpack",
+            f"{repeated.size} of {labels.size} labels repeat an earlier one",
+        ),
+    )  # fmt: skip
     if isinstance(labels, pd.MultiIndex):
         return data.assign_coords(xr.Coordinates.from_pandas_multiindex(labels, label))
     for name in map(str, data.coords):
@@ -390,28 +335,6 @@ def _normalize_coordinates(data: xr.Dataset, label: str) -> xr.Dataset:
             values = normalize_labels(name, row.to_index()).to_numpy().reshape(coordinate.shape)
             data = data.assign_coords({name: (coordinate.dims, values, attrs)})
     return data
-
-
-def _read_ground(data: xr.Dataset, label: str, given: Any) -> tuple[SnowPackGround, xr.Dataset]:
-    """Return the ground that is given, or else that of a dataset, and the dataset without it."""
-    index = data.get_index(label)
-    rest = data.drop_vars([GROUND_KEY, GROUND_ATTRIBUTE, WAVELENGTH_DIM], errors="ignore")
-    if given is not None:
-        return SnowPackGround.from_input(given, label, index), rest
-    albedo = None
-    if GROUND_KEY in data:
-        variable = data[GROUND_KEY].drop_vars(
-            [name for name in data[GROUND_KEY].coords if name not in (label, WAVELENGTH_DIM)]
-        )
-        if not variable.ndim:
-            variable = variable.expand_dims({label: index})
-        albedo = SnowPackGround.from_input(variable, label, index)
-    if GROUND_ATTRIBUTE not in data:
-        return albedo or SnowPackGround.from_attributes(data.attrs), rest
-    names = data[GROUND_ATTRIBUTE]
-    if names.dims != (label,):
-        raise invalid(f"{GROUND_ATTRIBUTE} dimensions", names.dims, f"over {label}")
-    return SnowPackGround.from_names(names.values, data.attrs, albedo), rest
 
 
 def check_names(given: Iterable[Hashable]) -> None:
@@ -451,18 +374,24 @@ def _pivot_frame(frame: pd.DataFrame, label: str | None) -> xr.Dataset:
     )
     rows, labels = pd.factorize(frame[label])
     number = as_float_array(LAYER_DIM, frame[LAYER_DIM], "numbers, 0 at the top")
-    if (rows < 0).any():
-        raise invalid(label, "a gap", "a label in each row", "masked, NaN or missing")
     table = pd.DataFrame({"row": rows, "number": number})
-    repeated = table.duplicated().to_numpy()
-    if repeated.any():
-        position = int(np.flatnonzero(repeated)[0])
-        place = f"{labels[rows[position]]}, {number[position]:g}"
-        raise invalid(f"{label}, {LAYER_DIM}", place, "different in each row", "rows repeat")
-    if len(labels) > 1 and len(table) > len(labels) and table.number.is_unique:
-        hint = "frame.groupby(label).cumcount() counts the layers of each snowpack"
-        allowed = "numbers that begin again in each snowpack, 0 at the top"
-        raise invalid(LAYER_DIM, f"{len(table)} different numbers", allowed, hint)
+    repeated = np.flatnonzero(table.duplicated())[:1]
+    places = [f"{labels[rows[one]]}, {number[one]:g}" for one in repeated]
+    counts_all_rows = len(table) > len(labels) > 1 and table.number.is_unique
+    check_relations(
+        (
+            (rows >= 0).all(), label, "a gap", "a label in each row", "masked, NaN or missing",
+        ),
+        (
+            not places, f"{label}, {LAYER_DIM}", "".join(places), "different in each row",
+            "rows repeat",
+        ),
+        (
+            not counts_all_rows, LAYER_DIM, f"{len(table)} different numbers",
+            "numbers that begin again in each snowpack, 0 at the top",
+            "frame.groupby(label).cumcount() counts the layers of each snowpack",
+        ),
+    )  # fmt: skip
     # Only the order of numbers matters: layers between others that do not exist are absent.
     columns = table.groupby("row").number.rank().to_numpy(dtype=int) - 1
     layers = np.arange(columns.max() + 1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Hashable, Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,6 +27,7 @@ from splits.core.validation import (
 from splits.io.netcdf import ANCILLARY_ATTRIBUTE
 from splits.materials.impurities import MAX_NG_G
 from splits.materials.library import interpolate_ice_density
+from splits.materials.refractive_index import check_wavelength_range
 from splits.media.ground import OPEN
 from splits.media.snow import (
     MIN_NATURAL_DENSITY_KG_M3,
@@ -50,9 +51,11 @@ from splits.media.snow_pack_input import (
     WATER_KEY,
     WAVELENGTH_DIM,
     ZENITH_KEY,
-    SnowPackInput,
+    PackGround,
     describe_variable,
+    name_ground,
     read_input,
+    store_ground,
 )
 from splits.media.stack import Stack
 
@@ -61,6 +64,7 @@ from splits.media.stack import Stack
 
 FLAGS = {"good": 0, "no_snow": 1, "missing_value": 2, "out_of_range": 3, "night": 4}
 """Flags of snowpacks; of several reasons, the first in this order is the flag."""
+FLAG_LABEL = "quality of the snowpack"
 LAYER_FLAGS = {"present": 0, "absent": 1}
 """Flags of layers."""
 HORIZON_DEG = 90.0
@@ -74,76 +78,36 @@ RANGES = {
 """Ranges of `splits.Snow.natural`; the density of ice and the porosity limit the first two."""
 
 
-def make_dataset(given: SnowPackInput) -> xr.Dataset:
-    """Return the checked dataset with its flags."""
-    values, is_absent = complete_layers(given)
-    flags = compute_flags(values, is_absent, given)
-    dims = (given.label, LAYER_DIM)
-    variables: dict[str, Any] = {
-        name: (dims, numbers, f"{LAYER_FLAG_NAME} {FLAG_NAME}") for name, numbers in values.items()
-    }
-    if given.sun_zenith_deg is not None:
-        variables[ZENITH_KEY] = (given.label, given.sun_zenith_deg, FLAG_NAME)
-    if given.ground.albedo is not None:
-        dimensions = (given.label, WAVELENGTH_DIM)[: given.ground.albedo.ndim]
-        variables[GROUND_KEY] = (dimensions, given.ground.albedo, FLAG_NAME)
-    for name, (dimensions, numbers, ancillary) in variables.items():
-        long_name, units = describe_variable(name)
-        attrs = {"long_name": long_name, "units": units, ANCILLARY_ATTRIBUTE: ancillary}
-        variables[name] = (dimensions, numbers, attrs)
-    if given.ground.albedo is None:
-        names = np.full(flags.size, given.ground.get_name(), dtype=object)
-        attrs = {"long_name": "ground below the snowpack"}
-        variables[GROUND_ATTRIBUTE] = (given.label, names, attrs)
-    variables[FLAG_NAME] = (given.label, flags, _describe_flags("quality of the snowpack", FLAGS))
-    layer_flags = is_absent.astype(np.int8) * np.int8(LAYER_FLAGS["absent"])
-    variables[LAYER_FLAG_NAME] = (
-        dims,
-        layer_flags,
-        _describe_flags("whether the layer is absent", LAYER_FLAGS),
-    )
-    number = np.arange(is_absent.shape[1])
-    attrs = {
-        "long_name": "number of the layer, 0 at the top", "units": "1",
-        "axis": "Z", "positive": "down",
-    }  # fmt: skip
-    coordinates = given.coordinates.copy()
-    if given.label not in coordinates.coords:
-        coordinates = coordinates.assign_coords({given.label: np.arange(flags.size)})
-    label = coordinates[given.label]
-    if label.dtype.kind == "M":
-        label.attrs = {
-            "standard_name": "time", "long_name": "time", "units_metadata": "leap_seconds: none",
-        }  # fmt: skip
-    label.attrs.setdefault("long_name", f"label of the snowpack: {given.label}")
-    dataset = coordinates.assign_coords({LAYER_DIM: (LAYER_DIM, number, attrs)}).assign(variables)
-    if given.ground.wavelength_nm is not None:
-        coordinate = (WAVELENGTH_DIM, given.ground.wavelength_nm, WAVELENGTH.attributes)
-        dataset = dataset.assign_coords({WAVELENGTH_DIM: coordinate})
-    dataset.attrs = {"title": "Snowpacks", **given.ground.make_attributes()}
-    return dataset
-
-
-def _describe_flags(long_name: str, flags: dict[str, int]) -> dict[str, Any]:
-    """Return the attributes of a flag variable by the CF conventions (section 3.5)."""
-    return {
-        "long_name": long_name,
-        "flag_values": np.array(list(flags.values()), dtype=np.int8),
-        "flag_meanings": " ".join(flags),
-    }
-
-
-def complete_layers(given: SnowPackInput) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Return the variables of layers in their final form, and which layers are absent.
+def complete_dataset(given: xr.Dataset, ground: PackGround) -> xr.Dataset:
+    """Return the dataset of `SnowPacks` for its input, with flags and attributes.
 
     A layer is absent if its thickness is 0, or if its thickness and all other variables given for
     each layer are NaN.  Absent layers follow the others, and all of their variables are NaN.
+
+    Parameters
+    ----------
+    given : xarray.Dataset
+        See `splits.media.snow_pack_input.read_input`.
+    ground : Ground, xarray.DataArray or None
     """
-    thickness = given.values[THICKNESS_KEY]
-    described = [~np.isnan(given.values[name]) for name in given.layered - {THICKNESS_KEY}]
+    (label,) = (str(dim) for dim in given.dims if dim != LAYER_DIM)
+    albedo = ground if isinstance(ground, xr.DataArray) else None
+    common = None if isinstance(ground, xr.DataArray) else ground
+    zenith = None
+    if ZENITH_KEY in given:
+        zenith = np.array(given[ZENITH_KEY].variable.set_dims({label: given.sizes[label]}))
+        given = given.drop_vars(ZENITH_KEY)
+    dims = (label, LAYER_DIM)
+    sizes = {dim: given.sizes[dim] for dim in dims}
+    values = {str(n): one.variable.set_dims(sizes).values for n, one in given.data_vars.items()}
+    thickness = values[THICKNESS_KEY]
+    described = [
+        ~np.isnan(values[str(name)]) for name, one in given.data_vars.items()
+        if LAYER_DIM in one.dims and name != THICKNESS_KEY
+    ]  # fmt: skip
     is_absent = (thickness == 0.0) | (np.isnan(thickness) & ~np.any(described, axis=0))
-    defaults = {name: np.full(thickness.shape, default) for name, default in DEFAULTS.items()}
-    values = given.values | {n: one for n, one in defaults.items() if n not in given.values}
+    for name, default in DEFAULTS.items():
+        values.setdefault(name, np.full(thickness.shape, default))
     order = np.argsort(is_absent, axis=1, kind="stable")
     is_absent = np.take_along_axis(is_absent, order, axis=1)
     for name, numbers in values.items():
@@ -155,45 +119,94 @@ def complete_layers(given: SnowPackInput) -> tuple[dict[str, np.ndarray], np.nda
         radius_um = np.maximum(values.pop(OPTICAL_RADIUS_KEY), 1e-9)
         ice = interpolate_ice_density(values[TEMPERATURE_KEY])
         values[SURFACE_AREA_KEY] = 3e6 / (ice * radius_um)
-    return values, is_absent
+    variables: dict[str, Any] = {
+        name: (dims, numbers, f"{LAYER_FLAG_NAME} {FLAG_NAME}") for name, numbers in values.items()
+    }
+    if zenith is not None:
+        variables[ZENITH_KEY] = (label, zenith, FLAG_NAME)
+    if albedo is not None:
+        variables[GROUND_KEY] = (albedo.dims, albedo.values, FLAG_NAME)
+    for name, (dimensions, numbers, ancillary) in variables.items():
+        long_name, units = describe_variable(name)
+        attrs = {"long_name": long_name, "units": units, ANCILLARY_ATTRIBUTE: ancillary}
+        variables[name] = (dimensions, numbers, attrs)
+    flags = compute_flags(values, is_absent, zenith, albedo)
+    if albedo is None:
+        names: Any = np.full(flags.size, name_ground(common), dtype=object)
+        attrs = {"long_name": "ground below the snowpack"}
+        variables[GROUND_ATTRIBUTE] = (label, names, attrs)
+    variables[FLAG_NAME] = (label, flags, describe_flags(FLAG_LABEL, FLAGS))
+    layer_flags = is_absent.astype(np.int8) * np.int8(LAYER_FLAGS["absent"])
+    attrs = describe_flags("whether the layer is absent", LAYER_FLAGS)
+    variables[LAYER_FLAG_NAME] = (dims, layer_flags, attrs)
+    dataset = given.drop_vars(given.data_vars)
+    if label not in dataset.coords:
+        dataset = dataset.assign_coords({label: np.arange(flags.size)})
+    coordinate = dataset[label]
+    if coordinate.dtype.kind == "M":
+        coordinate.attrs = {
+            "standard_name": "time", "long_name": "time", "units_metadata": "leap_seconds: none",
+        }  # fmt: skip
+    coordinate.attrs.setdefault("long_name", f"label of the snowpack: {label}")
+    attrs = {
+        "long_name": "number of the layer, 0 at the top", "units": "1",
+        "axis": "Z", "positive": "down",
+    }  # fmt: skip
+    layers = {LAYER_DIM: (LAYER_DIM, np.arange(sizes[LAYER_DIM]), attrs)}
+    dataset = dataset.assign_coords(layers).assign(variables)
+    if albedo is not None and WAVELENGTH_DIM in albedo.coords:
+        wavelengths = (WAVELENGTH_DIM, albedo[WAVELENGTH_DIM].values, WAVELENGTH.attributes)
+        dataset = dataset.assign_coords({WAVELENGTH_DIM: wavelengths})
+    of_ground = store_ground(common) if albedo is None else {}
+    dataset.attrs = {"title": "Snowpacks", **of_ground}
+    return dataset
+
+
+def describe_flags(long_name: str, flags: Mapping[str, int]) -> dict[str, Any]:
+    """Return the attributes of a flag variable by the CF conventions (section 3.5)."""
+    return {
+        "long_name": long_name,
+        "flag_values": np.array(list(flags.values()), dtype=np.int8),
+        "flag_meanings": " ".join(flags),
+    }
 
 
 def compute_flags(
-    values: Mapping[str, np.ndarray], is_absent: np.ndarray, given: SnowPackInput
-) -> np.ndarray:
+    values: Mapping[str, np.ndarray], is_absent: np.ndarray, zenith: np.ndarray | None,
+    albedo: xr.DataArray | None,
+) -> np.ndarray:  # fmt: skip
     """Return the flag of each snowpack, one of `FLAGS`.
 
     Parameters
     ----------
     values : mapping of float, shape (snowpacks, layers)
-        As returned by `complete_layers`.
+        Variables of layers, NaN where these are absent.
     is_absent : bool, shape (snowpacks, layers)
-    given : SnowPackInput
-        With the zenith angles of the sun and the ground.
+    zenith : float, shape (snowpacks,), or None
+        Zenith angles of the sun (degrees).
+    albedo : xarray.DataArray or None
+        Of the ground below each.
     """
-    is_missing = np.any(
-        [(np.isnan(numbers) & ~is_absent).any(axis=1) for numbers in values.values()], axis=0
-    )
     # A layer outside the range of `splits.Snow.natural`.
     ice = interpolate_ice_density(values[TEMPERATURE_KEY])
     porosity = 1.0 - values[DENSITY_KEY] / ice
     has_outlier = values[DENSITY_KEY] >= ice
     has_outlier |= values[WATER_KEY] > porosity * (1.0 + ROUNDING_TOLERANCE)
+    is_missing = np.zeros(len(is_absent), dtype=bool)
     for name, numbers in values.items():
         low, high = RANGES.get(name, (0.0, MAX_NG_G))
         snapped = snap_to_limits(numbers, low, high)
         has_outlier |= (snapped < low) | (snapped > high)
+        is_missing |= (np.isnan(numbers) & ~is_absent).any(axis=1)
     is_outside = has_outlier.any(axis=1)
     flags = np.full(is_missing.size, FLAGS["good"], dtype=np.int8)
-    sun_zenith_deg, albedo = given.sun_zenith_deg, given.ground.albedo
-    if albedo is not None:
-        by_snowpack = albedo.reshape(flags.size, -1)
-        is_missing |= np.isnan(by_snowpack).any(axis=1)
-        is_outside |= ((by_snowpack < 0.0) | (by_snowpack > 1.0)).any(axis=1)
-    if sun_zenith_deg is not None:
-        flags[sun_zenith_deg >= HORIZON_DEG] = FLAGS["night"]
-        is_missing |= np.isnan(sun_zenith_deg)
-        is_outside |= (sun_zenith_deg < 0.0) | (sun_zenith_deg > 180.0)
+    for given, high in ((zenith, 180.0), (albedo, 1.0)):
+        if given is not None:
+            by_snowpack = np.asarray(given).reshape(flags.size, -1)
+            is_missing |= np.isnan(by_snowpack).any(axis=1)
+            is_outside |= ((by_snowpack < 0.0) | (by_snowpack > high)).any(axis=1)
+    if zenith is not None:
+        flags[zenith >= HORIZON_DEG] = FLAGS["night"]
     flags[is_outside] = FLAGS["out_of_range"]
     flags[is_missing] = FLAGS["missing_value"]
     flags[is_absent.all(axis=1)] = FLAGS["no_snow"]
@@ -209,39 +222,6 @@ def count_missing_results(dataset: xr.Dataset) -> str:
         for value, meaning in zip(flag.attrs["flag_values"], meanings, strict=True)
         if value != 0 and (flag == value).any()
     )
-
-
-# --------------------------------------------------------------------------------------------------
-# Snowpacks as arrays of the same number of layers, for solvers of many snowpacks at once.
-
-
-class SnowPackArrays(NamedTuple):
-    """Good snowpacks as arrays of the same number of layers, without NaN.
-
-    Layers below the last one of a snowpack have thickness 0 and its other properties.
-
-    Attributes
-    ----------
-    positions : int, shape (good,)
-        Positions of the good snowpacks along the dimension of the dataset.
-    n_layers : int, shape (good,)
-        Number of layers present.
-    thickness_m, density_kg_m3, specific_surface_area_m2_kg, temperature_c, liquid_water_content
-        Properties of the layers, float, shape (good, layers).
-    impurities_ng_g : dict of float, shape (good, layers)
-        Mass of impurities per mass of ice (ng/g) by type.
-    sun_zenith_deg : float, shape (good,), or None
-    """
-
-    positions: np.ndarray
-    n_layers: np.ndarray
-    thickness_m: np.ndarray
-    density_kg_m3: np.ndarray
-    specific_surface_area_m2_kg: np.ndarray
-    temperature_c: np.ndarray
-    liquid_water_content: np.ndarray
-    impurities_ng_g: dict[str, np.ndarray]
-    sun_zenith_deg: np.ndarray | None
 
 
 # --------------------------------------------------------------------------------------------------
@@ -320,8 +300,8 @@ class SnowPacks:
     def __init__(
         self, data: xr.Dataset | pd.DataFrame, label: str | None = None, *, ground: Any = None
     ) -> None:
-        given = read_input(data, label, ground)
-        self.dataset, self._ground = make_dataset(given), given.ground
+        given, self._ground = read_input(data, label, ground)
+        self.dataset = complete_dataset(given, self._ground)
         flag = self.dataset[FLAG_NAME]
         for position in np.flatnonzero(flag.values == FLAGS["out_of_range"])[:1].tolist():
             first = f"{self.label} {self.dataset.get_index(self.label)[position]}"
@@ -332,7 +312,7 @@ class SnowPacks:
         counts = [f"{number} {name}" for name, number in self.count_flags().items() if number]
         sizes = f"{self.dataset.sizes[self.label]} over {self.label}"
         n_layers = self.dataset.sizes[LAYER_DIM]
-        ground = self._ground.describe()
+        ground = self._describe_ground()
         below = "" if ground == OPEN else f", ground: {ground}"
         return f"SnowPacks({sizes}, at most {n_layers} layers{below}: {', '.join(counts)})"
 
@@ -402,41 +382,52 @@ class SnowPacks:
         -------
         float, shape (good, wavelengths)
         """
-        return self._ground.compute_albedo(wavelength_nm, np.flatnonzero(self.is_good))
+        shape = (int(self.is_good.sum()), wavelength_nm.size)
+        ground = self._ground
+        if not isinstance(ground, xr.DataArray):
+            reflecting = ground if ground and ground.is_reflecting else None
+            values = reflecting.albedo(wavelength_nm) if reflecting else 0.0
+            return np.broadcast_to(values, shape)
+        albedo = ground.values[self.is_good]
+        if albedo.ndim == 1:
+            return np.broadcast_to(albedo[:, np.newaxis], shape)
+        known = ground[WAVELENGTH_DIM].values
+        inside = check_wavelength_range(
+            wavelength_nm, known[0], known[-1], "the ground of the snowpacks"
+        )
+        return np.reshape([np.interp(inside, known, row) for row in albedo], shape)
+
+    def _describe_ground(self) -> str:
+        """Return the ground in a few words."""
+        if isinstance(self._ground, xr.DataArray):
+            return "an albedo for each snowpack"
+        return OPEN if self._ground is None else self._ground.name
 
     def describe(self) -> dict[str, Any]:
         """Return attributes for datasets of results."""
         n_good = self.count_flags()["good"]
         return {
             "label": self.label, "count": len(self), "good": n_good,
-            "ground": self._ground.describe(),
+            "ground": self._describe_ground(),
         }  # fmt: skip
 
-    @declare_function
-    def to_arrays(self) -> SnowPackArrays:
-        """Return the good snowpacks as arrays for solvers of many snowpacks at once."""
-        positions = np.flatnonzero(self.is_good)
-        rows = self.dataset.isel({self.label: positions})
+    def select_good(self) -> xr.Dataset:
+        """Return the good snowpacks with the same number of layers, without NaN.
+
+        Layers below the last one of a snowpack have thickness 0 and its other properties, and
+        ``n_layers`` over the label is the number of the others.
+        """
+        rows = self.dataset.isel({self.label: self.is_good})
         is_present = rows[LAYER_FLAG_NAME].values == LAYER_FLAGS["present"]
         n_layers = is_present.sum(axis=1)
         depth = int(n_layers.max(initial=0))
-        # Below the last layer, its properties are repeated.
         source = np.minimum(np.arange(depth), n_layers[:, np.newaxis] - 1)
-
-        def fill(name: str) -> np.ndarray:
-            return np.take_along_axis(rows[name].values, source, axis=1)
-
-        return SnowPackArrays(
-            positions,
-            n_layers,
-            np.where(is_present[:, :depth], fill(THICKNESS_KEY), 0.0),
-            fill(DENSITY_KEY),
-            fill(SURFACE_AREA_KEY),
-            fill(TEMPERATURE_KEY),
-            fill(WATER_KEY),
-            {kind: fill(f"{IMPURITIES_KEY}.{kind}") for kind in self.impurities},
-            rows[ZENITH_KEY].values if ZENITH_KEY in rows else None,
-        )
+        rows = rows.isel({LAYER_DIM: slice(depth)}).drop_vars(LAYER_FLAG_NAME)
+        for name, variable in rows.data_vars.items():
+            if LAYER_DIM in variable.dims:
+                rows[name] = variable.copy(data=np.take_along_axis(variable.values, source, axis=1))
+        rows[THICKNESS_KEY] = rows[THICKNESS_KEY].where(is_present[:, :depth], 0.0)
+        return rows.assign(n_layers=(self.label, n_layers))
 
     @declare_function
     def make_stack(self, label: Hashable, ground: Any = None) -> Stack:
@@ -517,5 +508,8 @@ class SnowPacks:
                     },
                 )
             layers.append(snow)
-        own = self._ground.get_ground(position) if ground is None else ground
-        return Stack(tuple(layers), ground=own)
+        own = self._ground
+        if isinstance(own, xr.DataArray):
+            # A spectrum, or a number.
+            own = own[position] if own.ndim > 1 else own.values[position].item()
+        return Stack(tuple(layers), ground=own if ground is None else ground)

@@ -14,6 +14,7 @@ from splits.core.provenance import hash_physics_sources
 from splits.core.uncertainty import Variable
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.media.medium import Medium
+from splits.media.snow_packs import SnowPacks
 
 
 class RunOptions(NamedTuple):
@@ -48,7 +49,9 @@ class RunOptions(NamedTuple):
         """Return the options of a run that starts now."""
         return cls(seed, threads or count_cpus(), kernel, progress, time.perf_counter())
 
-    def make_attributes(self, title: str, instrument: str, medium: Medium) -> dict[str, Any]:
+    def make_attributes(
+        self, title: str, instrument: str, medium: Medium | SnowPacks
+    ) -> dict[str, Any]:
         """Return the attributes of a dataset at the end of a run."""
         attributes = {
             "title": f"{title}: {medium.kind}",

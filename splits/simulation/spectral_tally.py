@@ -133,22 +133,28 @@ class SpectralEstimate:
 
     @classmethod
     def from_solution(
-        cls, mean: np.ndarray, stderr: np.ndarray, attributes: dict[str, Any]
-    ) -> SpectralEstimate:
+        cls, mean: np.ndarray, stderr: np.ndarray, attributes: dict[str, Any],
+        n_batches: int = N_BATCHES,
+    ) -> SpectralEstimate:  # fmt: skip
         """Return a solution of the equation of transfer: no rays, no noise, no interpolation."""
         sides, none = mean[:2], mean[:2, np.newaxis][:, :0]
         return cls(
-            mean, stderr, np.zeros_like(stderr), np.zeros((N_BATCHES, *sides.shape)),
+            mean, stderr, np.broadcast_to(0.0, stderr.shape), np.zeros((n_batches, *sides.shape)),
             Derivatives.from_solution(none, none), np.zeros(mean.shape[1]),
             {"rays": 0, **attributes},
         )  # fmt: skip
+
+    @property
+    def max_stderr(self) -> float:
+        """Largest standard error; NaN of rows without result are left out."""
+        return float(np.nanmax(self.stderr, initial=0.0))
 
     def get_stop_reason(self, max_stderr: float, max_rays: int) -> str:
         """Return why tracing stopped: the rows reached an error, which others may not have.
 
         Without rays, it is that of discrete ordinates.
         """
-        if self.stderr.max() <= max_stderr:
+        if self.max_stderr <= max_stderr:
             return "converged"
         if not self.rays["rays"]:
             return "solver_error"

@@ -81,6 +81,9 @@ def test_equals_one_by_one(case):
     result = splits.spectrophotometer(packs, WAVELENGTHS, "sun")
     assert result.reflectance.dims == ("time", "wavelength")
     assert result.attrs["solver"] == "discrete_ordinates" and result.attrs["streams"] >= 8
+    one = splits.spectrophotometer(packs.make_stack(TIMES[0]), WAVELENGTHS, ZENITH[0])
+    of_medium = {name for name in one.attrs if not name.startswith("stack_")} - {"seed"}
+    assert of_medium <= {*result.attrs}
     expected = compute_one_by_one(packs, ZENITH)
     for name in ("reflectance", "transmittance", "absorptance"):
         np.testing.assert_allclose(result[name], expected[name], rtol=0, atol=1e-6)
@@ -185,6 +188,7 @@ def test_label_other_than_time():
         ({"incidence_deg": "sun"}, r"with sun_zenith_deg \(packs.with_sun_zenith\(angles\)"),
         ({"incidence_deg": [10, 20]}, "sun_zenith_deg = 'numbers of shape"),
         ({"jacobian": ["depth_m"]}, "jacobian = .* must be left out for SnowPacks"),
+        ({"stokes": True}, "stokes = True: must be left out for SnowPacks .polarization needs"),
         ({"estimator": "analog"}, "estimator = 'analog': must be left out for SnowPacks"),
         ({"wavelength_nm": [500, 3100]}, "for discrete ordinates, snow has an index of ice"),
     ],

@@ -9,7 +9,7 @@ import xarray as xr
 
 import splits
 from splits.core.validation import InvalidValue
-from splits.io.layer_profiles import DepthProfile, average_over_layers, interpolate_to_layers
+from splits.io.caaml import DepthProfile, average_over_layers, interpolate_to_layers
 
 SCHEMA = "http://caaml.org/Schemas/SnowProfileIACS/v6.0.3"
 TIME = "2016-02-10T09:30:00.000+01:00"

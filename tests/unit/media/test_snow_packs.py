@@ -353,16 +353,16 @@ def test_other_labels_have_no_stack(label, message):
         make_mixed().make_stack(label)
 
 
-def test_arrays_hold_good_snowpacks_without_nan():
-    arrays = make_mixed().to_arrays()
-    assert arrays.positions.tolist() == [0, 2] and arrays.n_layers.tolist() == [2, 1]
-    assert arrays.thickness_m.tolist() == [[0.1, 0.4], [0.05, 0.0]]
-    assert arrays.density_kg_m3.tolist() == [[120.0, 300.0], [200.0, 200.0]]
-    assert arrays.impurities_ng_g["black_carbon"].tolist() == [[30.0, 3.0], [30.0, 30.0]]
-    assert arrays.sun_zenith_deg.tolist() == [50.0, 60.0]
-    flagged = splits.SnowPacks(make_dataset(density_kg_m3=[[NAN] * 2] * 3)).to_arrays()
-    assert flagged.positions.size == 0 and flagged.thickness_m.shape == (0, 0)
-    assert flagged.sun_zenith_deg is None
+def test_good_snowpacks_have_one_number_of_layers_without_nan():
+    good = make_mixed().select_good()
+    assert good.get_index("time").equals(TIMES[[0, 2]])
+    assert good.n_layers.values.tolist() == [2, 1]
+    assert good.thickness_m.values.tolist() == [[0.1, 0.4], [0.05, 0.0]]
+    assert good.density_kg_m3.values.tolist() == [[120.0, 300.0], [200.0, 200.0]]
+    assert good[SOOT].values.tolist() == [[30.0, 3.0], [30.0, 30.0]]
+    assert good.sun_zenith_deg.values.tolist() == [50.0, 60.0]
+    flagged = splits.SnowPacks(make_dataset(density_kg_m3=[[NAN] * 2] * 3)).select_good()
+    assert flagged.thickness_m.shape == (0, 0) and "sun_zenith_deg" not in flagged
 
 
 def test_files_restore_the_snowpacks(tmp_path):

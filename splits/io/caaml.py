@@ -1,4 +1,4 @@
-"""Layers and profiles of snow pits: CAAML files, and measured profiles assigned to layers.
+"""Snow pits of CAAML files: layers, and measured profiles assigned to them.
 
 The files are those of version 6 of the snow profile of the IACS (XML).  Layers and profiles are
 read with their units: that of the value (``uom``), or else that of an element around it
@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from splits.core.labels import convert_units
-from splits.core.validation import InvalidValue, expand_path, invalid
+from splits.core.validation import InvalidValue, check_relations, expand_path, invalid
 
 MIN_OVERLAP_M = 1e-6
 """Overlaps up to this length are due to rounding."""
@@ -128,92 +128,90 @@ LIMIT_TOLERANCE_M = 1e-4
 TOP_DOWN = "top down"
 
 
-class FileQuantity(NamedTuple):
-    """Number in a file: its unit in the schema and in `splits`, and where others are stated.
-
-    Attributes
-    ----------
-    schema_unit, unit : str
-    unit_attributes : tuple of str
-        Attributes of elements around the number that state its unit, in lower case; the first one
-        that is given holds.
-    lowest : float
-        Smallest value that the schema allows.
-    """
-
-    schema_unit: str
-    unit: str
-    unit_attributes: tuple[str, ...]
-    lowest: float = 0.0
-
-
-QUANTITIES = {
-    "depth": FileQuantity("cm", "m", ("uomdepth",)),
-    "depthTop": FileQuantity("cm", "m", ("uomdepthtop", "uomdepth")),
-    "thickness": FileQuantity("cm", "m", ("uomthickness", "uomdepth")),
-    "density": FileQuantity("kgm-3", "kg m-3", ("uomdensity",)),
-    "specSurfArea": FileQuantity("m2kg-1", "m2 kg-1", ("uomspecsurfarea",)),
-    "lwc": FileQuantity("% by Vol", "1", ("uomlwc",)),
-    "snowTemp": FileQuantity("degC", "degC", ("uomsnowtemp", "uomtemp"), -np.inf),
+WATER_DENSITY_KG_M3 = 1000.0
+UNITS = {
+    "depth": ("cm", "m", ("uomdepth",)),
+    "depthTop": ("cm", "m", ("uomdepthtop", "uomdepth")),
+    "thickness": ("cm", "m", ("uomthickness", "uomdepth")),
+    "density": ("kgm-3", "kg m-3", ("uomdensity",)),
+    "specSurfArea": ("m2kg-1", "m2 kg-1", ("uomspecsurfarea",)),
+    "lwc": ("% by Vol", "1", ("uomlwc",)),
+    "snowTemp": ("degC", "degC", ("uomsnowtemp", "uomtemp")),
 }
-"""Numbers by the name of their element."""
+"""Units of numbers by the name of their element: that of the schema, that of `splits`, and the
+attributes of elements around the number that state another one, the first of which holds."""
+TEMPERATURE_TAG = "snowTemp"
+"""Element of the only number that may be negative."""
 PROFILES = {
-    "density_kg_m3": ("densityProfile", "density"),
-    "specific_surface_area_m2_kg": ("specSurfAreaProfile", "specSurfArea"),
-    "liquid_water_content": ("lwcProfile", "lwc"),
-    "temperature_c": ("tempProfile", "snowTemp"),
+    "density_kg_m3": ("densityProfile", "density", np.nan),
+    "specific_surface_area_m2_kg": ("specSurfAreaProfile", "specSurfArea", np.nan),
+    "temperature_c": ("tempProfile", TEMPERATURE_TAG, -1.0),
+    "liquid_water_content": ("lwcProfile", "lwc", 0.0),
 }
-"""Elements of a profile and of its values by name of the variable."""
+"""Elements of a profile and of its values by name of the variable, and the value without them."""
 
 
-class SnowPit(NamedTuple):
-    """Snow pit.
+def read_snow_pit(
+    path: str | Path, *, extend: bool = True, with_time: bool = True
+) -> tuple[pd.Timestamp, dict[str, np.ndarray]]:
+    """Return the time of a CAAML file, and the layers of its snow pit.
 
-    Attributes
-    ----------
+    See `splits.read_caaml` for the rules and errors.
+
+    Returns
+    -------
     time : pandas.Timestamp
-        Time of the observation in UTC, without time zone; NaT if it was not asked for.
-    top_m, thickness_m : float, shape (layers,)
-        Depth of the top of each layer below the surface, in increasing order, and its thickness,
-        NaN if unknown.
-    is_gap : bool, shape (layers,)
-        Whether the file does not describe the layer, which fills the gap between two others.
-    profiles : dict of DepthProfile
-        Measured profiles by name of the variable; those not in the file are left out.
+        In UTC, without time zone; NaT if it is not asked for.
+    layers : dict of float, shape (layers,)
+        Variables of `splits.SnowPacks` from the surface down.
     """
-
-    time: pd.Timestamp
-    top_m: np.ndarray
-    thickness_m: np.ndarray
-    is_gap: np.ndarray
-    profiles: dict[str, DepthProfile]
-
-
-def read_snow_pit(path: str | Path, *, with_time: bool = True) -> SnowPit:
-    """Return the snow pit of a CAAML file; see `splits.read_caaml` for the rules and errors."""
     path = expand_path(path)
     root = _parse_xml(path)
+    try:
+        return _read_time(root) if with_time else pd.NaT, _read_layers(root, extend)
+    except InvalidValue as error:
+        error.key = f"{path.name}: {error.key}"
+        raise
+
+
+def _read_layers(root: ElementTree.Element, extend: bool) -> dict[str, np.ndarray]:
+    """Return the variables of the layers of a snow pit."""
     measurements = root.find("snowProfileResultsOf/SnowProfileMeasurements")
     if measurements is None:
-        raise invalid(f"{path.name}: SnowProfileMeasurements", None, "an element of the file")
+        raise invalid("SnowProfileMeasurements", None, "an element of the file")
     direction = measurements.get("dir", TOP_DOWN)
     if direction != TOP_DOWN:
-        hint = "depths are counted from the surface"
-        raise invalid(f"{path.name}: dir", direction, TOP_DOWN, hint)
-    layers, soil_m = _read_stratigraphy(path, measurements)
+        raise invalid("dir", direction, TOP_DOWN, "depths are counted from the surface")
+    layers, soil_m = _read_stratigraphy(measurements)
     profiles = {}
-    for name, (profile_tag, value_tag) in PROFILES.items():
+    for name, (profile_tag, value_tag, _) in PROFILES.items():
         rows = [
             row
             for profile in measurements.findall(profile_tag)
             for list_rows in (_list_intervals, _list_points)
-            for row in list_rows(path, profile, value_tag, soil_m)
+            for row in list_rows(profile, value_tag, soil_m)
         ]
         if rows:
             profiles[name] = DepthProfile(*np.array(rows, dtype=float).T)
-    top_m, thickness_m = _order_layers(path, layers or _list_interval_layers(profiles))
-    time = _read_time(path, root) if with_time else pd.NaT
-    return SnowPit(time, *_insert_gaps(top_m, thickness_m), profiles)
+    top_m, thickness_m = _order_layers(layers or _list_interval_layers(profiles))
+    # Layers that the file does not describe fill the gaps between others.
+    bottom_m = np.concatenate([[0.0], top_m + thickness_m])[: top_m.size]
+    positions = np.flatnonzero(top_m - bottom_m > TOLERANCE_M)
+    is_gap = np.insert(np.zeros(top_m.size, dtype=bool), positions, True)
+    thickness_m = np.insert(thickness_m, positions, (top_m - bottom_m)[positions])
+    top_m = np.insert(top_m, positions, bottom_m[positions])
+    values = {}
+    for name, (_, value_tag, default) in PROFILES.items():
+        values[name] = np.full(top_m.shape, default)
+        if name in profiles:
+            is_temperature = value_tag == TEMPERATURE_TAG
+            assign = interpolate_to_layers if is_temperature else average_over_layers
+            values[name] = assign(profiles[name], top_m, thickness_m, extend=extend)
+    # Densities are measured with the water.
+    values["density_kg_m3"] -= WATER_DENSITY_KG_M3 * values["liquid_water_content"]
+    for name in ("density_kg_m3", "specific_surface_area_m2_kg"):
+        values[name][is_gap] = np.nan
+    return {"thickness_m": thickness_m, **values}
 
 
 def _parse_xml(path: Path) -> ElementTree.Element:
@@ -251,7 +249,7 @@ def _parse_xml(path: Path) -> ElementTree.Element:
     return root
 
 
-def _read_time(path: Path, root: ElementTree.Element) -> pd.Timestamp:
+def _read_time(root: ElementTree.Element) -> pd.Timestamp:
     """Return the time of the observation in UTC; a time without zone is taken as UTC."""
     texts = [
         # GML says by an attribute that a time is only a limit, "before" or "after".
@@ -266,12 +264,12 @@ def _read_time(path: Path, root: ElementTree.Element) -> pd.Timestamp:
         time = pd.NaT
     if time is pd.NaT:
         allowed = "a date or time of ISO 8601, such as 2024-01-31T10:00:00Z"
-        raise invalid(f"{path.name}: timePosition", text, allowed, "label='file' needs no time")
+        raise invalid("timePosition", text, allowed, "label='file' needs no time")
     return time if time.tzinfo is None else time.tz_convert("UTC").tz_localize(None)
 
 
 def _read_stratigraphy(
-    path: Path, measurements: ElementTree.Element
+    measurements: ElementTree.Element,
 ) -> tuple[list[tuple[float, float]], float]:
     """Return top and thickness of the layers of snow, and the depth of the soil below them.
 
@@ -281,11 +279,11 @@ def _read_stratigraphy(
     for profile in measurements.findall("stratProfile"):
         for layer in profile.findall("Layer"):
             top_m, thickness_m = (
-                _read_child(path, tag, layer, profile) for tag in ("depthTop", "thickness")
+                _read_child(tag, layer, profile) for tag in ("depthTop", "thickness")
             )
             layers.append((top_m, thickness_m))
-            key = f"{path.name}: phiSoil"
-            if any(_parse_number(key, one.text) > 0.0 for one in layer.iterfind(".//{*}phiSoil")):
+            soil = [_parse_number("phiSoil", one.text) for one in layer.iterfind(".//{*}phiSoil")]
+            if any(fraction > 0.0 for fraction in soil):
                 soil_m = min(soil_m, top_m)
     # A layer without a depth stays, for the error that names it.
     return [one for one in layers if not one[0] >= soil_m - TOLERANCE_M], soil_m
@@ -303,71 +301,65 @@ def _parse_number(key: str, text: str | None) -> float:
 
 
 def _convert(
-    path: Path, tag: str, text: str | None, own_unit: str | None, *around: ElementTree.Element
+    tag: str, text: str | None, own_unit: str | None, *around: ElementTree.Element
 ) -> float:
     """Return a number in the unit of `splits`, or NaN if it is not known.
 
     Parameters
     ----------
     tag : str
-        Key of `QUANTITIES`.
+        Key of `UNITS`.
     text, own_unit : str or None
         Number, and the unit stated with it; an empty text states none.
     around : Element
         Elements around the number, which may state its unit, from the nearest one outwards.
     """
-    quantity, key = QUANTITIES[tag], f"{path.name}: {tag}"
-    given = [own_unit, *(one.get(name) for one in around for name in quantity.unit_attributes)]
-    unit = next((one for one in given if one and one.strip()), quantity.schema_unit)
-    for one in around:
-        if (one.get("uom") or "").strip():
-            hint = "it does not say of what; write uomDepth, uomDensity, …"
-            raise invalid(f"{path.name}: {one.tag}.uom", one.get("uom"), "left out", hint)
-    value = float(convert_units(key, np.array(_parse_number(key, text)), unit, quantity.unit))
-    if value < quantity.lowest:
-        raise invalid(key, text, f"at least {quantity.lowest:g}", "write missing for a gap")
+    hint = "it does not say of what; write uomDepth, uomDensity, …"
+    units = [(f"{one.tag}.uom", one.get("uom")) for one in around]
+    check_relations(*(
+        (not (given or "").strip(), key, given, "left out", hint) for key, given in units
+    ))  # fmt: skip
+    schema_unit, unit, attributes = UNITS[tag]
+    stated = [own_unit, *(one.get(name) for one in around for name in attributes)]
+    given = next((one for one in stated if one and one.strip()), schema_unit)
+    value = float(convert_units(tag, np.array(_parse_number(tag, text)), given, unit))
+    if value < 0.0 and tag != TEMPERATURE_TAG:
+        raise invalid(tag, text, "at least 0", "write missing for a gap")
     return value
 
 
-def _read_child(
-    path: Path, tag: str, row: ElementTree.Element, profile: ElementTree.Element
-) -> float:
+def _read_child(tag: str, row: ElementTree.Element, profile: ElementTree.Element) -> float:
     """Return the number of an element of a layer or observation, NaN if it is not known."""
     child = row.find(tag)
-    if child is None:
-        return np.nan
-    return _convert(path, tag, child.text, child.get("uom"), row, profile)
+    return np.nan if child is None else _convert(tag, child.text, child.get("uom"), row, profile)
 
 
 def _list_intervals(
-    path: Path, profile: ElementTree.Element, value_tag: str, soil_m: float
+    profile: ElementTree.Element, value_tag: str, soil_m: float
 ) -> Iterator[tuple[float, float, float]]:
     """Yield top, thickness and value of the layers and observations of a profile above the soil."""
     for layer in profile.findall("Layer"):
-        top_m = _read_child(path, "depthTop", layer, profile)
+        top_m = _read_child("depthTop", layer, profile)
         if not top_m >= soil_m - TOLERANCE_M:
-            thickness_m = _read_child(path, "thickness", layer, profile)
-            yield top_m, thickness_m, _read_child(path, value_tag, layer, profile)
+            thickness_m = _read_child("thickness", layer, profile)
+            yield top_m, thickness_m, _read_child(value_tag, layer, profile)
     for point in profile.findall("Obs"):
-        depth_m = _read_child(path, "depth", point, profile)
+        depth_m = _read_child("depth", point, profile)
         if not depth_m > soil_m + TOLERANCE_M:
-            yield depth_m, 0.0, _read_child(path, value_tag, point, profile)
+            yield depth_m, 0.0, _read_child(value_tag, point, profile)
 
 
 def _list_points(
-    path: Path, profile: ElementTree.Element, value_tag: str, soil_m: float
+    profile: ElementTree.Element, value_tag: str, soil_m: float
 ) -> Iterator[tuple[float, float, float]]:
     """Yield depth, 0 and value of the points ``depth,value depth,value`` of a profile.
 
     ``MeasurementComponents`` names the numbers of a point in their order, and their units.  Lists
     follow GML (CoordinatesType): ``cs`` separates the numbers of a point, ``ts`` the points.
     """
-    components = profile.find("MeasurementComponents")
-    around = (profile,) if components is None else (components, profile)
-    names = [] if components is None else [one.tag for one in components]
-    if not {"depth", value_tag} <= {*names}:
-        names = ["depth", value_tag]
-    units = {} if components is None else {one.tag: one.get("uom") for one in components}
+    around = [*profile.findall("MeasurementComponents")[:1], profile]
+    units = {one.tag: one.get("uom") for components in around[:-1] for one in components}
+    names = [*units] if {"depth", value_tag} <= {*units} else ["depth", value_tag]
     for points in profile.iterfind("Measurements/tupleList"):
         comma, blank, decimal = (
             points.get(name) or usual
@@ -377,13 +369,12 @@ def _list_points(
         for point in filter(None, text.split(blank.strip() or None)):
             numbers = [one.replace(decimal, ".") for one in point.strip().split(comma)]
             if len(numbers) != len(names):
-                allowed = f"tuples of {comma.join(names)}"
-                raise invalid(f"{path.name}: tupleList", point, allowed)
+                raise invalid("tupleList", point, f"tuples of {comma.join(names)}")
             texts = dict(zip(names, numbers, strict=True))
-            depth_m = _convert(path, "depth", texts["depth"], units.get("depth"), *around)
+            depth_m = _convert("depth", texts["depth"], units.get("depth"), *around)
             if not depth_m > soil_m + TOLERANCE_M:
-                text, unit = texts[value_tag], units.get(value_tag)
-                yield depth_m, 0.0, _convert(path, value_tag, text, unit, *around)
+                value = _convert(value_tag, texts[value_tag], units.get(value_tag), *around)
+                yield depth_m, 0.0, value
 
 
 def _list_interval_layers(profiles: dict[str, DepthProfile]) -> list[tuple[float, float]]:
@@ -400,35 +391,24 @@ def _list_interval_layers(profiles: dict[str, DepthProfile]) -> list[tuple[float
     return list(zip(depths_m[:-1].tolist(), np.diff(depths_m).tolist(), strict=True))
 
 
-def _order_layers(path: Path, layers: list[tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
+def _order_layers(layers: list[tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
     """Return top and thickness of layers from the surface down.
 
     An unknown thickness of a layer above another one is the distance of their tops.
     """
     table = np.array(layers, dtype=float).reshape(-1, 2)
     top_m, thickness_m = table[np.argsort(table[:, 0], kind="stable")].T.copy()
-    key = f"{path.name}: depthTop"
-    if np.isnan(top_m).any():
-        raise invalid(key, top_m.tolist(), "a depth for each layer")
     distance_m = np.diff(top_m)
     thickness_m[:-1] = np.where(np.isnan(thickness_m[:-1]), distance_m, thickness_m[:-1])
     overlaps = np.flatnonzero(thickness_m[:-1] > distance_m + TOLERANCE_M)
-    if overlaps.size:
-        i = overlaps[0]
-        hint = f"a layer from {top_m[i]:g} m is {thickness_m[i]:g} m thick"
-        raise invalid(key, float(top_m[i + 1]), "below the layer above it, in metres", hint)
+    check_relations(
+        (not np.isnan(top_m).any(), "depthTop", top_m.tolist(), "a depth for each layer"),
+        *(
+            (
+                False, "depthTop", float(top_m[i + 1]), "below the layer above it, in metres",
+                f"a layer from {top_m[i]:g} m is {thickness_m[i]:g} m thick",
+            )
+            for i in overlaps
+        ),
+    )  # fmt: skip
     return top_m, thickness_m
-
-
-def _insert_gaps(
-    top_m: np.ndarray, thickness_m: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return tops and thicknesses with layers that fill gaps, and whether each is such a layer."""
-    bottom_m = np.concatenate([[0.0], top_m + thickness_m])[: top_m.size]
-    gap_m = top_m - bottom_m
-    positions = np.flatnonzero(gap_m > TOLERANCE_M)
-    return (
-        np.insert(top_m, positions, bottom_m[positions]),
-        np.insert(thickness_m, positions, gap_m[positions]),
-        np.insert(np.zeros(top_m.size, dtype=bool), positions, True),
-    )

@@ -18,14 +18,14 @@ from splits.core.inputs import Threads
 from splits.core.keywords import declare_function
 from splits.core.labels import check_nanometres, convert_units
 from splits.core.uncertainty import make_variable
-from splits.core.validation import InvalidValue, check_choice, invalid, join_names
+from splits.core.validation import InvalidValue, check_relations, invalid, join_names
 from splits.illumination.bands import Bands, SpectralBand, check_bands
 from splits.io.netcdf import ANCILLARY_ATTRIBUTE, make_provenance, to_netcdf_attributes
 from splits.kernels.compiler.jit import entry_point
 from splits.kernels.interpolation import interpolate
 from splits.media.parameters import describe_parameter
 from splits.media.snow_pack_input import FLAG_NAME
-from splits.retrieval.forward_model import TableForwardModel, choose_quantity, get_table_ranges
+from splits.retrieval.forward_model import TableModel, get_table_ranges, select_quantity
 from splits.retrieval.measurement import MAX_REFLECTANCE, Measurement, check_modelled_quantity
 from splits.retrieval.state_vector import SCALE, StateVector
 from splits.tables.table import Table
@@ -347,10 +347,7 @@ def retrieve_map(
     spectral_dim = BAND_DIM if named else "wavelength"
     # Unsupported types are rejected before work begins.
     as_float_array("image", np.empty(0, image.dtype))
-    quantity = choose_quantity(table, quantity)
-    check_choice("quantity", quantity, table.quantities)
-    if table.has_views:
-        table, fixed = table.fix_view(fixed or {}, "fixed.")
+    table, quantity, fixed = select_quantity(table, quantity, fixed)
     state_vector = StateVector.from_ranges(free, prior, get_table_ranges(table))
     if SCALE in state_vector.names:
         raise invalid("free", SCALE, "left out of maps")
@@ -365,11 +362,11 @@ def retrieve_map(
         raise invalid("noise", None, "given", hint)
     measurement = Measurement.from_input(example, noise, bands)
     image = image if named else image.sortby("wavelength")
-    model = TableForwardModel(table, measurement, state_vector, fixed, quantity)
+    model = TableModel(table, measurement, state_vector, fixed, quantity)
     check_modelled_quantity("image", image, quantity, model.list_fixed_values())
     random = np.random.default_rng(1)
     model_covariances = [
-        model.compute_error_covariance(state)
+        model.error_covariance(state)
         for state in random.random((N_STATES, len(state_vector.names)))
     ]
     covariance = measurement.covariance + np.mean(model_covariances, axis=0)
@@ -472,7 +469,7 @@ class _MapRetrieval(NamedTuple):
 
     Attributes
     ----------
-    model : TableForwardModel
+    model : TableModel
     grid : TableGrid
         Its nodes, projected on the components that vary significantly.
     mean_spectrum : float, shape (wavelengths,)
@@ -484,7 +481,7 @@ class _MapRetrieval(NamedTuple):
         Whether blocks are computed later, so that a defect of one is no error of the image.
     """
 
-    model: TableForwardModel
+    model: TableModel
     grid: TableGrid
     mean_spectrum: np.ndarray
     projection: np.ndarray
@@ -494,7 +491,7 @@ class _MapRetrieval(NamedTuple):
 
     @classmethod
     def from_covariance(
-        cls, model: TableForwardModel, covariance: np.ndarray, threads: int | None, is_lazy: bool
+        cls, model: TableModel, covariance: np.ndarray, threads: int | None, is_lazy: bool
     ) -> _MapRetrieval:
         """Return the retrieval for the covariance of measurement and model."""
         whitening = np.linalg.inv(np.linalg.cholesky(covariance))

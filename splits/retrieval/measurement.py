@@ -272,13 +272,18 @@ def _make_correlated_covariance(
             "noise.stderr", "a matrix", f"one standard error or {wavelength_nm.size} of them"
         )
     stderr = _make_covariance("noise.stderr", noise["stderr"], wavelength_nm, bands)
-    distance = np.abs(wavelength_nm[:, np.newaxis] - wavelength_nm)
-    error = np.sqrt(np.diag(stderr))
-    covariance: np.ndarray = np.exp(-distance / length) * error[:, np.newaxis] * error
+    covariance = correlate_errors(np.sqrt(np.diag(stderr)), wavelength_nm, length)
     if "independent" in noise:
         covariance += _make_covariance(
             "noise.independent", noise["independent"], wavelength_nm, bands
         )
+    return covariance
+
+
+def correlate_errors(stderr: np.ndarray, wavelength_nm: np.ndarray, length: float) -> np.ndarray:
+    """Return the covariance of errors whose correlation at a distance d (nm) is e^(−d/length)."""
+    distance = np.abs(wavelength_nm[:, np.newaxis] - wavelength_nm)
+    covariance: np.ndarray = np.exp(-distance / length) * stderr[:, np.newaxis] * stderr
     return covariance
 
 

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -53,23 +53,21 @@ from splits.media.parameters import (
 from splits.retrieval.forward_model import (
     ERROR_CORRELATION_NM,
     SCALE_RANGE,
-    LinearizedModel,
     make_measurement_operator,
 )
 from splits.retrieval.linearization import (
     BOUND_MARGIN,
-    LocalMinimum,
+    Minima,
     is_jacobian_noisy,
     minimize_gauss_newton,
-    remove_jacobian_noise,
 )
-from splits.retrieval.measurement import Measurement
+from splits.retrieval.measurement import Measurement, correlate_errors
 from splits.retrieval.optimal_estimation import (
     ALTERNATIVE_CHI2,
     MIN_SEPARATION,
     MIN_START_SEPARATION,
-    MAPEstimate,
     Objective,
+    compute_whitening,
     select_distinct,
 )
 from splits.retrieval.state_vector import SCALE, ParameterRange, StateVector
@@ -83,30 +81,11 @@ MAX_EVALUATIONS = 60
 """Approximate limit of simulations per descent."""
 
 
-class DescentStage(NamedTuple):
-    """Settings of a stage of descents.
-
-    Attributes
-    ----------
-    n_starts : int
-        Largest number of descents, from the best states of the previous stage.
-    radius : float
-        Half the edge of the first trust region.
-    min_separation : float
-        Smallest distance between the coordinates of two starts.
-    max_cost_increase : float
-        Largest excess of the cost of a start over that of the best one.
-    """
-
-    n_starts: int
-    radius: float
-    min_separation: float
-    max_cost_increase: float = np.inf
-
-
+# Each stage of descents: half the edge of the first trust region, the smallest distance between the
+# coordinates of two starts, and the largest excess of the cost of a start over that of the best one.
 DESCENT_STAGES = (
-    DescentStage(2, 0.3, MIN_START_SEPARATION),
-    DescentStage(2, 0.15, MIN_SEPARATION, ALTERNATIVE_CHI2),
+    (0.3, MIN_START_SEPARATION, np.inf),
+    (0.15, MIN_SEPARATION, ALTERNATIVE_CHI2),
 )
 """Stages of descents: from the best states of the survey, which is stage 0, and with the final
 accuracy near the minimum.  Each stage has its own random numbers and more rays."""
@@ -118,44 +97,7 @@ def count_survey(n_parameters: int) -> int:
     return int(np.clip(2**n_parameters, *SURVEY_RANGE))
 
 
-class ConvergedMinima(NamedTuple):
-    """Minima of a retrieval, and independent Jacobians at the best one.
-
-    Attributes
-    ----------
-    minima : sequence of LocalMinimum or MAPEstimate
-        Separated minima, best first.
-    modelled : float, shape (n,)
-        Modelled measurement at the best minimum.
-    model_covariance : float, shape (n, n)
-        Covariance of the errors of the model.
-    jacobians : list of float, shape (n, parameters)
-        Independent Jacobians at the best minimum; the same one twice without noise.
-    """
-
-    minima: Sequence[LocalMinimum | MAPEstimate]
-    modelled: np.ndarray
-    model_covariance: np.ndarray
-    jacobians: list[np.ndarray]
-
-    def linearize(
-        self, state_vector: StateVector, measurement_covariance: np.ndarray
-    ) -> LinearizedModel:
-        """Return the linear model at the best minimum, with noise removed from its Jacobian."""
-        covariance = self.model_covariance
-        slopes = remove_jacobian_noise(self.jacobians, measurement_covariance + covariance)
-        best = self.minima[0].state
-        return LinearizedModel(state_vector, best, self.modelled, slopes, covariance)
-
-    def find_alternatives(self, max_increase: float) -> tuple[np.ndarray, ...]:
-        """Return the other minima whose cost exceeds the best by less than a limit."""
-        best, *other_minima = self.minima
-        return tuple(
-            minimum.state for minimum in other_minima if minimum.cost < best.cost + max_increase
-        )
-
-
-class MediumForwardModel(ABC):
+class MediumModel(ABC):
     """Forward model of a medium, with stages of increasing accuracy.
 
     Parameters
@@ -170,7 +112,8 @@ class MediumForwardModel(ABC):
     """
 
     solver: str
-    descent_stages: tuple[DescentStage, ...] = DESCENT_STAGES
+    n_starts = 2
+    """Largest number of descents of a stage."""
 
     def __init__(
         self, medium: Medium, measurement: Measurement, state_vector: StateVector,
@@ -187,34 +130,31 @@ class MediumForwardModel(ABC):
         self.names = [name for name in state_vector.names if name != SCALE]
         self.rows = [state_vector.names.index(name) for name in self.names]
         self.scale_row = state_vector.names.index(SCALE) if SCALE in state_vector.names else None
+        self._cache: dict[tuple[bytes, int], Any] = {}
 
     @abstractmethod
-    def evaluate_with_covariance(
-        self, state: np.ndarray, stage: int
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the modelled measurement, shape (n,), and the covariance of its errors."""
+    def evaluate_state(self, state: np.ndarray, stage: int) -> np.ndarray:
+        """Return the modelled measurement of one state, shape (n,)."""
 
     @abstractmethod
-    def compute_jacobian(self, state: np.ndarray, stage: int) -> np.ndarray:
+    def error_covariance(self, state: np.ndarray, stage: int = LAST_STAGE) -> np.ndarray:
+        """Return the covariance of the errors of the model, shape (n, n)."""
+
+    @abstractmethod
+    def jacobian(self, state: np.ndarray, stage: int = LAST_STAGE) -> np.ndarray:
         """Return the Jacobian with respect to the coordinates, shape (n, parameters)."""
 
-    def compute_final_jacobians(
-        self, state: np.ndarray, model_covariance: np.ndarray
-    ) -> list[np.ndarray]:
+    def evaluate(self, states: np.ndarray) -> np.ndarray:
+        """Return modelled measurements of the last stage, shape (states, n)."""
+        return np.array([self.evaluate_state(state, LAST_STAGE) for state in states])
+
+    def compute_final_jacobians(self, state: np.ndarray) -> list[np.ndarray]:
         """Return at least two independent Jacobians of the last stage; the same without noise."""
-        return [self.compute_jacobian(state, LAST_STAGE)] * 2
+        return [self.jacobian(state)] * 2
 
     def select_values(self, stage: int) -> np.ndarray:
         """Return the positions of the measured values that a stage uses."""
         return np.arange(self.measurement.values.size)
-
-    def evaluate(self, state: np.ndarray, stage: int) -> np.ndarray:
-        """Return the modelled measurement, shape (n,)."""
-        return self.evaluate_with_covariance(state, stage)[0]
-
-    def evaluate_state(self, state: np.ndarray) -> np.ndarray:
-        """Return the modelled measurement of the last stage, shape (n,)."""
-        return self.evaluate(state, LAST_STAGE)
 
     def make_inputs(self, state: np.ndarray) -> tuple[Medium, float | str, float]:
         """Return the medium, the incidence and the scale of a state."""
@@ -228,21 +168,19 @@ class MediumForwardModel(ABC):
     def make_objective(self, state: np.ndarray, stage: int) -> Objective:
         """Return the objective near a state, with the errors of measurement and model."""
         positions = self.select_values(stage)
-        measured = self.measurement.values[positions]
-        if not self.measurement.noise_known:
-            return Objective(measured, np.eye(measured.size), self.state_vector)
-        covariance = self.measurement.covariance[np.ix_(positions, positions)]
-        covariance = covariance + self.evaluate_with_covariance(state, stage)[1]
-        return Objective.from_covariance(measured, covariance, self.state_vector)
+        measured, whitening = self.measurement.values[positions], np.eye(positions.size)
+        if self.measurement.noise_known:
+            covariance = self.measurement.covariance[np.ix_(positions, positions)]
+            whitening = compute_whitening(covariance + self.error_covariance(state, stage))
+        return Objective(measured, whitening, self.state_vector)
 
-    def find_minima(self) -> ConvergedMinima:
-        """Return the minima of the descents, and Jacobians at the best one."""
+    def find_minima(self) -> tuple[Minima, list[np.ndarray]]:
+        """Return separated minima, best first, and independent Jacobians at the best one."""
         from scipy.stats import qmc
 
         state_vector = self.state_vector
         n_parameters = len(state_vector.names)
-        sequence = qmc.Sobol(n_parameters, seed=self.seed)
-        survey_states = sequence.random(count_survey(n_parameters))
+        survey_states = qmc.Sobol(n_parameters, seed=self.seed).random(count_survey(n_parameters))
         has_prior = np.isfinite(state_vector.prior_sd)
         survey_states[:, has_prior] = (
             state_vector.prior_mean[has_prior]
@@ -252,31 +190,24 @@ class MediumForwardModel(ABC):
         objective = self.make_objective(survey_states[0], 0)
         minima = []
         for state in survey_states:
-            residuals = objective.compute_residuals(self.evaluate(state, 0), state)
-            minima.append(LocalMinimum(float(residuals @ residuals), state))
-        for number, stage in enumerate(self.descent_stages, 1):
+            residuals = objective.compute_residuals(self.evaluate_state(state, 0), state)
+            minima.append((float(residuals @ residuals), state))
+        for stage, (radius, separation, max_increase) in enumerate(DESCENT_STAGES, 1):
             costs, states = zip(*minima, strict=True)
-            limits = stage.n_starts, stage.min_separation, stage.max_cost_increase
-            starts = [states[i] for i in select_distinct(costs, states, *limits)]
-            objective = self.make_objective(starts[0], number)
-            evaluate = partial(self.evaluate, stage=number)
-            compute_jacobian = partial(self.compute_jacobian, stage=number)
+            selected = select_distinct(costs, states, self.n_starts, separation, max_increase)
+            objective = self.make_objective(states[selected[0]], stage)
             minima = [
                 minimize_gauss_newton(
-                    evaluate, compute_jacobian, start, objective, MAX_EVALUATIONS, stage.radius
+                    partial(self.evaluate_state, stage=stage),
+                    partial(self.jacobian, stage=stage),
+                    states[i], objective, MAX_EVALUATIONS, radius,
                 )
-                for start in starts
-            ]
-            minima.sort(key=lambda minimum: minimum.cost)
-        best, *others = minima
-        minima = [best] + [
-            minimum
-            for minimum in others
-            if np.abs(minimum.state - best.state).max() > MIN_SEPARATION
-        ]
-        values, covariance = self.evaluate_with_covariance(best.state, LAST_STAGE)
-        jacobians = self.compute_final_jacobians(best.state, covariance)
-        return ConvergedMinima(minima, values, covariance, jacobians)
+                for i in selected
+            ]  # fmt: skip
+            minima.sort(key=lambda minimum: minimum[0])
+        (_, best), *others = minima
+        distinct = [one for one in others if np.abs(one[1] - best).max() > MIN_SEPARATION]
+        return [minima[0], *distinct], self.compute_final_jacobians(best)
 
 
 MAX_ERROR = 1e-3
@@ -285,7 +216,7 @@ DIFFERENCE_STEP = 1e-4
 """Step of coordinates for differences, whose relative error is about half of this."""
 
 
-class OrdinatesForwardModel(MediumForwardModel):
+class OrdinatesModel(MediumModel):
     """Forward model by discrete ordinates.
 
     All stages but the last use a few of the wavelengths.  Derivatives are differences of solutions,
@@ -294,12 +225,7 @@ class OrdinatesForwardModel(MediumForwardModel):
 
     solver = DISCRETE_ORDINATES
     # Solutions take little time, so that more descents look for alternative solutions.
-    descent_stages = tuple(stage._replace(n_starts=4) for stage in DESCENT_STAGES)
-
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self.n_streams, self._truncation = 0, np.zeros(self.wavelengths.size)
-        self._solutions: dict[tuple[bytes, int], np.ndarray] = {}
+    n_starts = 4
 
     def list_extreme_media(self) -> list[Medium]:
         """Return the media in the middle (first) and at the corners of the ranges of each layer.
@@ -337,12 +263,12 @@ class OrdinatesForwardModel(MediumForwardModel):
             return np.arange(n_values)
         return choose_trial_wavelengths(n_values)
 
-    def evaluate(self, state: np.ndarray, stage: int) -> np.ndarray:
-        """Return the modelled measurement, shape (n,)."""
+    def evaluate_state(self, state: np.ndarray, stage: int) -> np.ndarray:
+        """Return the modelled measurement of one state, shape (n,)."""
         key = (state.tobytes(), stage)
-        if key not in self._solutions:
-            self._solutions[key] = self._solve([state], stage)[0]
-        return self._solutions[key]
+        if key not in self._cache:
+            self._cache[key] = self._solve([state], stage)[0]
+        return self._cache[key]  # type: ignore[no-any-return]
 
     def _solve(self, states: Sequence[np.ndarray], stage: int) -> np.ndarray:
         """Return the modelled measurements of states, shape (states, n)."""
@@ -355,26 +281,23 @@ class OrdinatesForwardModel(MediumForwardModel):
             reflectance = solve_snowpacks(snowpacks, cosines, self.n_streams)[:, 0]
         return np.array(scales)[:, np.newaxis] * (reflectance @ operator[:, used].T)
 
-    def evaluate_with_covariance(
-        self, state: np.ndarray, stage: int
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the modelled measurement, shape (n,), and the covariance of its errors.
+    def error_covariance(self, state: np.ndarray, stage: int = LAST_STAGE) -> np.ndarray:
+        """Return the covariance of the errors of the model, shape (n, n).
 
         Errors of the tables of grains and of streams are correlated over `ERROR_CORRELATION_NM`.
         """
         medium, _, scale = self.make_inputs(state)
         optics = compute_optics_error(make_granular_stack(medium, self.wavelengths))
         stderr = scale * np.hypot(optics, self._truncation)
-        distance = np.abs(self.wavelengths[:, np.newaxis] - self.wavelengths)
-        covariance = np.exp(-distance / ERROR_CORRELATION_NM) * np.outer(stderr, stderr)
+        covariance = correlate_errors(stderr, self.wavelengths, ERROR_CORRELATION_NM)
         operator = self.operator[self.select_values(stage)]
-        return self.evaluate(state, stage), operator @ covariance @ operator.T
+        return operator @ covariance @ operator.T
 
-    def compute_jacobian(self, state: np.ndarray, stage: int) -> np.ndarray:
+    def jacobian(self, state: np.ndarray, stage: int = LAST_STAGE) -> np.ndarray:
         """Return the Jacobian with respect to the coordinates, shape (n, parameters)."""
         steps = np.where(state > 0.5, -DIFFERENCE_STEP, DIFFERENCE_STEP)
         shifted = self._solve(state + np.diag(steps), stage)
-        return (shifted - self.evaluate(state, stage)).T / steps
+        return (shifted - self.evaluate_state(state, stage)).T / steps
 
 
 def _compute_cosines(incidence: float | str) -> np.ndarray:
@@ -410,9 +333,9 @@ class ProgressTracker:
         )
         # Each descent needs about two Jacobians and a few steps; descents of the last stage mostly
         # start at the minimum.  Jacobians for errors and the test of linearity follow.
-        descent_cost = DESCENT_STAGES[0].n_starts * 2 * (2 + count_runs(n_parameters))
+        descent_cost = MediumModel.n_starts * 2 * (2 + count_runs(n_parameters))
         survey_cost = count_survey(n_parameters) + descent_cost
-        last_stage_cost = DESCENT_STAGES[1].n_starts * (4 * final_cost + jacobian_cost)
+        last_stage_cost = MediumModel.n_starts * (4 * final_cost + jacobian_cost)
         self.total_cost = (
             survey_cost
             + last_stage_cost
@@ -468,13 +391,13 @@ UNKNOWN_NOISE_MAX_STDERR = 2e-3
 """Final standard error for unknown noise."""
 
 
-class SimulationForwardModel(MediumForwardModel):
+class SimulationModel(MediumModel):
     """Forward model by simulation.
 
     Parameters
     ----------
     medium, measurement, state_vector, incidence, seed
-        See `splits.retrieval.medium_model.MediumForwardModel`.
+        See `splits.retrieval.medium_model.MediumModel`.
     max_stderr : float, optional
         Final standard error; by default `NOISE_FRACTION` of the smallest noise.
     progress : callable, optional
@@ -498,12 +421,9 @@ class SimulationForwardModel(MediumForwardModel):
             else UNKNOWN_NOISE_MAX_STDERR
         )
         self.max_stderr = max_stderr or default_stderr
-        self._cache: dict[tuple[bytes, int], tuple[np.ndarray, np.ndarray]] = {}
+        first_stderr = max(SURVEY_STDERR, self.max_stderr)
+        self._stage_stderr = [first_stderr] * LAST_STAGE + [self.max_stderr]
         self._progress = ProgressTracker(progress, self.max_stderr, len(state_vector.names))
-
-    def get_stage_stderr(self, stage: int) -> float:
-        """Return the standard error of the simulations of a stage."""
-        return self.max_stderr if stage == LAST_STAGE else max(SURVEY_STDERR, self.max_stderr)
 
     def simulate(
         self, state: np.ndarray, max_stderr: float, names: list[str], seed: int
@@ -517,29 +437,35 @@ class SimulationForwardModel(MediumForwardModel):
         )  # fmt: skip
         return spectrum, scale
 
-    def evaluate_with_covariance(
+    def evaluate_state(self, state: np.ndarray, stage: int) -> np.ndarray:
+        """Return the modelled measurement of one state, shape (n,)."""
+        return self._evaluate_with_covariance(state, stage)[0]
+
+    def error_covariance(self, state: np.ndarray, stage: int = LAST_STAGE) -> np.ndarray:
+        """Return the covariance of the noise of simulations, shape (n, n)."""
+        return self._evaluate_with_covariance(state, stage)[1]
+
+    def _evaluate_with_covariance(
         self, state: np.ndarray, stage: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the modelled measurement, shape (n,), and the covariance of simulation noise."""
         key = (state.tobytes(), stage)
         if key not in self._cache:
-            spectrum, scale = self.simulate(state, self.get_stage_stderr(stage), [], self.seed)
+            spectrum, scale = self.simulate(state, self._stage_stderr[stage], [], self.seed)
             values = scale * (self.operator @ spectrum.reflectance.values)
             batches = scale * spectrum.reflectance_batches.values @ self.operator.T
             stderr = scale * np.abs(self.operator) @ spectrum.reflectance_stderr.values
             covariance = batches.T @ batches
             covariance += np.diag(np.maximum(stderr**2 - np.diag(covariance), 0.0))
             self._cache[key] = values, covariance
-        return self._cache[key]
+        return self._cache[key]  # type: ignore[no-any-return]
 
-    def compute_jacobian(
-        self, state: np.ndarray, stage: int, seed: int | None = None
+    def jacobian(
+        self, state: np.ndarray, stage: int = LAST_STAGE, seed: int | None = None
     ) -> np.ndarray:
         """Return the Jacobian with respect to the coordinates, shape (n, parameters)."""
-        error = max(self.get_stage_stderr(stage), MIN_JACOBIAN_STDERR)
-        spectrum, scale = self.simulate(
-            state, error, self.names, self.seed if seed is None else seed
-        )
+        error = max(self._stage_stderr[stage], MIN_JACOBIAN_STDERR)
+        seed = self.seed if seed is None else seed
+        spectrum, scale = self.simulate(state, error, self.names, seed)
         step = 1e-6
         low, high = np.clip(state - step, 0.0, 1.0), np.clip(state + step, 0.0, 1.0)
         to_physical = self.state_vector.to_physical
@@ -550,20 +476,17 @@ class SimulationForwardModel(MediumForwardModel):
             jacobian[:, self.scale_row] = self.operator @ spectrum.reflectance.values
         return jacobian * rates
 
-    def compute_final_jacobians(
-        self, state: np.ndarray, model_covariance: np.ndarray
-    ) -> list[np.ndarray]:
+    def compute_final_jacobians(self, state: np.ndarray) -> list[np.ndarray]:
         """Return Jacobians with independent random numbers, as many as their noise requires."""
         jacobians: list[np.ndarray] = []
         min_jacobians, max_jacobians = N_JACOBIANS_RANGE
-        covariance = self.measurement.covariance + model_covariance
+        covariance = self.measurement.covariance + self.error_covariance(state)
         while len(jacobians) < min_jacobians or (
             self.measurement.noise_known
             and len(jacobians) < max_jacobians
             and is_jacobian_noisy(jacobians, covariance)
         ):
-            seed = self.seed + 1 + len(jacobians)
-            jacobians.append(self.compute_jacobian(state, LAST_STAGE, seed))
+            jacobians.append(self.jacobian(state, seed=self.seed + 1 + len(jacobians)))
         return jacobians
 
 
@@ -603,7 +526,10 @@ def make_medium_state_vector(
         limits = np.array(check_named_numbers(f"free.{name}", pair, ("low", "high")))
         if not limits[0] < limits[1]:
             raise invalid(f"free.{name}", pair, "low < high")
-        for value in limits if name != INCIDENCE_KEY else ():
+        for value in limits:
+            if name == INCIDENCE_KEY:
+                check_incidence(name, float(value))
+                continue
             try:
                 replace_parameter(medium, name, float(value))
             except InvalidValue as error:
@@ -612,8 +538,6 @@ def make_medium_state_vector(
                 allowed = error.allowed if is_own else "a valid value of the medium"
                 hint = error.hint if is_own else str(error)
                 raise invalid(f"free.{name}", float(value), allowed, hint) from None
-        for value in limits if name == INCIDENCE_KEY else ():
-            check_incidence("incidence_deg", float(value))
         middle = np.array([limits[0], 0.5 * limits.sum(), limits[1]])
         allowed_ranges[name] = ParameterRange(
             float(limits[0]), float(limits[1]), transform_axis(name, middle)[0]
@@ -634,11 +558,10 @@ def make_medium_model(
     medium: Medium, measurement: Measurement, state_vector: StateVector,
     incidence: float | str, solver: str, max_stderr: float | None, seed: int,
     progress: ProgressCallback, **options: Any,
-) -> MediumForwardModel:  # fmt: skip
+) -> MediumModel:  # fmt: skip
     """Return the forward model by discrete ordinates or by simulation; see `choose_solver`."""
-    arguments = medium, measurement, state_vector, incidence, seed
     if solver != MONTE_CARLO:
-        model = OrdinatesForwardModel(*arguments)
+        model = OrdinatesModel(medium, measurement, state_vector, incidence, seed)
         choice = choose_solver(
             solver, model.list_extreme_media(), model.wavelengths,
             find_further_obstacle=lambda one: find_parameter_obstacle(one, model.names),
@@ -646,4 +569,6 @@ def make_medium_model(
         if choice.solver != MONTE_CARLO:
             model.choose_streams(max_stderr or MAX_ERROR)
             return model
-    return SimulationForwardModel(*arguments, max_stderr, progress, **options)
+    return SimulationModel(
+        medium, measurement, state_vector, incidence, seed, max_stderr, progress, **options
+    )

@@ -31,15 +31,14 @@ from splits.core.validation import (
 )
 from splits.illumination.bands import SpectralOperator
 from splits.instruments.delay_record import Pulse, PulseInput, describe_record
-from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
+from splits.retrieval.forward_model import TableModel, get_table_ranges
 from splits.retrieval.measurement import Measurement, check_conditions, is_same_label
 from splits.retrieval.optimal_estimation import solve_for_known_noise
 from splits.retrieval.retrieve import (
     TABLE_SOLVER,
     RetrievalResult,
     add_warning,
-    describe_model,
-    describe_parameters,
+    describe_retrieval,
     make_result,
 )
 from splits.retrieval.state_vector import SCALE, StateVector
@@ -55,20 +54,6 @@ RECORD_ATTRIBUTES = (
     "acceptance_deg", "footprint_radius_m", "pulse_s", "pulse_delay_s", "pulse_power",
 )  # fmt: skip
 """Attributes of returns that describe the receiver and the pulse."""
-
-
-class ReturnForwardModel(TableForwardModel):
-    """Forward model that interpolates a table of returns over channels, see `make_channel_table`.
-
-    Its operator is from the channels of the table to those of the measurement.
-    """
-
-    def compute_node_covariance(
-        self, node_stderr: np.ndarray, axis_values: dict[str, Any]
-    ) -> np.ndarray:
-        """Return the covariance of the errors of nodes: rays in different bins are independent."""
-        scaled = self.operator.weights * node_stderr
-        return scaled @ scaled.T
 
 
 def sort_returns(dataset: Any) -> Any:
@@ -441,18 +426,17 @@ def retrieve_return(
         if is_counted:
             stderr = np.sqrt(np.maximum(expected / noise_rate, min_count)) * noise_rate
         measurement = Measurement(rates.ravel(), positions, np.diag(stderr**2), {})
-        forward_model = ReturnForwardModel(
-            channels, measurement, state_vector, fixed, QUANTITY, operator
+        # Rays in different bins are independent.
+        model = TableModel(
+            channels, measurement, state_vector, fixed, QUANTITY, operator, independent_errors=True
         )
-        solution = solve_for_known_noise(forward_model, measurement, seed)
+        solution = solve_for_known_noise(model, measurement, seed)
         expected, min_count = solution.estimates[0].modelled, MIN_EXPECTED_COUNT
-    conditions = forward_model.list_fixed_values()
-    settings = {
-        **describe_model(channels, TABLE_SOLVER),
-        "quantity": QUANTITY,
-        **pulse_attributes,
-        **describe_parameters(state_vector, conditions, prior, seed),
-    }
+    conditions = model.list_fixed_values()
+    settings = describe_retrieval(
+        channels, TABLE_SOLVER, state_vector, conditions, prior, seed,
+        quantity=QUANTITY, **pulse_attributes,
+    )  # fmt: skip
     check_return_conditions(measured, conditions, {**table.attrs, **pulse_attributes})
     check_conditions("noise", noise, conditions)
     dataset = make_result(state_vector, measurement, solution, settings).dataset

@@ -17,6 +17,7 @@ from splits.tables.interpolation import COORDINATES, apply_axis_transform
 
 SCALE = "scale"
 """Name of the factor of the modelled reflectance, such as that of a reference panel."""
+PRIOR = ("mean", "standard deviation")
 UNIFORM_VARIANCE = 1.0 / 12.0
 """Variance of a coordinate with a uniform prior."""
 
@@ -93,7 +94,7 @@ class StateVector(NamedTuple):
     def _to_coordinate_prior(self, index: int, pair: Any) -> tuple[float, float]:
         """Return the mean and standard deviation of a prior in its coordinate."""
         key = f"prior.{self.names[index]}"
-        mean, sd = check_named_numbers(key, pair, ("mean", "standard deviation"))
+        mean, sd = check_named_numbers(key, pair, PRIOR)
         if not sd > 0.0:
             raise invalid(key, pair, "a standard deviation above 0")
         low, high = self.low[index], self.high[index]

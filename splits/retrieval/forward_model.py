@@ -221,9 +221,7 @@ class TableModel:
         axis_errors = scale_axis_errors(self.table.interpolation_errors(q, **point))
         axis_error = np.vstack([axis_errors, self._resampling_errors]) @ weights.T
         wavelength_error = self.operator.error_weights @ interpolated[q].values
-        covariance = (
-            nodes + axis_error.T @ axis_error + np.diag((wavelength_error**2).sum(axis=0))
-        )
+        covariance = nodes + axis_error.T @ axis_error + np.diag((wavelength_error**2).sum(axis=0))
         return float(self._compute_scale(state)) ** 2 * covariance
 
     def evaluate_first_guesses(self) -> tuple[np.ndarray, np.ndarray]:

@@ -54,7 +54,7 @@ from splits.retrieval.optimal_estimation import (
     compute_fit_degrees_of_freedom,
     solve_for_known_noise,
 )
-from splits.retrieval.state_vector import PRIOR, SCALE, StateVector
+from splits.retrieval.state_vector import PRIOR, SCALE, Prior, StateVector
 from splits.simulation.run_options import make_wavelength_coordinate
 from splits.tables.table import Table
 
@@ -137,8 +137,7 @@ def _list_alternatives(state_vector: StateVector, solution: Solution) -> list[st
     for alternative in [*others[:1], *solution.alternatives]:
         difference = alternative - best
         is_within_error = (
-            difference @ np.linalg.solve(solution.covariance, difference)
-            < ALTERNATIVE_CHI2
+            difference @ np.linalg.solve(solution.covariance, difference) < ALTERNATIVE_CHI2
         )
         distances = [np.abs(alternative - state).max() for state in listed]
         if is_within_error or min(distances) < MIN_SEPARATION:
@@ -286,7 +285,10 @@ def make_result(
         **make_variable("draws", ("draw", "parameter"), physical, None, "draws from the posterior"),
         **make_variable("measured", "wavelength", measurement.values, noise, "measured"),
         **make_variable(
-            "fitted", "wavelength", best.modelled, solution.forward_model_error,
+            "fitted",
+            "wavelength",
+            best.modelled,
+            solution.forward_model_error,
             "of the most probable value",
         ),
     }
@@ -328,7 +330,7 @@ def retrieve(
     max_stderr: StandardError | None = None,
     solver: Solver = "auto",
     fixed: Mapping[str, Any] | None = None,
-    prior: Mapping[str, Any] | None = None,
+    prior: Prior = None,
     bands: Bands = None,
     quantity: str | None = None,
     seed: Seed = 1,

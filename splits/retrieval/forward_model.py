@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -266,7 +266,8 @@ class LinearModel:
         slopes: np.ndarray, covariance: np.ndarray,
     ) -> None:  # fmt: skip
         self.state_vector, self.state, self.modelled = state_vector, state, modelled
-        self.slopes, self.covariance, self._deviation = slopes, covariance, None
+        self.slopes, self.covariance = slopes, covariance
+        self._deviation: Callable[[np.ndarray], np.ndarray] | None = None
         self._states, self._values = state[np.newaxis], modelled[np.newaxis]
 
     def with_deviation(self, states: np.ndarray, values: np.ndarray) -> LinearModel:

@@ -100,15 +100,8 @@ class Measurement(NamedTuple):
             values, covariance = values[order], covariance[np.ix_(order, order)]
             wavelength = check_increasing("measured (wavelengths)", wavelength[order])
         largest, allowed = values[np.abs(values).argmax()].item(), f"at most {MAX_REFLECTANCE:g}"
-        check_relations(
-            (
-                abs(largest) <= MAX_REFLECTANCE,
-                "measured",
-                largest,
-                allowed,
-                "a fraction, not per cent",
-            )
-        )
+        is_fraction, hint = abs(largest) <= MAX_REFLECTANCE, "a fraction, not per cent"
+        check_relations((is_fraction, "measured", largest, allowed, hint))
         return cls(values, wavelength, covariance, spectral_bands, noise is not None)
 
 
@@ -170,9 +163,9 @@ def check_modelled_quantity(
         *(
             (
                 False, f"{key}.{one}", np.unique(coordinates[one].values).tolist(), "left out",
-                f"the model has {UNMODELLED_CONDITIONS[one]}; {key}.drop_vars({one!r}) neglects that",
+                f"the model has {without}; {key}.drop_vars({one!r}) neglects that",
             )
-            for one in UNMODELLED_CONDITIONS if one in {*coordinates} - modelled
+            for one, without in UNMODELLED_CONDITIONS.items() if one in {*coordinates} - modelled
         ),
     )  # fmt: skip
 

@@ -7,7 +7,6 @@ ordinates, without noise.  Near the minimum, reflectance is assumed to be linear
 from __future__ import annotations
 
 import time
-from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -81,8 +80,8 @@ MAX_EVALUATIONS = 60
 """Approximate limit of simulations per descent."""
 
 
-# Each stage of descents: half the edge of the first trust region, the smallest distance between the
-# coordinates of two starts, and the largest excess of the cost of a start over that of the best one.
+# Of each stage: half the edge of the first trust region, the smallest distance between the
+# coordinates of two starts, and the largest excess of the cost of a start over that of the best.
 DESCENT_STAGES = (
     (0.3, MIN_START_SEPARATION, np.inf),
     (0.15, MIN_SEPARATION, ALTERNATIVE_CHI2),
@@ -97,221 +96,25 @@ def count_survey(n_parameters: int) -> int:
     return int(np.clip(2**n_parameters, *SURVEY_RANGE))
 
 
-class MediumModel(ABC):
-    """Forward model of a medium, with stages of increasing accuracy.
-
-    Parameters
-    ----------
-    medium : Medium
-    measurement : Measurement
-    state_vector : StateVector
-        See `splits.retrieval.medium_model.make_medium_state_vector`.
-    incidence : float or "diffuse"
-    seed : int
-        Of the survey, and of simulations.
-    """
-
-    solver: str
-    n_starts = 2
-    """Largest number of descents of a stage."""
-
-    def __init__(
-        self, medium: Medium, measurement: Measurement, state_vector: StateVector,
-        incidence: float | str, seed: int,
-    ) -> None:  # fmt: skip
-        self.medium, self.measurement, self.state_vector = medium, measurement, state_vector
-        self.incidence, self.seed = incidence, seed
-        self.wavelengths = (
-            choose_band_wavelengths(measurement.bands)
-            if measurement.bands
-            else np.unique(measurement.wavelength_nm)
-        )
-        self.operator = make_measurement_operator(measurement, self.wavelengths).weights
-        self.names = [name for name in state_vector.names if name != SCALE]
-        self.rows = [state_vector.names.index(name) for name in self.names]
-        self.scale_row = state_vector.names.index(SCALE) if SCALE in state_vector.names else None
-        self._cache: dict[tuple[bytes, int], Any] = {}
-
-    @abstractmethod
-    def evaluate_state(self, state: np.ndarray, stage: int) -> np.ndarray:
-        """Return the modelled measurement of one state, shape (n,)."""
-
-    @abstractmethod
-    def error_covariance(self, state: np.ndarray, stage: int = LAST_STAGE) -> np.ndarray:
-        """Return the covariance of the errors of the model, shape (n, n)."""
-
-    @abstractmethod
-    def jacobian(self, state: np.ndarray, stage: int = LAST_STAGE) -> np.ndarray:
-        """Return the Jacobian with respect to the coordinates, shape (n, parameters)."""
-
-    def evaluate(self, states: np.ndarray) -> np.ndarray:
-        """Return modelled measurements of the last stage, shape (states, n)."""
-        return np.array([self.evaluate_state(state, LAST_STAGE) for state in states])
-
-    def compute_final_jacobians(self, state: np.ndarray) -> list[np.ndarray]:
-        """Return at least two independent Jacobians of the last stage; the same without noise."""
-        return [self.jacobian(state)] * 2
-
-    def select_values(self, stage: int) -> np.ndarray:
-        """Return the positions of the measured values that a stage uses."""
-        return np.arange(self.measurement.values.size)
-
-    def make_inputs(self, state: np.ndarray) -> tuple[Medium, float | str, float]:
-        """Return the medium, the incidence and the scale of a state."""
-        physical = self.state_vector.to_physical(state)
-        values = {n: float(physical[row]) for row, n in zip(self.rows, self.names, strict=True)}
-        incidence = values.pop(INCIDENCE_KEY, self.incidence)
-        medium = replace_parameters(self.medium, values)
-        scale = 1.0 if self.scale_row is None else float(physical[self.scale_row])
-        return medium, incidence, scale
-
-    def make_objective(self, state: np.ndarray, stage: int) -> Objective:
-        """Return the objective near a state, with the errors of measurement and model."""
-        positions = self.select_values(stage)
-        measured, whitening = self.measurement.values[positions], np.eye(positions.size)
-        if self.measurement.noise_known:
-            covariance = self.measurement.covariance[np.ix_(positions, positions)]
-            whitening = compute_whitening(covariance + self.error_covariance(state, stage))
-        return Objective(measured, whitening, self.state_vector)
-
-    def find_minima(self) -> tuple[Minima, list[np.ndarray]]:
-        """Return separated minima, best first, and independent Jacobians at the best one."""
-        from scipy.stats import qmc
-
-        state_vector = self.state_vector
-        n_parameters = len(state_vector.names)
-        survey_states = qmc.Sobol(n_parameters, seed=self.seed).random(count_survey(n_parameters))
-        has_prior = np.isfinite(state_vector.prior_sd)
-        survey_states[:, has_prior] = (
-            state_vector.prior_mean[has_prior]
-            + (survey_states[:, has_prior] - 0.5) * state_vector.prior_sd[has_prior]
-        )
-        survey_states = np.clip(survey_states, 0.02, 0.98)
-        objective = self.make_objective(survey_states[0], 0)
-        minima = []
-        for state in survey_states:
-            residuals = objective.compute_residuals(self.evaluate_state(state, 0), state)
-            minima.append((float(residuals @ residuals), state))
-        for stage, (radius, separation, max_increase) in enumerate(DESCENT_STAGES, 1):
-            costs, states = zip(*minima, strict=True)
-            selected = select_distinct(costs, states, self.n_starts, separation, max_increase)
-            objective = self.make_objective(states[selected[0]], stage)
-            minima = [
-                minimize_gauss_newton(
-                    partial(self.evaluate_state, stage=stage),
-                    partial(self.jacobian, stage=stage),
-                    states[i], objective, MAX_EVALUATIONS, radius,
-                )
-                for i in selected
-            ]  # fmt: skip
-            minima.sort(key=lambda minimum: minimum[0])
-        (_, best), *others = minima
-        distinct = [one for one in others if np.abs(one[1] - best).max() > MIN_SEPARATION]
-        return [minima[0], *distinct], self.compute_final_jacobians(best)
-
-
 MAX_ERROR = 1e-3
 """Error that determines the number of streams, by default."""
 DIFFERENCE_STEP = 1e-4
 """Step of coordinates for differences, whose relative error is about half of this."""
-
-
-class OrdinatesModel(MediumModel):
-    """Forward model by discrete ordinates.
-
-    All stages but the last use a few of the wavelengths.  Derivatives are differences of solutions,
-    which need one solution per parameter and hold for dry and for wet snow.
-    """
-
-    solver = DISCRETE_ORDINATES
-    # Solutions take little time, so that more descents look for alternative solutions.
-    n_starts = 4
-
-    def list_extreme_media(self) -> list[Medium]:
-        """Return the media in the middle (first) and at the corners of the ranges of each layer.
-
-        Corners without a medium are left out, such as more water than fits into dense snow.
-        """
-        middle = np.full(len(self.state_vector.names), 0.5)
-        media, by_layer = [self.make_inputs(middle)[0]], defaultdict(list)
-        for row, name in zip(self.rows, self.names, strict=True):
-            if name != INCIDENCE_KEY:
-                by_layer[name.split(".")[1] if name.startswith("layers.") else ""].append(row)
-        for rows in by_layer.values():
-            for corner in product((BOUND_MARGIN, 1.0 - BOUND_MARGIN), repeat=len(rows)):
-                state = middle.copy()
-                state[rows] = corner
-                with suppress(InvalidValue):
-                    media.append(self.make_inputs(state)[0])
-        return media
-
-    def choose_streams(self, max_error: float) -> None:
-        """Set the number of streams that an error requires in the middle of all ranges."""
-        medium, incidence, _ = self.make_inputs(np.full(len(self.state_vector.names), 0.5))
-        with limit_blas_threads():
-            solution = solve_spectrum(
-                make_granular_stack(medium, self.wavelengths),
-                _compute_cosines(incidence),
-                max_error,
-            )
-        self.n_streams, self._truncation = solution.n_streams, solution.truncation
-
-    def select_values(self, stage: int) -> np.ndarray:
-        """Return the positions of the measured values that a stage uses."""
-        n_values = self.measurement.values.size
-        if stage == LAST_STAGE or self.measurement.bands:
-            return np.arange(n_values)
-        return choose_trial_wavelengths(n_values)
-
-    def evaluate_state(self, state: np.ndarray, stage: int) -> np.ndarray:
-        """Return the modelled measurement of one state, shape (n,)."""
-        key = (state.tobytes(), stage)
-        if key not in self._cache:
-            self._cache[key] = self._solve([state], stage)[0]
-        return self._cache[key]  # type: ignore[no-any-return]
-
-    def _solve(self, states: Sequence[np.ndarray], stage: int) -> np.ndarray:
-        """Return the modelled measurements of states, shape (states, n)."""
-        operator = self.operator[self.select_values(stage)]
-        used = np.flatnonzero(operator.any(axis=0))
-        media, incidences, scales = zip(*map(self.make_inputs, states), strict=True)
-        snowpacks = [make_granular_stack(medium, self.wavelengths[used]) for medium in media]
-        cosines = np.array([_compute_cosines(incidence) for incidence in incidences])
-        with limit_blas_threads():
-            reflectance = solve_snowpacks(snowpacks, cosines, self.n_streams)[:, 0]
-        return np.array(scales)[:, np.newaxis] * (reflectance @ operator[:, used].T)
-
-    def error_covariance(self, state: np.ndarray, stage: int = LAST_STAGE) -> np.ndarray:
-        """Return the covariance of the errors of the model, shape (n, n).
-
-        Errors of the tables of grains and of streams are correlated over `ERROR_CORRELATION_NM`.
-        """
-        medium, _, scale = self.make_inputs(state)
-        optics = compute_optics_error(make_granular_stack(medium, self.wavelengths))
-        stderr = scale * np.hypot(optics, self._truncation)
-        covariance = correlate_errors(stderr, self.wavelengths, ERROR_CORRELATION_NM)
-        operator = self.operator[self.select_values(stage)]
-        return operator @ covariance @ operator.T
-
-    def jacobian(self, state: np.ndarray, stage: int = LAST_STAGE) -> np.ndarray:
-        """Return the Jacobian with respect to the coordinates, shape (n, parameters)."""
-        steps = np.where(state > 0.5, -DIFFERENCE_STEP, DIFFERENCE_STEP)
-        shifted = self._solve(state + np.diag(steps), stage)
-        return (shifted - self.evaluate_state(state, stage)).T / steps
-
-
-def _compute_cosines(incidence: float | str) -> np.ndarray:
-    """Return the cosines of the beams: none for isotropic light."""
-    angles = [] if isinstance(incidence, str) else [incidence]
-    return np.cos(np.radians(angles))
-
-
+N_STARTS = {MONTE_CARLO: 2, DISCRETE_ORDINATES: 4}
+"""Largest number of descents of a stage by solver; ordinates take little time, so that more of them
+look for alternative solutions."""
 SURVEY_STDERR = 0.01
 """Standard error of simulations of the survey and of the first descents."""
 MIN_JACOBIAN_STDERR = 0.004
 """Smallest standard error of simulations for Jacobians, of which several are averaged."""
 N_JACOBIANS_RANGE = (2, 6)
 """Smallest and largest number of independent Jacobians for the errors."""
+NOISE_FRACTION = 0.5
+"""Ratio of the final standard error to the smallest noise of the measurement."""
+MIN_STDERR, MAX_STDERR = 1e-3, 0.01
+"""Limits of the final standard error."""
+UNKNOWN_NOISE_MAX_STDERR = 2e-3
+"""Final standard error for unknown noise."""
 
 
 class ProgressTracker:
@@ -333,9 +136,9 @@ class ProgressTracker:
         )
         # Each descent needs about two Jacobians and a few steps; descents of the last stage mostly
         # start at the minimum.  Jacobians for errors and the test of linearity follow.
-        descent_cost = MediumModel.n_starts * 2 * (2 + count_runs(n_parameters))
+        descent_cost = N_STARTS[MONTE_CARLO] * 2 * (2 + count_runs(n_parameters))
         survey_cost = count_survey(n_parameters) + descent_cost
-        last_stage_cost = MediumModel.n_starts * (4 * final_cost + jacobian_cost)
+        last_stage_cost = N_STARTS[MONTE_CARLO] * (4 * final_cost + jacobian_cost)
         self.total_cost = (
             survey_cost
             + last_stage_cost
@@ -383,37 +186,65 @@ def _estimate_cost(max_stderr: float) -> float:
     return (SURVEY_STDERR / max_stderr) ** 2
 
 
-NOISE_FRACTION = 0.5
-"""Ratio of the final standard error to the smallest noise of the measurement."""
-MIN_STDERR, MAX_STDERR = 1e-3, 0.01
-"""Limits of the final standard error."""
-UNKNOWN_NOISE_MAX_STDERR = 2e-3
-"""Final standard error for unknown noise."""
+class MediumModel:
+    """Forward model of a medium, with stages of increasing accuracy.
 
-
-class SimulationModel(MediumModel):
-    """Forward model by simulation.
+    Discrete ordinates are used where they apply, see `choose_solver`.  They have no noise, all
+    stages but the last use a few of the wavelengths, and derivatives are differences of solutions,
+    which need one solution per parameter and hold for dry and for wet snow.  Otherwise, spectra
+    are simulated, with derivatives from the same paths.
 
     Parameters
     ----------
-    medium, measurement, state_vector, incidence, seed
-        See `splits.retrieval.medium_model.MediumModel`.
+    medium : Medium
+    measurement : Measurement
+    state_vector : StateVector
+        See `splits.retrieval.medium_model.make_medium_state_vector`.
+    incidence : float or "diffuse"
+    solver : str
     max_stderr : float, optional
-        Final standard error; by default `NOISE_FRACTION` of the smallest noise.
+        Error that determines the number of streams, by default `MAX_ERROR`; or the standard error
+        of the last simulations, by default `NOISE_FRACTION` of the smallest noise.
+    seed : int
+        Of the survey, and of simulations.
     progress : callable, optional
     **options
         Other options of `splits.spectrophotometer`: the number of rays, threads and the kernel.
     """
 
-    solver = MONTE_CARLO
-
     def __init__(
         self, medium: Medium, measurement: Measurement, state_vector: StateVector,
-        incidence: float | str, seed: int, max_stderr: float | None, progress: ProgressCallback,
-        **options: Any,
+        incidence: float | str, solver: str, max_stderr: float | None, seed: int,
+        progress: ProgressCallback, **options: Any,
     ) -> None:  # fmt: skip
-        super().__init__(medium, measurement, state_vector, incidence, seed)
-        self._options = options
+        self.medium, self.measurement, self.state_vector = medium, measurement, state_vector
+        self.incidence, self.seed, self._options = incidence, seed, options
+        self.wavelengths = (
+            choose_band_wavelengths(measurement.bands)
+            if measurement.bands
+            else np.unique(measurement.wavelength_nm)
+        )
+        self.operator = make_measurement_operator(measurement, self.wavelengths).weights
+        self.names = [name for name in state_vector.names if name != SCALE]
+        self.rows = [state_vector.names.index(name) for name in self.names]
+        self.scale_row = state_vector.names.index(SCALE) if SCALE in state_vector.names else None
+        self._cache: dict[tuple[bytes, int], Any] = {}
+        self.solver = MONTE_CARLO
+        if solver != MONTE_CARLO:
+            self.solver = choose_solver(
+                solver, self.list_extreme_media(), self.wavelengths,
+                find_further_obstacle=lambda one: find_parameter_obstacle(one, self.names),
+            ).solver  # fmt: skip
+        if self.is_exact:
+            # The number of streams that an error requires in the middle of all ranges.
+            medium, incidence, _ = self.make_inputs(np.full(len(state_vector.names), 0.5))
+            stack = make_granular_stack(medium, self.wavelengths)
+            with limit_blas_threads():
+                solution = solve_spectrum(
+                    stack, _compute_cosines(incidence), max_stderr or MAX_ERROR
+                )
+            self.n_streams, self._truncation = solution.n_streams, solution.truncation
+            return
         min_noise = float(np.sqrt(np.diag(measurement.covariance).min()))
         default_stderr = (
             min(max(NOISE_FRACTION * min_noise, MIN_STDERR), MAX_STDERR)
@@ -421,49 +252,49 @@ class SimulationModel(MediumModel):
             else UNKNOWN_NOISE_MAX_STDERR
         )
         self.max_stderr = max_stderr or default_stderr
-        first_stderr = max(SURVEY_STDERR, self.max_stderr)
-        self._stage_stderr = [first_stderr] * LAST_STAGE + [self.max_stderr]
         self._progress = ProgressTracker(progress, self.max_stderr, len(state_vector.names))
 
-    def simulate(
-        self, state: np.ndarray, max_stderr: float, names: list[str], seed: int
-    ) -> tuple[Any, float]:
-        """Return a simulation at a state with derivatives by some parameters, and the scale."""
-        medium, incidence, scale = self.make_inputs(state)
-        spectrum = spectrophotometer(
-            medium, self.wavelengths, incidence, max_stderr=max_stderr, seed=seed,
-            solver=MONTE_CARLO, jacobian=names, **self._options,
-            progress=self._progress.track_run(max_stderr, count_runs(len(names))),
-        )  # fmt: skip
-        return spectrum, scale
+    @property
+    def is_exact(self) -> bool:
+        """Whether the model has no noise."""
+        return self.solver != MONTE_CARLO
+
+    def evaluate(self, states: np.ndarray) -> np.ndarray:
+        """Return modelled measurements of the last stage, shape (states, n)."""
+        return np.array([self.evaluate_state(state, LAST_STAGE) for state in states])
 
     def evaluate_state(self, state: np.ndarray, stage: int) -> np.ndarray:
         """Return the modelled measurement of one state, shape (n,)."""
-        return self._evaluate_with_covariance(state, stage)[0]
-
-    def error_covariance(self, state: np.ndarray, stage: int = LAST_STAGE) -> np.ndarray:
-        """Return the covariance of the noise of simulations, shape (n, n)."""
-        return self._evaluate_with_covariance(state, stage)[1]
-
-    def _evaluate_with_covariance(
-        self, state: np.ndarray, stage: int
-    ) -> tuple[np.ndarray, np.ndarray]:
+        if not self.is_exact:
+            return self._simulate_with_covariance(state, stage)[0]
         key = (state.tobytes(), stage)
         if key not in self._cache:
-            spectrum, scale = self.simulate(state, self._stage_stderr[stage], [], self.seed)
-            values = scale * (self.operator @ spectrum.reflectance.values)
-            batches = scale * spectrum.reflectance_batches.values @ self.operator.T
-            stderr = scale * np.abs(self.operator) @ spectrum.reflectance_stderr.values
-            covariance = batches.T @ batches
-            covariance += np.diag(np.maximum(stderr**2 - np.diag(covariance), 0.0))
-            self._cache[key] = values, covariance
+            self._cache[key] = self._solve([state], stage)[0]
         return self._cache[key]  # type: ignore[no-any-return]
+
+    def error_covariance(self, state: np.ndarray, stage: int = LAST_STAGE) -> np.ndarray:
+        """Return the covariance of the errors of the model, shape (n, n).
+
+        Errors of the tables of grains and of streams are correlated over `ERROR_CORRELATION_NM`.
+        """
+        if not self.is_exact:
+            return self._simulate_with_covariance(state, stage)[1]
+        medium, _, scale = self.make_inputs(state)
+        optics = compute_optics_error(make_granular_stack(medium, self.wavelengths))
+        stderr = scale * np.hypot(optics, self._truncation)
+        covariance = correlate_errors(stderr, self.wavelengths, ERROR_CORRELATION_NM)
+        operator = self.operator[self.select_values(stage)]
+        return operator @ covariance @ operator.T
 
     def jacobian(
         self, state: np.ndarray, stage: int = LAST_STAGE, seed: int | None = None
     ) -> np.ndarray:
         """Return the Jacobian with respect to the coordinates, shape (n, parameters)."""
-        error = max(self._stage_stderr[stage], MIN_JACOBIAN_STDERR)
+        if self.is_exact:
+            steps = np.where(state > 0.5, -DIFFERENCE_STEP, DIFFERENCE_STEP)
+            shifted = self._solve(state + np.diag(steps), stage)
+            return (shifted - self.evaluate_state(state, stage)).T / steps
+        error = max(self.get_stage_stderr(stage), MIN_JACOBIAN_STDERR)
         seed = self.seed if seed is None else seed
         spectrum, scale = self.simulate(state, error, self.names, seed)
         step = 1e-6
@@ -477,7 +308,12 @@ class SimulationModel(MediumModel):
         return jacobian * rates
 
     def compute_final_jacobians(self, state: np.ndarray) -> list[np.ndarray]:
-        """Return Jacobians with independent random numbers, as many as their noise requires."""
+        """Return at least two independent Jacobians of the last stage; the same without noise.
+
+        Simulations have independent random numbers, and are as many as their noise requires.
+        """
+        if self.is_exact:
+            return [self.jacobian(state)] * 2
         jacobians: list[np.ndarray] = []
         min_jacobians, max_jacobians = N_JACOBIANS_RANGE
         covariance = self.measurement.covariance + self.error_covariance(state)
@@ -488,6 +324,134 @@ class SimulationModel(MediumModel):
         ):
             jacobians.append(self.jacobian(state, seed=self.seed + 1 + len(jacobians)))
         return jacobians
+
+    def select_values(self, stage: int) -> np.ndarray:
+        """Return the positions of the measured values that a stage uses."""
+        n_values = self.measurement.values.size
+        if not self.is_exact or stage == LAST_STAGE or self.measurement.bands:
+            return np.arange(n_values)
+        return choose_trial_wavelengths(n_values)
+
+    def get_stage_stderr(self, stage: int) -> float:
+        """Return the standard error of the simulations of a stage."""
+        return self.max_stderr if stage == LAST_STAGE else max(SURVEY_STDERR, self.max_stderr)
+
+    def make_inputs(self, state: np.ndarray) -> tuple[Medium, float | str, float]:
+        """Return the medium, the incidence and the scale of a state."""
+        physical = self.state_vector.to_physical(state)
+        values = {n: float(physical[row]) for row, n in zip(self.rows, self.names, strict=True)}
+        incidence = values.pop(INCIDENCE_KEY, self.incidence)
+        medium = replace_parameters(self.medium, values)
+        scale = 1.0 if self.scale_row is None else float(physical[self.scale_row])
+        return medium, incidence, scale
+
+    def make_objective(self, state: np.ndarray, stage: int) -> Objective:
+        """Return the objective near a state, with the errors of measurement and model."""
+        positions = self.select_values(stage)
+        measured, whitening = self.measurement.values[positions], np.eye(positions.size)
+        if self.measurement.noise_known:
+            covariance = self.measurement.covariance[np.ix_(positions, positions)]
+            whitening = compute_whitening(covariance + self.error_covariance(state, stage))
+        return Objective(measured, whitening, self.state_vector)
+
+    def list_extreme_media(self) -> list[Medium]:
+        """Return the media in the middle (first) and at the corners of the ranges of each layer.
+
+        Corners without a medium are left out, such as more water than fits into dense snow.
+        """
+        middle = np.full(len(self.state_vector.names), 0.5)
+        media, by_layer = [self.make_inputs(middle)[0]], defaultdict(list)
+        for row, name in zip(self.rows, self.names, strict=True):
+            if name != INCIDENCE_KEY:
+                by_layer[name.split(".")[1] if name.startswith("layers.") else ""].append(row)
+        for rows in by_layer.values():
+            for corner in product((BOUND_MARGIN, 1.0 - BOUND_MARGIN), repeat=len(rows)):
+                state = middle.copy()
+                state[rows] = corner
+                with suppress(InvalidValue):
+                    media.append(self.make_inputs(state)[0])
+        return media
+
+    def find_minima(self) -> tuple[Minima, list[np.ndarray]]:
+        """Return separated minima, best first, and independent Jacobians at the best one."""
+        from scipy.stats import qmc
+
+        state_vector = self.state_vector
+        n_parameters = len(state_vector.names)
+        survey_states = qmc.Sobol(n_parameters, seed=self.seed).random(count_survey(n_parameters))
+        has_prior = np.isfinite(state_vector.prior_sd)
+        survey_states[:, has_prior] = (
+            state_vector.prior_mean[has_prior]
+            + (survey_states[:, has_prior] - 0.5) * state_vector.prior_sd[has_prior]
+        )
+        survey_states = np.clip(survey_states, 0.02, 0.98)
+        objective = self.make_objective(survey_states[0], 0)
+        minima = []
+        for state in survey_states:
+            residuals = objective.compute_residuals(self.evaluate_state(state, 0), state)
+            minima.append((float(residuals @ residuals), state))
+        for stage, (radius, separation, max_increase) in enumerate(DESCENT_STAGES, 1):
+            costs, states = zip(*minima, strict=True)
+            selected = select_distinct(
+                costs, states, N_STARTS[self.solver], separation, max_increase
+            )
+            objective = self.make_objective(states[selected[0]], stage)
+            minima = [
+                minimize_gauss_newton(
+                    partial(self.evaluate_state, stage=stage),
+                    partial(self.jacobian, stage=stage),
+                    states[i], objective, MAX_EVALUATIONS, radius,
+                )
+                for i in selected
+            ]  # fmt: skip
+            minima.sort(key=lambda minimum: minimum[0])
+        (_, best), *others = minima
+        distinct = [one for one in others if np.abs(one[1] - best).max() > MIN_SEPARATION]
+        return [minima[0], *distinct], self.compute_final_jacobians(best)
+
+    def _solve(self, states: Sequence[np.ndarray], stage: int) -> np.ndarray:
+        """Return the modelled measurements of states, shape (states, n)."""
+        operator = self.operator[self.select_values(stage)]
+        used = np.flatnonzero(operator.any(axis=0))
+        media, incidences, scales = zip(*map(self.make_inputs, states), strict=True)
+        snowpacks = [make_granular_stack(medium, self.wavelengths[used]) for medium in media]
+        cosines = np.array([_compute_cosines(incidence) for incidence in incidences])
+        with limit_blas_threads():
+            reflectance = solve_snowpacks(snowpacks, cosines, self.n_streams)[:, 0]
+        return np.array(scales)[:, np.newaxis] * (reflectance @ operator[:, used].T)
+
+    def simulate(
+        self, state: np.ndarray, max_stderr: float, names: list[str], seed: int
+    ) -> tuple[Any, float]:
+        """Return a simulation at a state with derivatives by some parameters, and the scale."""
+        medium, incidence, scale = self.make_inputs(state)
+        spectrum = spectrophotometer(
+            medium, self.wavelengths, incidence, max_stderr=max_stderr, seed=seed,
+            solver=MONTE_CARLO, jacobian=names, **self._options,
+            progress=self._progress.track_run(max_stderr, count_runs(len(names))),
+        )  # fmt: skip
+        return spectrum, scale
+
+    def _simulate_with_covariance(
+        self, state: np.ndarray, stage: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the modelled measurement, shape (n,), and the covariance of its noise."""
+        key = (state.tobytes(), stage)
+        if key not in self._cache:
+            spectrum, scale = self.simulate(state, self.get_stage_stderr(stage), [], self.seed)
+            values = scale * (self.operator @ spectrum.reflectance.values)
+            batches = scale * spectrum.reflectance_batches.values @ self.operator.T
+            stderr = scale * np.abs(self.operator) @ spectrum.reflectance_stderr.values
+            covariance = batches.T @ batches
+            covariance += np.diag(np.maximum(stderr**2 - np.diag(covariance), 0.0))
+            self._cache[key] = values, covariance
+        return self._cache[key]  # type: ignore[no-any-return]
+
+
+def _compute_cosines(incidence: float | str) -> np.ndarray:
+    """Return the cosines of the beams: none for isotropic light."""
+    angles = [] if isinstance(incidence, str) else [incidence]
+    return np.cos(np.radians(angles))
 
 
 def make_medium_state_vector(
@@ -551,24 +515,4 @@ def check_measurement_incidence(fixed: Mapping[str, Any] | None, ranges: Any) ->
     return check_incidence(
         "incidence_deg",
         check_axis_values(fixed, [INCIDENCE_KEY], "fixed.", free_axes=free).get(INCIDENCE_KEY, 0.0),
-    )
-
-
-def make_medium_model(
-    medium: Medium, measurement: Measurement, state_vector: StateVector,
-    incidence: float | str, solver: str, max_stderr: float | None, seed: int,
-    progress: ProgressCallback, **options: Any,
-) -> MediumModel:  # fmt: skip
-    """Return the forward model by discrete ordinates or by simulation; see `choose_solver`."""
-    if solver != MONTE_CARLO:
-        model = OrdinatesModel(medium, measurement, state_vector, incidence, seed)
-        choice = choose_solver(
-            solver, model.list_extreme_media(), model.wavelengths,
-            find_further_obstacle=lambda one: find_parameter_obstacle(one, model.names),
-        )  # fmt: skip
-        if choice.solver != MONTE_CARLO:
-            model.choose_streams(max_stderr or MAX_ERROR)
-            return model
-    return SimulationModel(
-        medium, measurement, state_vector, incidence, seed, max_stderr, progress, **options
     )

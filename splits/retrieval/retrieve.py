@@ -20,7 +20,7 @@ from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import make_variable
 from splits.core.validation import InvalidValue, check_choice, check_relations, invalid
 from splits.illumination.bands import Bands
-from splits.instruments.solver import AUTO, DISCRETE_ORDINATES
+from splits.instruments.solver import AUTO
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.media.formatting import suggest_medium
 from splits.media.kinds import list_media_names
@@ -41,7 +41,6 @@ from splits.retrieval.measurement import Measurement, check_modelled_quantity
 from splits.retrieval.medium_model import (
     MediumModel,
     check_measurement_incidence,
-    make_medium_model,
     make_medium_state_vector,
 )
 from splits.retrieval.optimal_estimation import (
@@ -97,21 +96,28 @@ def list_warnings(
     state_vector: StateVector, solution: Solution, constrained: np.ndarray
 ) -> list[str]:
     """Return the warnings about a result."""
-    best, warnings = solution.estimates[0], []
-    if solution.variance_inflation > 1.0:
-        warnings.append(
-            f"the model does not fit the measurement within its noise: errors are multiplied by "
-            f"{np.sqrt(solution.variance_inflation):.3g}, and may still be too small"
+    best, names = solution.estimates[0], state_vector.names
+    unconstrained = np.array(names)[~constrained].tolist()
+    warnings = [
+        text
+        for is_shown, text in (
+            (
+                solution.variance_inflation > 1.0,
+                "the model does not fit the measurement within its noise: errors are multiplied by "
+                f"{np.sqrt(solution.variance_inflation):.3g}, and may still be too small",
+            ),
+            (unconstrained, f"not constrained by the measurement: {', '.join(unconstrained)}"),
+            *(
+                (
+                    sigma > MAX_PRIOR_TENSION,
+                    f"{name}: prior and measurement are {sigma:.1f} standard deviations apart",
+                )
+                for name, sigma in zip(names, solution.prior_tension, strict=True)
+            ),
         )
-    unconstrained = np.array(state_vector.names)[~constrained].tolist()
-    if unconstrained:
-        warnings.append(f"not constrained by the measurement: {', '.join(unconstrained)}")
-    for name, tension_sigma in zip(state_vector.names, solution.prior_tension, strict=True):
-        if tension_sigma > MAX_PRIOR_TENSION:
-            warnings.append(
-                f"{name}: prior and measurement are {tension_sigma:.1f} standard deviations apart"
-            )
-    for i, name in enumerate(state_vector.names):
+        if is_shown
+    ]
+    for i, name in enumerate(names):
         low, high = state_vector.low[i], state_vector.high[i]
         if not (constrained[i] or best.active_bounds[i]):
             continue
@@ -456,7 +462,7 @@ def retrieve(
         # Labelled values state it themselves.
         if fixed_values and not fixed and INCIDENCE_KEY not in getattr(measured, "coords", ()):
             note = f"{INCIDENCE_KEY} is not given, {incidence:g} is assumed"
-        forward_model = make_medium_model(
+        forward_model = MediumModel(
             model, measurement, state_vector, incidence, solver, max_stderr, seed, progress,
             max_rays=max_rays, threads=threads, kernel=kernel,
         )  # fmt: skip
@@ -489,9 +495,8 @@ def _solve(
     if measurement.noise_known:
         if isinstance(model, TableModel):
             return solve_for_known_noise(model, measurement, seed), measurement
-        is_exact = model.solver == DISCRETE_ORDINATES
         minima = model.find_minima()
-        return solve_near_minima(model, *minima, measurement, seed, is_exact), measurement
+        return solve_near_minima(model, *minima, measurement, seed, model.is_exact), measurement
     n_values, min_values = measurement.values.size, len(model.state_vector.names) + MIN_RESIDUAL_DOF
     if n_values < min_values:
         reason = "values are too few to estimate it from the misfit"

@@ -62,8 +62,8 @@ def sort_returns(key: str, dataset: xr.Dataset) -> tuple[xr.Dataset, np.ndarray]
 
     Bins must follow each other.
     """
-    for dimension in {"wavelength", "delay_s"} & {*dataset.indexes}:
-        dataset = dataset.sortby(dimension)
+    for dimension in ("wavelength", "delay_s"):
+        dataset = dataset.sortby(dimension) if dimension in dataset.indexes else dataset
     bounds = dataset.delay_bounds.transpose("delay_s", ..., missing_dims="ignore")
     dataset, rows = dataset.assign_coords(delay_bounds=bounds), np.atleast_2d(bounds.values)
     follow = np.allclose(rows[1:, 0], rows[:-1, 1], rtol=ROUNDING_TOLERANCE, atol=0.0)

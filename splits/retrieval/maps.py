@@ -146,37 +146,25 @@ def evaluate_cost(grid, measurement, prior, state, modelled, jacobian, gradient,
 def compute_damped_step(state, gradient, hessian, damping, new_state):
     """Set the new state of a damped step within the bounds; coordinates at active bounds stay."""
     axes = len(state)
-    is_fixed = np.zeros(axes, dtype=np.bool_)
+    at_low, at_high = state <= 0.0, state >= 1.0
+    is_fixed = (at_low & (gradient > 0.0)) | (at_high & (gradient < 0.0))
     # The damping is common to all: at 0 of a root transform the own slope would vanish.
     mean_damping = 0.0
     for a in range(axes):
         mean_damping += damping * hessian[a, a] / axes
     for _ in range(axes):
         matrix = np.empty((axes, axes))
-        rhs = np.empty(axes)
-        for a in range(axes):
-            at_low, at_high = state[a] <= 0.0, state[a] >= 1.0
-            points_out = (at_low and gradient[a] > 0.0) or (at_high and gradient[a] < 0.0)
-            is_fixed[a] = is_fixed[a] or points_out
-            rhs[a] = 0.0 if is_fixed[a] else -gradient[a]
         for a in range(axes):
             for b in range(axes):
                 matrix[a, b] = 0.0 if is_fixed[a] or is_fixed[b] else hessian[a, b]
             matrix[a, a] = 1.0 if is_fixed[a] else hessian[a, a] + mean_damping + 1e-12
-        step = np.linalg.solve(matrix, rhs)
-        blocked = False
-        for a in range(axes):
-            new_state[a] = state[a] + step[a]
-            crosses = (state[a] <= 0.0 and new_state[a] < 0.0) or (
-                state[a] >= 1.0 and new_state[a] > 1.0
-            )
-            if crosses and not is_fixed[a]:
-                is_fixed[a] = True
-                blocked = True
-        if not blocked:
+        new_state[:] = state + np.linalg.solve(matrix, np.where(is_fixed, 0.0, -gradient))
+        crosses = (at_low & (new_state < 0.0)) | (at_high & (new_state > 1.0))
+        blocked = crosses & ~is_fixed
+        if not blocked.any():
             break
-    for a in range(axes):
-        new_state[a] = min(max(new_state[a], 0.0), 1.0)
+        is_fixed |= blocked
+    new_state[:] = np.minimum(np.maximum(new_state, 0.0), 1.0)
 
 
 @entry_point
@@ -449,8 +437,8 @@ def _check_image(image: Any, bands: Mapping[str, SpectralBand]) -> xr.DataArray:
     return image.copy(data=convert_units("image", image.data, image.attrs.get("units"), "1"))
 
 
-def _find_defect(spectra: np.ndarray, measurement: Measurement) -> InvalidValue | None:
-    """Return the error for spectra of which none is valid because of their scale or of a band.
+def _check_block(spectra: np.ndarray, measurement: Measurement) -> None:
+    """Reject spectra of which none is valid because of their scale or of a band.
 
     Gaps alone are no defect.  Pixels that are 0 in all bands, as outside of a scene, say nothing of
     the scale.
@@ -461,25 +449,21 @@ def _find_defect(spectra: np.ndarray, measurement: Measurement) -> InvalidValue 
     measurement : Measurement
         With the bands or wavelengths of the spectra.
     """
-    is_number = np.isfinite(spectra)
-    if not is_number.any():
-        return None
+    is_number, names = np.isfinite(spectra), [*measurement.bands]
     empty = np.flatnonzero(~is_number.any(axis=0))
     if empty.size and np.count_nonzero(is_number.any(axis=1)) > 1:
         hint = "leave it out: image.dropna('wavelength', how='all')"
         found = f"without a number at {measurement.wavelength_nm[empty[0]]:g} nm"
-        if measurement.bands:
-            name = [*measurement.bands][empty[0]]
+        if names:
+            name = names[empty[0]]
             hint = f"leave {name} out of bands, and of the image: image.dropna('band', how='all')"
             found = f"without a number in band {name}"
-        return invalid("image", found, "numbers in each band", hint)
+        raise invalid("image", found, "numbers in each band", hint)
     spectra = spectra[is_number.all(axis=1) & (spectra != 0.0).any(axis=1)]
     if spectra.size and (np.abs(spectra).max(axis=1) > MAX_REFLECTANCE).all():
-        median = float(np.median(spectra))
-        hint = "fractions, neither per cent nor digital numbers: divide the image by its scale"
         allowed = f"reflectances of at most {MAX_REFLECTANCE:g} in some pixel"
-        return invalid("image", f"of the median {median:.4g}", allowed, hint)
-    return None
+        hint = "fractions, neither per cent nor digital numbers: divide the image by its scale"
+        raise invalid("image", f"of the median {np.median(spectra):.4g}", allowed, hint)
 
 
 def make_grid(model: TableModel, covariance: np.ndarray) -> TableGrid:
@@ -526,10 +510,11 @@ def _retrieve_block(
     A defect of a block that is computed later is no error of the image.
     """
     flat = as_float_array("image", spectra, allow_gaps=True).reshape(-1, spectra.shape[-1])
-    defect = _find_defect(flat, model.measurement)
-    if defect and not is_lazy:
-        raise defect
-    if defect:
+    try:
+        _check_block(flat, model.measurement)
+    except InvalidValue as defect:
+        if not is_lazy:
+            raise
         warnings.warn(f"a block of the image has no result: {defect}", stacklevel=2)
     with ThreadPoolExecutor(threads) as pool:
         parts = [flat[i : i + CHUNK_PIXELS] for i in range(0, len(flat), CHUNK_PIXELS)]

@@ -188,8 +188,9 @@ def check_return_conditions(
     if not isinstance(measured, xr.Dataset):
         check_conditions("measured", measured[1], conditions)
         return
-    check_conditions("measured", measured, conditions)
     stated = {**measured.attrs, **{name: value.values for name, value in measured.coords.items()}}
+    light = {INCIDENCE: stated[INCIDENCE]} if stated.get(INCIDENCE) is not None else {}
+    check_conditions("measured", measured.assign_coords(light), conditions)
     is_complete = measured.attrs.get("instrument") == "time_of_flight"
     for name in RECORD_ATTRIBUTES:
         own, expected = stated.get(name), attributes.get(name)
@@ -198,10 +199,6 @@ def check_return_conditions(
         allowed = "left out" if expected is None else f"{short_repr(expected)}"
         hint = "as for the table and the argument pulse"
         check_relations((not (is_stated and differs), f"measured.{name}", own, allowed, hint))
-    if stated.get(INCIDENCE) is not None:
-        stated_light = xr.Dataset(coords={INCIDENCE: stated[INCIDENCE]})
-        light = {name: conditions[name] for name in (INCIDENCE,) if name in conditions}
-        check_conditions("measured", stated_light, light)
 
 
 def _read_return_dataset(measured: xr.Dataset) -> tuple[np.ndarray, xr.DataArray]:

@@ -281,7 +281,8 @@ def make_return_operator(table: xr.Dataset, edges: np.ndarray, pulse: Pulse) -> 
     ValueError
         For bins of the measurement that need light outside the record of the table.
     """
-    _, own_edges = sort_returns("table", table)
+    bounds = table.delay_bounds.values
+    own_edges = np.append(bounds[:, 0], bounds[-1, 1])
     n_wavelengths, tolerance = table.sizes["wavelength"], ROUNDING_TOLERANCE * own_edges[-1]
     latest = own_edges[-1] + float(pulse.delay_s[0])
     earliest = own_edges[0] + (float(pulse.delay_s[-1]) if own_edges[0] > 0.0 else -np.inf)

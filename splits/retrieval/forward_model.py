@@ -329,6 +329,8 @@ def select_quantity(
 
     The quantity must be given for a table of several in a direction.
     """
+    hint = "splits.Table(splits.build_table(…)), or splits.open_table(…)"
+    check_relations((isinstance(table, Table), "table", type(table).__name__, "a Table", hint))
     if quantity is None and table.has_direction:
         names = [name for name in table.quantities if not name.startswith(DIFFUSE_PREFIX)]
         allowed = f"given: {' or '.join(names)}"

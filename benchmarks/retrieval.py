@@ -23,7 +23,7 @@ from scipy.stats import binom
 import splits
 from splits.core.validation import expand_path
 from splits.instruments.spectrophotometer import SpectralRequest, simulate_spectra
-from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
+from splits.retrieval.forward_model import TableModel, get_table_ranges
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.state_vector import StateVector
 from splits.simulation.run_options import RunOptions
@@ -216,7 +216,7 @@ def retrieve_maps(table: splits.Table, pixels: int) -> None:
     measurement = Measurement.from_input(
         (SNOW_WAVELENGTHS_NM, np.full(SNOW_WAVELENGTHS_NM.size, 0.5)), RELATIVE_NOISE
     )
-    model = TableForwardModel(
+    model = TableModel(
         table,
         measurement,
         StateVector.from_ranges(SNOW_TRUTH, None, get_table_ranges(table)),

@@ -32,8 +32,8 @@ RETRIEVAL_SOURCES = (
     "tables/comparison.py", "tables/axes.py", "tables/table.py", "tables/table_interpolation.py",
     "materials/impurities.csv", "materials/impurities.py", "media/snow.py",
     "retrieval/state_vector.py", "retrieval/optimal_estimation.py", "retrieval/forward_model.py",
-    "retrieval/least_squares.py", "retrieval/linearization.py", "retrieval/measurement.py",
-    "retrieval/retrieve.py", "retrieval/medium_model.py",
+    "retrieval/linearization.py", "retrieval/measurement.py", "retrieval/retrieve.py",
+    "retrieval/medium_model.py",
     "illumination/bands.py", "illumination/sensors.csv",
 )  # fmt: skip
 """Files that determine retrievals from a table."""

@@ -21,7 +21,6 @@ from splits.core.validation import (
     check_range,
     check_relations,
     format_key,
-    invalid,
     key_prefix,
     snap_to_limits,
     unknown_key,
@@ -268,16 +267,26 @@ def select_spectra(
 
     Unknown samples, and tables that do not match the section, are rejected.
     """
-    names = list_samples(measured, section.samples)
+    key, columns = "retrieve.measured", list(measured.columns)
+    available = [str(name) for name in columns if name != WAVELENGTH_COLUMN]
+    check_relations(
+        (WAVELENGTH_COLUMN in columns, key, columns, f"a table with column {WAVELENGTH_COLUMN}"),
+        (
+            not any(name.startswith("Unnamed") for name in available), key,
+            "a column without a name", "names for all",
+            "a column of row numbers? write the table with index=False",
+        ),
+    )  # fmt: skip
+    names = [check_choice("retrieve.samples", one, available) for one in section.samples]
+    names = names or available
     wavelength = measured[WAVELENGTH_COLUMN].to_numpy(dtype=float)
     snapped = snap_to_limits(wavelength, wavelengths[0], wavelengths[-1])
     inside = (snapped >= wavelengths[0]) & (snapped <= wavelengths[-1])
     for low, high in section.exclude_nm:
         inside &= (wavelength < low) | (wavelength > high)
-    if not inside.any():
-        given = f"{wavelength.min():g} to {wavelength.max():g} nm"
-        allowed = f"{wavelengths[0]:g} to {wavelengths[-1]:g} nm, the range of the table"
-        raise invalid("retrieve.measured", given, allowed)
+    given = f"{wavelength.min():g} to {wavelength.max():g} nm"
+    allowed = f"{wavelengths[0]:g} to {wavelengths[-1]:g} nm, the range of the table"
+    check_relations((inside.any(), key, given, allowed))
     key = "retrieve.prior_from"
     first_samples = [check_choice(f"{key}.sample", one.sample, names) for one in section.prior_from]
     others = [name for name in names if name not in first_samples]
@@ -312,9 +321,11 @@ def get_fixed_values(section: RetrieveSection, sample: str, table: Table) -> dic
     angle = float(match[1]) if match else None
     if INCIDENCE not in table.axes:
         own = table.dataset.attrs.get(INCIDENCE, angle)
-        if angle is not None and angle != own:
-            allowed, hint = f"of incidence {own}, the only one of the table", "or give grid."
-            raise invalid("retrieve.samples", sample, allowed, hint + INCIDENCE)
+        allowed, hint = (
+            f"of incidence {own}, the only one of the table",
+            f"or give grid.{INCIDENCE}",
+        )
+        check_relations((angle in (None, own), "retrieve.samples", sample, allowed, hint))
         return fixed
     is_free, is_fixed = INCIDENCE in section.free, INCIDENCE in fixed
     check_relations(
@@ -332,40 +343,8 @@ def get_fixed_values(section: RetrieveSection, sample: str, table: Table) -> dic
     return fixed if angle is None else {**fixed, INCIDENCE: angle}
 
 
-def list_samples(measured: pd.DataFrame, names: Sequence[str]) -> list[str]:
-    """Return the samples of a measured table that the section names, by default all.
-
-    Unknown samples, and tables without wavelengths or names of columns, are rejected.
-    """
-    key, columns = "retrieve.measured", list(measured.columns)
-    available = [str(name) for name in columns if name != WAVELENGTH_COLUMN]
-    check_relations(
-        (WAVELENGTH_COLUMN in columns, key, columns, f"a table with column {WAVELENGTH_COLUMN}"),
-        (
-            not any(name.startswith("Unnamed") for name in available), key,
-            "a column without a name", "names for all",
-            "a column of row numbers? write the table with index=False",
-        ),
-    )  # fmt: skip
-    return [check_choice("retrieve.samples", name, available) for name in names] or available
-
-
-class MeasuredReturn(NamedTuple):
-    """Arguments of `splits.retrieve_return` for a sample.
-
-    Attributes
-    ----------
-    edges : float, shape (bins + 1,)
-        Delays between bins (s).
-    rates : float, shape (wavelengths, bins)
-        Light per time (s⁻¹), relative to the incident light.
-    noise : float, shape (wavelengths, bins), or mapping
-        Standard errors (s⁻¹), or the number of photons of the pulse.
-    """
-
-    edges: np.ndarray
-    rates: np.ndarray
-    noise: Any
+MeasuredReturn = tuple[tuple[np.ndarray, np.ndarray], Any]
+"""Arguments `measured` and `noise` of `splits.retrieve_return` for a sample."""
 
 
 def select_returns(
@@ -374,34 +353,36 @@ def select_returns(
     """Return the samples of a file; reject other wavelengths than those of the table."""
     key = "retrieve_return.measured"
     edges = _read_bins(key, measured, wavelengths)
-    is_error = {name for name in measured if str(name).endswith(STDERR_SUFFIX)}
-    available = [str(name) for name in measured if name not in {*BIN_COLUMNS, *is_error}]
-    if not available:
-        allowed = f"a table with a column per sample besides {', '.join(BIN_COLUMNS)}"
-        raise invalid(key, list(measured), allowed)
+    errors = {name for name in measured if str(name).endswith(STDERR_SUFFIX)}
+    available = [str(name) for name in measured if name not in {*BIN_COLUMNS, *errors}]
+    allowed = f"a table with a column per sample besides {', '.join(BIN_COLUMNS)}"
+    check_relations((available, key, list(measured), allowed))
     names = [check_choice("retrieve_return.samples", name, available) for name in section.samples]
-    shape = wavelengths.size, edges.size - 1
-    returns = {}
-    for name in names or available:
-        values = measured[name].to_numpy(dtype=float).reshape(shape)
-        if section.photons is not None:
-            returns[name] = scale_counts(values, edges, section.photons)
-            continue
-        if name + STDERR_SUFFIX not in measured:
-            allowed = f"with a column {name}{STDERR_SUFFIX}"
-            raise invalid(key, section.measured, allowed, "or give photons for counted photons")
-        stderr = measured[name + STDERR_SUFFIX].to_numpy(dtype=float).reshape(shape)
-        returns[name] = MeasuredReturn(edges, values, stderr)
+    names = names or available
+    check_relations(
+        *(
+            (
+                section.photons is not None or name + STDERR_SUFFIX in measured, key,
+                section.measured, f"with a column {name}{STDERR_SUFFIX}",
+                "or give photons for counted photons",
+            )
+            for name in names
+        )
+    )  # fmt: skip
     for parameter, references in section.reference_values.items():
         for sample in references:
-            check_choice(f"retrieve_return.reference_values.{parameter}", sample, [*returns])
-    return returns
+            check_choice(f"retrieve_return.reference_values.{parameter}", sample, names)
+    shape = wavelengths.size, edges.size - 1
+    values = {name: measured[name].to_numpy(dtype=float).reshape(shape) for name in names}
+    if section.photons is not None:
+        return {name: scale_counts(values[name], edges, section.photons) for name in names}
+    stderr = {name: measured[name + STDERR_SUFFIX].to_numpy(dtype=float) for name in names}
+    return {name: ((edges, values[name]), stderr[name].reshape(shape)) for name in names}
 
 
 def scale_counts(counts: np.ndarray, edges: np.ndarray, photons: float) -> MeasuredReturn:
     """Return counted photons of a pulse as light per time."""
-    rates = counts / (photons * np.diff(edges))
-    return MeasuredReturn(edges, rates, {"photons": photons})
+    return (edges, counts / (photons * np.diff(edges))), {"photons": photons}
 
 
 def _read_bins(key: str, measured: Mapping[str, Any], wavelengths: np.ndarray) -> np.ndarray:
@@ -412,20 +393,30 @@ def _read_bins(key: str, measured: Mapping[str, Any], wavelengths: np.ndarray) -
     )
     given, start, end = (np.asarray(measured[name], dtype=float) for name in BIN_COLUMNS)
     n_bins = given.size // wavelengths.size
-    if given.size % wavelengths.size or not np.allclose(given, np.repeat(wavelengths, n_bins)):
-        allowed = f"as many bins at each wavelength of the table, {wavelengths.tolist()} nm"
-        hint = "all delays of the first wavelength, then those of the next"
-        raise invalid(f"{key} ({WAVELENGTH_COLUMN})", np.unique(given).tolist(), allowed, hint)
+    is_complete = given.size == n_bins * wavelengths.size
+    check_relations(
+        (
+            is_complete and np.allclose(given, np.repeat(wavelengths, n_bins)),
+            f"{key} ({WAVELENGTH_COLUMN})", np.unique(given).tolist(),
+            f"as many bins at each wavelength of the table, {wavelengths.tolist()} nm",
+            "all delays of the first wavelength, then those of the next",
+        )
+    )  # fmt: skip
     start, end = start.reshape(-1, n_bins), end.reshape(-1, n_bins)
-    width = end - start
-    if not (width > 0.0).all():
-        hint = "delays are in seconds"
-        raise invalid(f"{key} (delay_end_s)", float(end[width <= 0.0][0]), "above its start", hint)
-    tolerance = DELAY_TOLERANCE * width.min()
+    is_wide = end > start
+    tolerance = DELAY_TOLERANCE * (end - start).min()
     edges = np.append(start[0], end[0, -1])
-    if np.abs(start - edges[:-1]).max() > tolerance or np.abs(end - edges[1:]).max() > tolerance:
-        allowed = "bins that follow each other, the same at all wavelengths"
-        raise invalid(f"{key} (delay_start_s)", "with gaps or overlaps", allowed)
+    distance = np.maximum(np.abs(start - edges[:-1]), np.abs(end - edges[1:])).max()
+    check_relations(
+        (
+            is_wide.all(), f"{key} (delay_end_s)", next(iter(end[~is_wide].tolist()), None),
+            "above its start", "delays are in seconds",
+        ),
+        (
+            not distance > tolerance, f"{key} (delay_start_s)", "with gaps or overlaps",
+            "bins that follow each other, the same at all wavelengths",
+        ),
+    )  # fmt: skip
     return edges
 
 
@@ -487,7 +478,7 @@ def simulate_returns(
             delay_s=edges, pulse=section.pulse, acceptance_deg=instrument.get("acceptance_deg"),
             footprint_radius_m=instrument.get("footprint_radius_m"), threads=threads,
         )  # fmt: skip
-        one_photon = scale_counts(np.ones(edges.size - 1), edges, photons).rates
+        (_, one_photon), _ = scale_counts(np.ones(edges.size - 1), edges, photons)
         rates = light.return_rate.sel(side="reflected").transpose("wavelength", "delay_s").values
         expected = truth.get(SCALE, 1.0) * rates / one_photon
         counts = np.random.default_rng([seed, number]).poisson(expected)
@@ -504,10 +495,10 @@ def retrieve_samples(
 ) -> list[SampleRetrieval]:
     """Return the retrievals of all samples, and log them beside known values."""
     references, retrievals = section.list_references(), []
-    for sample, (edges, rates, noise) in returns.items():
+    for sample, (measured, noise) in returns.items():
         with key_prefix(f"retrieve_return ({sample})"):
             result = retrieve_return(
-                (edges, rates), table, section.free, noise, pulse=section.pulse,
+                measured, table, section.free, noise, pulse=section.pulse,
                 fixed=section.fixed or None, prior=section.prior or None, seed=seed,
             )  # fmt: skip
         retrievals.append(SampleRetrieval(SINGLE_MODEL, sample, result, np.nan, False))

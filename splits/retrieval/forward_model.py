@@ -1,19 +1,23 @@
-"""Forward models of a measurement: a table, a linear model, and one interpolated between states."""
+"""Forward models of a measurement: a table, and a model that is linear near a state.
+
+Every model has a state vector, and for coordinates of it `evaluate` (many states at once),
+`jacobian` and `error_covariance`.  The model of a medium is in
+`splits.retrieval.medium_model`.
+"""
 
 from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from splits.core.validation import invalid, key_prefix
+from splits.core.validation import check_choice, check_relations, invalid, key_prefix
 from splits.illumination.bands import SpectralOperator
 from splits.kernels.interpolation import interpolate, interpolate_states
-from splits.retrieval.measurement import Measurement
+from splits.retrieval.measurement import Measurement, correlate_errors
 from splits.retrieval.state_vector import SCALE, ParameterRange, StateVector
 from splits.tables.axes import (
     DIFFUSE_PREFIX,
@@ -56,7 +60,22 @@ def make_measurement_operator(
     return SpectralOperator(rows, error_weights)
 
 
-class TableForwardModel:
+class ForwardModel(Protocol):
+    """Modelled measurements of states, which are coordinates of a state vector."""
+
+    state_vector: StateVector
+
+    def evaluate(self, states: np.ndarray) -> np.ndarray:
+        """Return modelled measurements, shape (states, n)."""
+
+    def jacobian(self, state: np.ndarray) -> np.ndarray:
+        """Return the Jacobian with respect to the coordinates, shape (n, parameters)."""
+
+    def error_covariance(self, state: np.ndarray) -> np.ndarray:
+        """Return the covariance of the errors of the model, shape (n, n)."""
+
+
+class TableModel:
     """Forward model that interpolates a table.
 
     Parameters
@@ -70,6 +89,8 @@ class TableForwardModel:
     quantity : str
     operator : SpectralOperator, optional
         From the spectra of the table to the measurement, see `make_measurement_operator`.
+    independent_errors : bool
+        Whether errors of nodes are independent between the wavelengths of the table.
     """
 
     def __init__(
@@ -80,16 +101,23 @@ class TableForwardModel:
         fixed: Mapping[str, Any] | None,
         quantity: str = "reflectance",
         operator: SpectralOperator | None = None,
+        independent_errors: bool = False,
     ) -> None:
         self.state_vector, self.table, self.quantity = state_vector, table, quantity
+        self.independent_errors = independent_errors
         self.fixed = check_axis_values(
             fixed, table.axes[:-1], "fixed.", free_axes=state_vector.names
         )
-        for name in table.axes[:-1]:
-            is_given = name in state_vector.names or name in self.fixed
-            if not is_given and table.dataset[name].size > 1:
-                hint = "an axis of the table that is not free"
-                raise invalid(f"fixed.{name}", None, "given", hint)
+        known = {*state_vector.names, *self.fixed}
+        check_relations(
+            *(
+                (
+                    name in known or table.dataset[name].size == 1, f"fixed.{name}", None, "given",
+                    "an axis of the table that is not free",
+                )
+                for name in table.axes[:-1]
+            )
+        )  # fmt: skip
         self.measurement = measurement
         self.operator = operator or make_measurement_operator(
             measurement, table.dataset.wavelength.values
@@ -142,81 +170,59 @@ class TableForwardModel:
         interpolate_states(self.node_values, self.axis_nodes, self.n_nodes, axis_states, modelled)
         return modelled * self._compute_scale(states)[:, np.newaxis]
 
-    def evaluate_state(self, state: np.ndarray) -> np.ndarray:
-        """Return the modelled measurement of one state, shape (n,)."""
-        return self.evaluate(state[np.newaxis])[0]
-
-    def evaluate_with_jacobian(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the modelled measurement, shape (n,), and its Jacobian, shape (n, parameters)."""
+    def jacobian(self, state: np.ndarray) -> np.ndarray:
+        """Return the Jacobian with respect to the coordinates, shape (n, parameters)."""
         n_values = self.node_values.shape[1]
         values, axis_jacobian = np.empty(n_values), np.empty((n_values, len(self.axes)))
         axis_state = np.ascontiguousarray(state[self._axis_indices])
         interpolate(
             self.node_values, self.axis_nodes, self.n_nodes, axis_state, values, axis_jacobian
         )
-        scale = float(self._compute_scale(state))
         jacobian = np.zeros((n_values, len(self.state_vector.names)))
-        jacobian[:, self._axis_indices] = scale * axis_jacobian
+        jacobian[:, self._axis_indices] = float(self._compute_scale(state)) * axis_jacobian
         if self._scale_index is not None:
             jacobian[:, self._scale_index] = (
                 values * (self.state_vector.high - self.state_vector.low)[self._scale_index]
             )
-        return scale * values, jacobian
+        return jacobian
 
-    def compute_error_covariance(self, state: np.ndarray) -> np.ndarray:
-        """Return the covariance of the error of the table, shape (n, n).
+    def error_covariance(self, state: np.ndarray) -> np.ndarray:
+        """Return the covariance of the errors of the table, shape (n, n).
 
         Errors of nodes are correlated between wavelengths that share rays: by the batch deviations
-        of the table if it has them, else over `ERROR_CORRELATION_NM`.  The interpolation error
-        along an axis may resemble the effect of a parameter, so it is taken as fully correlated
-        between wavelengths.
+        of the table if it has them, else over `ERROR_CORRELATION_NM`, unless they are independent.
+        The interpolation error along an axis may resemble the effect of a parameter, so it is taken
+        as fully correlated between wavelengths.
         """
-        physical = self.state_vector.to_physical(state)
-        free_values = {
-            name: float(physical[self.state_vector.names.index(name)]) for name in self.axes
-        }
-        fixed = {name: value for name, value in self.fixed.items() if name in self.table.axes}
-        interpolated, q = self.table.interp(**{**fixed, **free_values}), self.quantity
-        interpolation_error = interpolated[f"{q}_interpolation_error"].values
+        physical, q = self.state_vector.to_physical(state), self.quantity
+        point = {name: value for name, value in self.fixed.items() if name in self.table.axes}
+        for index, name in zip(self._axis_indices, self.axes, strict=True):
+            point[name] = float(physical[index])
+        interpolated = self.table.interp(**point)
+        weights = self.operator.weights
         node_stderr = np.sqrt(
-            np.maximum(interpolated[f"{q}_stderr"].values ** 2 - interpolation_error**2, 0.0)
-        )
-        axis_errors = self.table.interpolation_errors(q, **fixed, **free_values)
-        axis_error = (
-            np.vstack([scale_axis_errors(axis_errors), self._resampling_errors])
-            @ self.operator.weights.T
-        )
-        wavelength_error = self.operator.error_weights @ interpolated[q].values
-        covariance = (
-            self.compute_node_covariance(node_stderr, {**fixed, **free_values})
-            + axis_error.T @ axis_error
-            + np.diag((wavelength_error**2).sum(axis=0))
-        )
-        return float(self._compute_scale(state)) ** 2 * covariance
-
-    def compute_node_covariance(
-        self, node_stderr: np.ndarray, axis_values: dict[str, Any]
-    ) -> np.ndarray:
-        """Return the covariance, shape (n, n), of the errors of nodes from their standard errors.
-
-        Parameters
-        ----------
-        node_stderr : float, shape (wavelengths,)
-            Interpolated standard errors of nodes.
-        axis_values : dict
-            Values of all axes.
-        """
-        stderr = np.abs(self.operator.weights) @ node_stderr
-        if f"{self.quantity}_batches" not in self.table.dataset:
-            wavelength = self.measurement.wavelength_nm
-            correlation = np.exp(
-                -np.abs(wavelength[:, np.newaxis] - wavelength) / ERROR_CORRELATION_NM
+            np.maximum(
+                interpolated[f"{q}_stderr"].values ** 2
+                - interpolated[f"{q}_interpolation_error"].values ** 2,
+                0.0,
             )
-            return correlation * stderr[:, np.newaxis] * stderr
-        batches = self.table.deviations(self.quantity, **axis_values) @ self.operator.weights.T
-        covariance: np.ndarray = batches.T @ batches
-        # Standard errors include the interpolation between refractive indices, batches do not.
-        return covariance + np.diag(np.maximum(stderr**2 - np.diag(covariance), 0.0))
+        )
+        stderr = np.abs(weights) @ node_stderr
+        if self.independent_errors:
+            scaled = weights * node_stderr
+            nodes = scaled @ scaled.T
+        elif f"{q}_batches" in self.table.dataset:
+            batches = self.table.deviations(q, **point) @ weights.T
+            nodes = batches.T @ batches
+            # Standard errors include the interpolation between refractive indices, batches do not.
+            nodes = nodes + np.diag(np.maximum(stderr**2 - np.diag(nodes), 0.0))
+        else:
+            nodes = correlate_errors(stderr, self.measurement.wavelength_nm, ERROR_CORRELATION_NM)
+        axis_errors = scale_axis_errors(self.table.interpolation_errors(q, **point))
+        axis_error = np.vstack([axis_errors, self._resampling_errors]) @ weights.T
+        wavelength_error = self.operator.error_weights @ interpolated[q].values
+        covariance = nodes + axis_error.T @ axis_error + np.diag((wavelength_error**2).sum(axis=0))
+        return float(self._compute_scale(state)) ** 2 * covariance
 
     def evaluate_first_guesses(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the states of all nodes in the ranges, and their modelled measurements."""
@@ -237,109 +243,101 @@ GRADIENT_STEP = 1e-4
 """Step of coordinates for derivatives."""
 
 
-@dataclass
-class LinearizedModel:
-    """Forward model linearized about one state.
+class LinearModel:
+    """Forward model that is linear about one state, with an interpolated deviation from that.
 
-    Attributes
+    The deviation is interpolated by radial functions between the states where it is known.
+
+    Parameters
     ----------
     state_vector : StateVector
     state : float, shape (parameters,)
         Coordinates.
     modelled : float, shape (n,)
         Modelled measurement.
-    jacobian : float, shape (n, parameters)
-    error_covariance : float, shape (n, n)
-        Covariance of the forward-model error.
-    """
-
-    state_vector: StateVector
-    state: np.ndarray
-    modelled: np.ndarray
-    jacobian: np.ndarray
-    error_covariance: np.ndarray
-
-    def evaluate(self, states: np.ndarray) -> np.ndarray:
-        """Return modelled measurements, shape (states, n)."""
-        return self.modelled + (states - self.state) @ self.jacobian.T
-
-    def evaluate_with_jacobian(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the modelled measurement, shape (n,), and its Jacobian, shape (n, parameters)."""
-        return self.evaluate(state[np.newaxis])[0], self.jacobian
-
-    def compute_error_covariance(self, state: np.ndarray) -> np.ndarray:
-        """Return the covariance of the forward-model error, shape (n, n)."""
-        return self.error_covariance
-
-    def evaluate_first_guesses(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the state of the linearization, and its modelled measurement."""
-        return self.state[np.newaxis], self.modelled[np.newaxis]
-
-
-class InterpolatedModel(LinearizedModel):
-    """Forward model that interpolates between states.
-
-    Parameters
-    ----------
-    linear_model : LinearizedModel
-    states : float, shape (states, parameters)
-    values : float, shape (states, n)
-        Modelled measurements.
+    slopes : float, shape (n, parameters)
+        Jacobian at the state.
+    covariance : float, shape (n, n)
+        Covariance of the errors of the model.
     """
 
     def __init__(
-        self, linear_model: LinearizedModel, states: np.ndarray, values: np.ndarray
-    ) -> None:
+        self, state_vector: StateVector, state: np.ndarray, modelled: np.ndarray,
+        slopes: np.ndarray, covariance: np.ndarray,
+    ) -> None:  # fmt: skip
+        self.state_vector, self.state, self.modelled = state_vector, state, modelled
+        self.slopes, self.covariance = slopes, covariance
+        self._deviation: Callable[[np.ndarray], np.ndarray] | None = None
+        self._states, self._values = state[np.newaxis], modelled[np.newaxis]
+
+    def with_deviation(self, states: np.ndarray, values: np.ndarray) -> LinearModel:
+        """Return a model with the given values, shape (states, n), at some states."""
         from scipy.interpolate import RBFInterpolator
 
-        super().__init__(**vars(linear_model))
-        self._states, self._values, self._whiten = states, values, compute_whitening(states)
-        deviation = values - linear_model.evaluate(states)
-        self._deviation = RBFInterpolator(
-            states @ self._whiten, deviation, kernel="quintic", degree=2
+        changed, whiten = copy.copy(self), standardize(states)
+        deviation = values - (self.modelled + (states - self.state) @ self.slopes.T)
+        interpolate_deviation = RBFInterpolator(
+            states @ whiten, deviation, kernel="quintic", degree=2
         )
+        changed._deviation = lambda new: interpolate_deviation(new @ whiten)
+        changed._states, changed._values = states, values
+        return changed
 
     def evaluate(self, states: np.ndarray) -> np.ndarray:
         """Return modelled measurements, shape (states, n)."""
-        deviation: np.ndarray = self._deviation(states @ self._whiten)
-        return super().evaluate(states) + deviation
+        linear = self.modelled + (states - self.state) @ self.slopes.T
+        return linear if self._deviation is None else linear + self._deviation(states)
 
-    def evaluate_with_jacobian(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the modelled measurement, shape (n,), and its Jacobian, shape (n, parameters)."""
+    def jacobian(self, state: np.ndarray) -> np.ndarray:
+        """Return the Jacobian with respect to the coordinates, shape (n, parameters)."""
+        if self._deviation is None:
+            return self.slopes
         steps = GRADIENT_STEP * np.eye(len(state))
-        values = self.evaluate(state + np.concatenate([0.0 * steps[:1], steps, -steps]))
-        high, low = np.split(values[1:], 2)
-        return values[0], (high - low).T / (2.0 * GRADIENT_STEP)
+        high, low = np.split(self.evaluate(state + np.concatenate([steps, -steps])), 2)
+        return (high - low).T / (2.0 * GRADIENT_STEP)
+
+    def error_covariance(self, state: np.ndarray) -> np.ndarray:
+        """Return the covariance of the errors of the model, shape (n, n)."""
+        return self.covariance
 
     def evaluate_first_guesses(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the states, and their modelled measurements."""
+        """Return the states with known values, and these values."""
         return self._states, self._values
 
 
-def compute_whitening(states: np.ndarray) -> np.ndarray:
+def standardize(states: np.ndarray) -> np.ndarray:
     """Return the matrix that makes the coordinates of states independent, with variances of 1."""
     covariance = np.cov(states, rowvar=False).reshape(states.shape[1], -1)
     floor = MIN_SPREAD**2 * np.eye(len(covariance))
     return np.linalg.inv(np.linalg.cholesky(covariance + floor)).T
 
 
-ForwardModel = TableForwardModel | LinearizedModel
-Model = TypeVar("Model")
+Model = TypeVar("Model", bound=ForwardModel)
 
 
 def drop_priors(model: Model) -> Model:
     """Return a forward model whose state vector has no priors; it shares all else."""
-    changed: Any = copy.copy(model)
+    changed = copy.copy(model)
     changed.state_vector = changed.state_vector.without_priors()
-    return changed  # type: ignore[no-any-return]
+    return changed
 
 
-def choose_quantity(table: Table, quantity: str | None) -> str:
-    """Return the measured quantity; it must be given for a table of several in a direction."""
-    if quantity is not None or not table.has_direction:
-        return quantity or "reflectance"
-    names = [name for name in table.quantities if not name.startswith(DIFFUSE_PREFIX)]
-    raise invalid("quantity", None, f"given: {' or '.join(names)}", "the table has directions")
+def select_quantity(
+    table: Table, quantity: str | None, fixed: Mapping[str, Any] | None
+) -> tuple[Table, str, Mapping[str, Any] | None]:
+    """Return a table in the direction of a measurement, the measured quantity, and other values.
+
+    The quantity must be given for a table of several in a direction.
+    """
+    hint = "splits.Table(splits.build_table(…)), or splits.open_table(…)"
+    check_relations((isinstance(table, Table), "table", type(table).__name__, "a Table", hint))
+    if quantity is None and table.has_direction:
+        names = [name for name in table.quantities if not name.startswith(DIFFUSE_PREFIX)]
+        allowed = f"given: {' or '.join(names)}"
+        raise invalid("quantity", None, allowed, "the table has directions")
+    if table.has_views:
+        table, fixed = table.fix_view(fixed or {}, "fixed.")
+    return table, check_choice("quantity", quantity or "reflectance", table.quantities), fixed
 
 
 def get_table_ranges(table: Table) -> dict[str, ParameterRange]:

@@ -6,8 +6,9 @@ Compiled descents find the most probable state of every pixel by interpolation o
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,16 +19,17 @@ from splits.core.inputs import Threads
 from splits.core.keywords import declare_function
 from splits.core.labels import check_nanometres, convert_units
 from splits.core.uncertainty import make_variable
-from splits.core.validation import InvalidValue, check_choice, invalid, join_names
+from splits.core.validation import InvalidValue, check_relations, invalid, join_names
 from splits.illumination.bands import Bands, SpectralBand, check_bands
 from splits.io.netcdf import ANCILLARY_ATTRIBUTE, make_provenance, to_netcdf_attributes
 from splits.kernels.compiler.jit import entry_point
 from splits.kernels.interpolation import interpolate
 from splits.media.parameters import describe_parameter
 from splits.media.snow_pack_input import FLAG_NAME
-from splits.retrieval.forward_model import TableForwardModel, choose_quantity, get_table_ranges
+from splits.retrieval.forward_model import TableModel, get_table_ranges, select_quantity
 from splits.retrieval.measurement import MAX_REFLECTANCE, Measurement, check_modelled_quantity
-from splits.retrieval.state_vector import SCALE, StateVector
+from splits.retrieval.optimal_estimation import compute_whitening
+from splits.retrieval.state_vector import SCALE, Prior, StateVector
 from splits.tables.table import Table
 
 MAX_ITERATIONS = 60
@@ -51,6 +53,11 @@ class TableGrid(NamedTuple):
     start_states : float64[starts, axes]
         Coordinates at which descents may start.
     start_values : float64[starts, columns]
+    mean_spectrum : float64[wavelengths]
+    projection : float64[columns, wavelengths]
+        From deviations of spectra from the mean to the columns.
+    whitening : float64[wavelengths, wavelengths]
+        Lower triangular; the noise of whitened spectra has variance 1.
     """
 
     node_values: np.ndarray
@@ -58,36 +65,36 @@ class TableGrid(NamedTuple):
     n_nodes: np.ndarray
     start_states: np.ndarray
     start_values: np.ndarray
+    mean_spectrum: np.ndarray
+    projection: np.ndarray
+    whitening: np.ndarray
 
 
 @entry_point
-def project_spectra(spectra, mean_spectrum, projection, whitening, components, residual_chi2):
+def project_spectra(spectra, grid, components, residual_chi2):
     """Set the components of spectra, and the residual sums of squares, in units of noise.
 
     Parameters
     ----------
     spectra : float64[measurements, wavelengths]
-    mean_spectrum : float64[wavelengths]
-    projection : float64[components, wavelengths]
-    whitening : float64[wavelengths, wavelengths]
-        Lower triangular matrix that whitens the noise.
-    components : float64[measurements, components]
+    grid : TableGrid
+    components : float64[measurements, columns]
     residual_chi2 : float64[measurements]
     """
-    n_wavelengths = len(mean_spectrum)
+    n_wavelengths = spectra.shape[1]
     deviation = np.empty(n_wavelengths)
     for row in range(len(spectra)):
         residual = 0.0
         for i in range(n_wavelengths):
-            deviation[i] = spectra[row, i] - mean_spectrum[i]
+            deviation[i] = spectra[row, i] - grid.mean_spectrum[i]
             total = 0.0
             for j in range(i + 1):
-                total += whitening[i, j] * deviation[j]
+                total += grid.whitening[i, j] * deviation[j]
             residual += total * total
-        for component in range(len(projection)):
+        for component in range(len(grid.projection)):
             total = 0.0
             for i in range(n_wavelengths):
-                total += projection[component, i] * deviation[i]
+                total += grid.projection[component, i] * deviation[i]
             components[row, component] = total
             residual -= total * total
         residual_chi2[row] = max(residual, 0.0)
@@ -139,37 +146,25 @@ def evaluate_cost(grid, measurement, prior, state, modelled, jacobian, gradient,
 def compute_damped_step(state, gradient, hessian, damping, new_state):
     """Set the new state of a damped step within the bounds; coordinates at active bounds stay."""
     axes = len(state)
-    is_fixed = np.zeros(axes, dtype=np.bool_)
+    at_low, at_high = state <= 0.0, state >= 1.0
+    is_fixed = (at_low & (gradient > 0.0)) | (at_high & (gradient < 0.0))
     # The damping is common to all: at 0 of a root transform the own slope would vanish.
     mean_damping = 0.0
     for a in range(axes):
         mean_damping += damping * hessian[a, a] / axes
     for _ in range(axes):
         matrix = np.empty((axes, axes))
-        rhs = np.empty(axes)
-        for a in range(axes):
-            at_low, at_high = state[a] <= 0.0, state[a] >= 1.0
-            points_out = (at_low and gradient[a] > 0.0) or (at_high and gradient[a] < 0.0)
-            is_fixed[a] = is_fixed[a] or points_out
-            rhs[a] = 0.0 if is_fixed[a] else -gradient[a]
         for a in range(axes):
             for b in range(axes):
                 matrix[a, b] = 0.0 if is_fixed[a] or is_fixed[b] else hessian[a, b]
             matrix[a, a] = 1.0 if is_fixed[a] else hessian[a, a] + mean_damping + 1e-12
-        step = np.linalg.solve(matrix, rhs)
-        blocked = False
-        for a in range(axes):
-            new_state[a] = state[a] + step[a]
-            crosses = (state[a] <= 0.0 and new_state[a] < 0.0) or (
-                state[a] >= 1.0 and new_state[a] > 1.0
-            )
-            if crosses and not is_fixed[a]:
-                is_fixed[a] = True
-                blocked = True
-        if not blocked:
+        new_state[:] = state + np.linalg.solve(matrix, np.where(is_fixed, 0.0, -gradient))
+        crosses = (at_low & (new_state < 0.0)) | (at_high & (new_state > 1.0))
+        blocked = crosses & ~is_fixed
+        if not blocked.any():
             break
-    for a in range(axes):
-        new_state[a] = min(max(new_state[a], 0.0), 1.0)
+        is_fixed |= blocked
+    new_state[:] = np.minimum(np.maximum(new_state, 0.0), 1.0)
 
 
 @entry_point
@@ -295,7 +290,7 @@ def retrieve_map(
     noise: Any,
     *,
     fixed: Mapping[str, Any] | None = None,
-    prior: Mapping[str, Any] | None = None,
+    prior: Prior = None,
     bands: Bands = None,
     quantity: str | None = None,
     threads: Threads = None,
@@ -347,49 +342,53 @@ def retrieve_map(
     spectral_dim = BAND_DIM if named else "wavelength"
     # Unsupported types are rejected before work begins.
     as_float_array("image", np.empty(0, image.dtype))
-    quantity = choose_quantity(table, quantity)
-    check_choice("quantity", quantity, table.quantities)
-    if table.has_views:
-        table, fixed = table.fix_view(fixed or {}, "fixed.")
+    table, quantity, fixed = select_quantity(table, quantity, fixed)
     state_vector = StateVector.from_ranges(free, prior, get_table_ranges(table))
-    if SCALE in state_vector.names:
-        raise invalid("free", SCALE, "left out of maps")
-    _check_image_names(image, state_vector.names)
-    if named:
-        example: Any = np.full(len(named), 0.5)
-    else:
-        # Noise without labels is in the order of the image.
-        example = xr.full_like(image.wavelength, 0.5, float)
-    if noise is None:
-        hint = "only splits.retrieve estimates it from the misfit"
-        raise invalid("noise", None, "given", hint)
+    names = state_vector.names
+    taken = {*names, *(f"{name}_stderr" for name in names), "chi2", FLAG_NAME, RESULT_DIM}
+    check_relations(
+        (SCALE not in names, "free", SCALE, "left out of maps"),
+        *(
+            (
+                False, "image", f"with {one}", "without names that results have",
+                f"image.rename({{{one!r}: 'true_{one}'}}), or leave it out by drop_vars",
+            )
+            for one in {*map(str, {*image.dims, *image.coords})} & taken
+        ),
+        (
+            noise is not None, "noise", None, "given",
+            "only splits.retrieve estimates it from the misfit",
+        ),
+    )  # fmt: skip
+    # Noise without labels is in the order of the image.
+    example = np.full(len(named), 0.5) if named else xr.full_like(image.wavelength, 0.5, float)
     measurement = Measurement.from_input(example, noise, bands)
     image = image if named else image.sortby("wavelength")
-    model = TableForwardModel(table, measurement, state_vector, fixed, quantity)
+    model = TableModel(table, measurement, state_vector, fixed, quantity)
     check_modelled_quantity("image", image, quantity, model.list_fixed_values())
     random = np.random.default_rng(1)
     model_covariances = [
-        model.compute_error_covariance(state)
+        model.error_covariance(state)
         for state in random.random((N_STATES, len(state_vector.names)))
     ]
     covariance = measurement.covariance + np.mean(model_covariances, axis=0)
     is_lazy = image.chunks is not None
-    retrieval = _MapRetrieval.from_covariance(model, covariance, threads, is_lazy)
     dims = [dim for dim in image.dims if dim != spectral_dim]
     stacked = image.transpose(*dims, spectral_dim)
-    if is_lazy:
-        stacked = stacked.chunk({spectral_dim: -1})
-    n_results = 2 * len(state_vector.names) + 2
     results = xr.apply_ufunc(
-        retrieval.retrieve_block,
-        stacked,
+        _retrieve_block,
+        stacked.chunk({spectral_dim: -1}) if is_lazy else stacked,
+        kwargs={
+            "model": model, "grid": make_grid(model, covariance), "threads": threads,
+            "is_lazy": is_lazy,
+        },
         input_core_dims=[[spectral_dim]],
         output_core_dims=[[RESULT_DIM]],
         dask="parallelized",
         output_dtypes=[float],
-        dask_gufunc_kwargs={"output_sizes": {RESULT_DIM: n_results}},
-    )
-    return _make_dataset(results, state_vector, retrieval.expected_chi2)
+        dask_gufunc_kwargs={"output_sizes": {RESULT_DIM: 2 * len(names) + 2}},
+    )  # fmt: skip
+    return _make_dataset(results, state_vector, compute_expected_chi2(model))
 
 
 def _check_image(image: Any, bands: Mapping[str, SpectralBand]) -> xr.DataArray:
@@ -402,16 +401,22 @@ def _check_image(image: Any, bands: Mapping[str, SpectralBand]) -> xr.DataArray:
         raise invalid("image", type(image).__name__, allowed)
     dims = f"over {join_names(map(str, image.dims))}"
     own: tuple[Any, ...] = image.wavelength.dims if "wavelength" in image.coords else ()
-    if bands and BAND_DIM not in image.dims:
-        raise invalid("image", dims, allowed, "image.rename(…), or leave out bands")
-    if not bands and len(own) != 1:
-        hint = "bands=… for bands of a sensor; image.assign_coords(wavelength=('spectrum', […]))"
-        raise invalid("image", dims, allowed, hint)
-    if bands and image.sizes[BAND_DIM] != len(bands):
-        sizes = f"{image.sizes[BAND_DIM]} bands"
-        raise invalid("image", sizes, f"over {len(bands)}, as many as in bands")
-    if not image.size:
-        raise invalid("image", "no pixel", "at least one")
+    n_bands = image.sizes.get(BAND_DIM)
+    check_relations(
+        (
+            not bands or n_bands is not None, "image", dims, allowed,
+            "image.rename(…), or leave out bands",
+        ),
+        (
+            bands or len(own) == 1, "image", dims, allowed,
+            "bands=… for bands of a sensor; image.assign_coords(wavelength=('spectrum', […]))",
+        ),
+        (
+            not bands or n_bands == len(bands), "image", f"{n_bands} bands",
+            f"over {len(bands)}, as many as in bands",
+        ),
+        (image.size, "image", "no pixel", "at least one"),
+    )  # fmt: skip
     if bands:
         labels = find_labels(image, image.get_axis_num(BAND_DIM))
         image = image.isel({BAND_DIM: match_labels(f"image.{BAND_DIM}", labels, [list(bands)])})
@@ -419,15 +424,21 @@ def _check_image(image: Any, bands: Mapping[str, SpectralBand]) -> xr.DataArray:
         check_nanometres("image", image.wavelength)
         image = image if own == ("wavelength",) else image.swap_dims({own[0]: "wavelength"})
     by_wavelength = image.wavelength.values.tolist() if bands and own == (BAND_DIM,) else []
-    for (name, band), wavelength in zip(bands.items(), by_wavelength, strict=False):
-        if not band.limits_nm[0] <= wavelength <= band.limits_nm[1]:
-            hint = "is the order of the bands that of the image?"
-            raise invalid("image.wavelength", wavelength, f"within {band} of {name}", hint)
+    check_relations(
+        *(
+            (
+                band.limits_nm[0] <= wavelength <= band.limits_nm[1], "image.wavelength",
+                wavelength, f"within {band} of {name}",
+                "is the order of the bands that of the image?",
+            )
+            for (name, band), wavelength in zip(bands.items(), by_wavelength, strict=False)
+        )
+    )  # fmt: skip
     return image.copy(data=convert_units("image", image.data, image.attrs.get("units"), "1"))
 
 
-def _find_defect(spectra: np.ndarray, measurement: Measurement) -> InvalidValue | None:
-    """Return the error for spectra of which none is valid because of their scale or of a band.
+def _check_block(spectra: np.ndarray, measurement: Measurement) -> None:
+    """Reject spectra of which none is valid because of their scale or of a band.
 
     Gaps alone are no defect.  Pixels that are 0 in all bands, as outside of a scene, say nothing of
     the scale.
@@ -438,150 +449,127 @@ def _find_defect(spectra: np.ndarray, measurement: Measurement) -> InvalidValue 
     measurement : Measurement
         With the bands or wavelengths of the spectra.
     """
-    is_number = np.isfinite(spectra)
-    if not is_number.any():
-        return None
+    is_number, names = np.isfinite(spectra), [*measurement.bands]
     empty = np.flatnonzero(~is_number.any(axis=0))
     if empty.size and np.count_nonzero(is_number.any(axis=1)) > 1:
         hint = "leave it out: image.dropna('wavelength', how='all')"
         found = f"without a number at {measurement.wavelength_nm[empty[0]]:g} nm"
-        if measurement.bands:
-            name = [*measurement.bands][empty[0]]
+        if names:
+            name = names[empty[0]]
             hint = f"leave {name} out of bands, and of the image: image.dropna('band', how='all')"
             found = f"without a number in band {name}"
-        return invalid("image", found, "numbers in each band", hint)
+        raise invalid("image", found, "numbers in each band", hint)
     spectra = spectra[is_number.all(axis=1) & (spectra != 0.0).any(axis=1)]
     if spectra.size and (np.abs(spectra).max(axis=1) > MAX_REFLECTANCE).all():
-        median = float(np.median(spectra))
-        hint = "fractions, neither per cent nor digital numbers: divide the image by its scale"
         allowed = f"reflectances of at most {MAX_REFLECTANCE:g} in some pixel"
-        return invalid("image", f"of the median {median:.4g}", allowed, hint)
-    return None
+        hint = "fractions, neither per cent nor digital numbers: divide the image by its scale"
+        raise invalid("image", f"of the median {np.median(spectra):.4g}", allowed, hint)
 
 
-def _check_image_names(image: xr.DataArray, names: Sequence[str]) -> None:
-    """Reject dimensions and coordinates of an image with names of results."""
-    results = {*names, *(f"{name}_stderr" for name in names), "chi2", FLAG_NAME, RESULT_DIM}
-    for name in map(str, {*image.dims, *image.coords} & results):
-        hint = f"image.rename({{{name!r}: 'true_{name}'}}), or leave it out by drop_vars"
-        raise invalid("image", f"with {name}", "without names that results have", hint)
+def make_grid(model: TableModel, covariance: np.ndarray) -> TableGrid:
+    """Return the table of a model on the components that vary more than the noise.
 
-
-class _MapRetrieval(NamedTuple):
-    """Retrieval of blocks of pixels.
-
-    Attributes
+    Parameters
     ----------
-    model : TableForwardModel
-    grid : TableGrid
-        Its nodes, projected on the components that vary significantly.
-    mean_spectrum : float, shape (wavelengths,)
-    projection : float, shape (components, wavelengths)
-    whitening : float, shape (wavelengths, wavelengths)
-        Lower triangular; the noise of whitened spectra and of every component has variance 1.
-    threads : int, optional
-    is_lazy : bool
-        Whether blocks are computed later, so that a defect of one is no error of the image.
+    model : TableModel
+    covariance : float, shape (wavelengths, wavelengths)
+        Of measurement and model.
     """
+    whitening = compute_whitening(covariance)
+    nodes = model.table_node_values
+    mean_spectrum = nodes.mean(axis=0)
+    _, singular_values, directions = np.linalg.svd(
+        (nodes - mean_spectrum) @ whitening.T, full_matrices=False
+    )
+    # Significant components have a standard deviation over the nodes above the limit.
+    min_value = np.sqrt(MIN_COMPONENT_VARIANCE) * np.sqrt(len(nodes))
+    n_significant = max(int((singular_values > min_value).sum()), len(model.axes))
+    projection = directions[: min(n_significant, MAX_COMPONENTS)] @ whitening
+    states, spectra = model.evaluate_first_guesses()
+    node_values, start_values = (
+        np.ascontiguousarray((values - mean_spectrum) @ projection.T)
+        for values in (model.node_values, spectra)
+    )
+    states = np.clip(states, 0.0, 1.0)
+    return TableGrid(
+        node_values, model.axis_nodes, model.n_nodes, states, start_values,
+        mean_spectrum, projection, whitening,
+    )  # fmt: skip
 
-    model: TableForwardModel
-    grid: TableGrid
-    mean_spectrum: np.ndarray
-    projection: np.ndarray
-    whitening: np.ndarray
-    threads: int | None
-    is_lazy: bool
 
-    @classmethod
-    def from_covariance(
-        cls, model: TableForwardModel, covariance: np.ndarray, threads: int | None, is_lazy: bool
-    ) -> _MapRetrieval:
-        """Return the retrieval for the covariance of measurement and model."""
-        whitening = np.linalg.inv(np.linalg.cholesky(covariance))
-        mean_spectrum = model.table_node_values.mean(axis=0)
-        whitened_nodes = (model.table_node_values - mean_spectrum) @ whitening.T
-        _, singular_values, directions = np.linalg.svd(whitened_nodes, full_matrices=False)
-        # Significant components have a standard deviation over the nodes above the limit.
-        min_value = np.sqrt(MIN_COMPONENT_VARIANCE) * np.sqrt(len(whitened_nodes))
-        n_significant = max(int((singular_values > min_value).sum()), len(model.axes))
-        projection = directions[: min(n_significant, MAX_COMPONENTS)] @ whitening
-        states, spectra = model.evaluate_first_guesses()
-        node_values, start_values = (
-            np.ascontiguousarray((values - mean_spectrum) @ projection.T)
-            for values in (model.node_values, spectra)
-        )
-        states = np.clip(states, 0.0, 1.0)
-        grid = TableGrid(node_values, model.axis_nodes, model.n_nodes, states, start_values)
-        return cls(model, grid, mean_spectrum, projection, whitening, threads, is_lazy)
+def compute_expected_chi2(model: TableModel) -> int:
+    """Return the expected χ²."""
+    return max(model.node_values.shape[1] - len(model.axes), 1)
 
-    @property
-    def expected_chi2(self) -> int:
-        """Expected χ²."""
-        return max(len(self.mean_spectrum) - len(self.model.axes), 1)
 
-    def retrieve_block(self, spectra: np.ndarray) -> np.ndarray:
-        """Return parameters, errors, misfit and flags of spectra, shape (..., what)."""
-        flat = as_float_array("image", spectra, allow_gaps=True).reshape(-1, spectra.shape[-1])
-        defect = _find_defect(flat, self.model.measurement)
-        if defect and not self.is_lazy:
-            raise defect
-        if defect:
-            warnings.warn(f"a block of the image has no result: {defect}", stacklevel=2)
-        with ThreadPoolExecutor(self.threads) as pool:
-            parts = [flat[i : i + CHUNK_PIXELS] for i in range(0, len(flat), CHUNK_PIXELS)]
-            results = np.concatenate(list(pool.map(self._retrieve_chunk, parts)))
-        return results.reshape(*spectra.shape[:-1], -1)
+def _retrieve_block(
+    spectra: np.ndarray, model: TableModel, grid: TableGrid, threads: int | None, is_lazy: bool
+) -> np.ndarray:
+    """Return parameters, errors, misfit and flags of spectra, shape (..., what).
 
-    def _retrieve_chunk(self, spectra: np.ndarray) -> np.ndarray:
-        from scipy.stats import chi2 as chi2_distribution
+    A defect of a block that is computed later is no error of the image.
+    """
+    flat = as_float_array("image", spectra, allow_gaps=True).reshape(-1, spectra.shape[-1])
+    try:
+        _check_block(flat, model.measurement)
+    except InvalidValue as defect:
+        if not is_lazy:
+            raise
+        warnings.warn(f"a block of the image has no result: {defect}", stacklevel=2)
+    with ThreadPoolExecutor(threads) as pool:
+        parts = [flat[i : i + CHUNK_PIXELS] for i in range(0, len(flat), CHUNK_PIXELS)]
+        results = list(pool.map(partial(_retrieve_chunk, model, grid), parts))
+    return np.concatenate(results).reshape(*spectra.shape[:-1], -1)
 
-        state_vector = self.model.state_vector
-        mean, precision = state_vector.prior_mean, state_vector.prior_precision
-        prior_variance = state_vector.prior_variance
-        has_gap = ~np.isfinite(spectra).all(axis=1)
-        # Comparisons with NaN are false.
-        is_out_of_range = ~has_gap & (np.abs(spectra) > MAX_REFLECTANCE).any(axis=1)
-        is_valid = ~(has_gap | is_out_of_range)
-        components = np.empty((len(spectra), len(self.projection)))
-        # No parameter explains the residual of the components.
-        residual_chi2 = np.empty(len(spectra))
-        project_spectra(
-            np.where(is_valid[:, np.newaxis], spectra, 0.5), self.mean_spectrum,
-            self.projection, self.whitening, components, residual_chi2,
-        )  # fmt: skip
-        states, variances = np.empty((2, len(spectra), len(mean)))
-        misfit = np.empty((len(spectra), 2))
-        retrieve_spectra(
-            self.grid, components, mean, precision, prior_variance, states, variances, misfit
-        )
-        chi2 = misfit[:, 0] + residual_chi2
-        max_chi2 = float(chi2_distribution.isf(POOR_FIT_PROBABILITY, self.expected_chi2))
-        is_poor = is_valid & (chi2 > max_chi2)
-        # Larger noise makes the misfit of a poor fit plausible; it does not widen the prior.
-        inflation = np.where(is_poor, chi2 / self.expected_chi2, 1.0)[:, np.newaxis]
-        prior_information = 1.0 / prior_variance
-        information = (1.0 / variances - prior_information) / inflation
-        variances = 1.0 / (information + prior_information)
-        low, high = (
-            state_vector.to_physical(np.clip(states + sign * np.sqrt(variances), 0.0, 1.0))
-            for sign in (-1.0, 1.0)
-        )
-        # A lower bound of 0 is physical, so no flag is set.
-        at_low = (states < 1e-6) & (state_vector.low != 0.0)
-        is_unconstrained = np.sqrt(variances) > 0.5 * np.sqrt(prior_variance)
-        is_set = {
-            "gap": has_gap,
-            "out_of_range": is_out_of_range,
-            "poor_fit": is_poor,
-            "at_lower_bound": is_valid & at_low.any(axis=1),
-            "at_upper_bound": is_valid & (states > 1.0 - 1e-6).any(axis=1),
-            "unconstrained": is_valid & is_unconstrained.any(axis=1),
-            "not_converged": is_valid & (misfit[:, 1] == 0.0),
-        }
-        stderr = 0.5 * np.abs(high - low)
-        results = np.column_stack([state_vector.to_physical(states), stderr, chi2])
-        results[~is_valid] = np.nan
-        return np.column_stack([results, sum(FLAGS[name] * is_set[name] for name in FLAGS)])
+
+def _retrieve_chunk(model: TableModel, grid: TableGrid, spectra: np.ndarray) -> np.ndarray:
+    """Return parameters, errors, misfit and flags of spectra, shape (pixels, what)."""
+    from scipy.stats import chi2 as chi2_distribution
+
+    state_vector, expected_chi2 = model.state_vector, compute_expected_chi2(model)
+    mean, precision = state_vector.prior_mean, state_vector.prior_precision
+    prior_variance = state_vector.prior_variance
+    has_gap = ~np.isfinite(spectra).all(axis=1)
+    # Comparisons with NaN are false.
+    is_out_of_range = ~has_gap & (np.abs(spectra) > MAX_REFLECTANCE).any(axis=1)
+    is_valid = ~(has_gap | is_out_of_range)
+    components = np.empty((len(spectra), len(grid.projection)))
+    # No parameter explains the residual of the components.
+    residual_chi2 = np.empty(len(spectra))
+    project_spectra(
+        np.where(is_valid[:, np.newaxis], spectra, 0.5), grid, components, residual_chi2
+    )
+    states, variances = np.empty((2, len(spectra), len(mean)))
+    misfit = np.empty((len(spectra), 2))
+    retrieve_spectra(grid, components, mean, precision, prior_variance, states, variances, misfit)
+    chi2 = misfit[:, 0] + residual_chi2
+    max_chi2 = float(chi2_distribution.isf(POOR_FIT_PROBABILITY, expected_chi2))
+    is_poor = is_valid & (chi2 > max_chi2)
+    # Larger noise makes the misfit of a poor fit plausible; it does not widen the prior.
+    inflation = np.where(is_poor, chi2 / expected_chi2, 1.0)[:, np.newaxis]
+    prior_information = 1.0 / prior_variance
+    information = (1.0 / variances - prior_information) / inflation
+    variances = 1.0 / (information + prior_information)
+    low, high = (
+        state_vector.to_physical(np.clip(states + sign * np.sqrt(variances), 0.0, 1.0))
+        for sign in (-1.0, 1.0)
+    )
+    # A lower bound of 0 is physical, so no flag is set.
+    at_low = (states < 1e-6) & (state_vector.low != 0.0)
+    is_unconstrained = np.sqrt(variances) > 0.5 * np.sqrt(prior_variance)
+    is_set = {
+        "gap": has_gap,
+        "out_of_range": is_out_of_range,
+        "poor_fit": is_poor,
+        "at_lower_bound": is_valid & at_low.any(axis=1),
+        "at_upper_bound": is_valid & (states > 1.0 - 1e-6).any(axis=1),
+        "unconstrained": is_valid & is_unconstrained.any(axis=1),
+        "not_converged": is_valid & (misfit[:, 1] == 0.0),
+    }
+    stderr = 0.5 * np.abs(high - low)
+    results = np.column_stack([state_vector.to_physical(states), stderr, chi2])
+    results[~is_valid] = np.nan
+    return np.column_stack([results, sum(FLAGS[name] * is_set[name] for name in FLAGS)])
 
 
 def _make_dataset(

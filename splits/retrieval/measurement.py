@@ -12,7 +12,13 @@ import xarray as xr
 from splits.core.arrays import align_to_labels, as_float_array, check_increasing, find_labels
 from splits.core.inputs import check_wavelengths
 from splits.core.labels import check_nanometres, convert_units
-from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid, short_repr
+from splits.core.validation import (
+    ROUNDING_TOLERANCE,
+    check_range,
+    check_relations,
+    invalid,
+    short_repr,
+)
 from splits.illumination.bands import SpectralBand, as_bands
 from splits.tables.axes import ALL_QUANTITIES, AZIMUTH, POLAR, fold_azimuths
 
@@ -75,28 +81,27 @@ class Measurement(NamedTuple):
         wavelength, values = (
             _read_bands(measured, spectral_bands) if spectral_bands else _read_spectrum(measured)
         )
+        places = [f"in band {name}" for name in spectral_bands] or [
+            f"at {one:g} nm" for one in wavelength
+        ]
         gaps = np.flatnonzero(~np.isfinite(values))
         if gaps.size:
-            location = (
-                f"in band {[*spectral_bands][gaps[0]]}"
-                if spectral_bands
-                else f"at {wavelength[gaps[0]]:g} nm"
-            )
             hint = "masked, NaN or missing: leave those out"
-            raise invalid("measured", f"{gaps.size} gaps, the first {location}", "numbers", hint)
-        covariance = UNKNOWN_NOISE_STDERR**2 * np.eye(values.size)
-        if noise is not None:
-            covariance = _make_covariance("noise", noise, wavelength, list(spectral_bands))
+            found = f"{gaps.size} gaps, the first {places[gaps[0]]}"
+            raise invalid("measured", found, "numbers", hint)
+        covariance = (
+            UNKNOWN_NOISE_STDERR**2 * np.eye(values.size)
+            if noise is None
+            else _make_covariance("noise", noise, wavelength, list(spectral_bands))
+        )
         if isinstance(measured, xr.DataArray | pd.Series | pd.DataFrame) and not spectral_bands:
             # Labels may be in any order, also of noise that is in their order.
             order = np.argsort(wavelength)
             values, covariance = values[order], covariance[np.ix_(order, order)]
             wavelength = check_increasing("measured (wavelengths)", wavelength[order])
-        if np.abs(values).max() > MAX_REFLECTANCE:
-            largest = float(values[np.abs(values).argmax()])
-            raise invalid(
-                "measured", largest, f"at most {MAX_REFLECTANCE:g}", "a fraction, not per cent"
-            )
+        largest, allowed = values[np.abs(values).argmax()].item(), f"at most {MAX_REFLECTANCE:g}"
+        is_fraction, hint = abs(largest) <= MAX_REFLECTANCE, "a fraction, not per cent"
+        check_relations((is_fraction, "measured", largest, allowed, hint))
         return cls(values, wavelength, covariance, spectral_bands, noise is not None)
 
 
@@ -148,16 +153,21 @@ def check_modelled_quantity(
         getattr(measured, "name", "")
     ]  # fmt: skip
     name = str(names[0]).removeprefix("band_")
-    if quantity not in NAMED_QUANTITIES.get(name, [quantity]):
-        hint = f"the model gives the {quantity}, with which no other quantity is compared"
-        raise invalid(f"{key}.name", name, quantity, hint)
     coordinates = measured.coords if isinstance(measured, xr.DataArray) else {}
     modelled = {*conditions, *(["sky"] if "diffuse_fraction" in conditions else ())}
-    for condition, without in UNMODELLED_CONDITIONS.items():
-        if condition in {*coordinates} - modelled:
-            hint = f"the model has {without}; {key}.drop_vars({condition!r}) neglects that"
-            found = np.unique(coordinates[condition].values).tolist()
-            raise invalid(f"{key}.{condition}", found, "left out", hint)
+    check_relations(
+        (
+            quantity in NAMED_QUANTITIES.get(name, [quantity]), f"{key}.name", name, quantity,
+            f"the model gives the {quantity}, with which no other quantity is compared",
+        ),
+        *(
+            (
+                False, f"{key}.{one}", np.unique(coordinates[one].values).tolist(), "left out",
+                f"the model has {without}; {key}.drop_vars({one!r}) neglects that",
+            )
+            for one, without in UNMODELLED_CONDITIONS.items() if one in {*coordinates} - modelled
+        ),
+    )  # fmt: skip
 
 
 NAMED_QUANTITIES = {
@@ -188,31 +198,41 @@ def is_same_label(values: Any, expected: Any) -> bool:
 def _read_bands(measured: Any, bands: Mapping[str, SpectralBand]) -> tuple[np.ndarray, np.ndarray]:
     """Return the mean wavelengths (nm) and the reflectances of bands; reject invalid ones."""
     values = np.atleast_1d(align_to_labels("measured", measured, list(bands), allow_gaps=True))
-    if values.shape != (len(bands),):
-        raise invalid("measured", f"{values.size} values", f"{len(bands)}, one for each band")
-    return np.array([_compute_mean_wavelength(band) for band in bands.values()]), values
+    found, allowed = f"{values.size} values", f"{len(bands)}, one for each band"
+    check_relations((values.shape == (len(bands),), "measured", found, allowed))
+    means = []
+    for band in bands.values():
+        wavelength = np.linspace(*band.limits_nm, 501)
+        response = np.interp(wavelength, band.wavelength_nm, band.response)
+        means.append((wavelength * response).sum() / response.sum())
+    return np.array(means), values
 
 
 def _read_spectrum(measured: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return wavelengths (nm) and reflectances; reject invalid ones."""
     allowed = "a DataArray over wavelength, a Series, or (wavelengths, reflectances)"
     if isinstance(measured, pd.DataFrame):
-        if measured.shape[1] != 1:
-            hint = "choose one: frame['name'], with wavelengths (nm) for an index"
-            raise invalid("measured", f"a DataFrame of {measured.shape[1]} columns", allowed, hint)
+        hint = "choose one: frame['name'], with wavelengths (nm) for an index"
+        found = f"a DataFrame of {measured.shape[1]} columns"
+        check_relations((measured.shape[1] == 1, "measured", found, allowed, hint))
         measured = measured.iloc[:, 0]
     if isinstance(measured, xr.DataArray):
-        if measured.dims != ("wavelength",) or "wavelength" not in measured.coords:
-            raise invalid("measured", f"over {', '.join(map(str, measured.dims))}", allowed)
+        is_spectrum = measured.dims == ("wavelength",) and "wavelength" in measured.coords
+        found = f"over {', '.join(map(str, measured.dims))}"
+        check_relations((is_spectrum, "measured", found, allowed))
         check_nanometres("measured", measured.wavelength)
         numbers = as_float_array("measured", measured, allow_gaps=True)
         numbers = convert_units("measured", numbers, measured.attrs.get("units"), "1")
         pair: Any = (measured.wavelength.values, numbers)
     elif isinstance(measured, pd.Series):
-        if isinstance(measured.index, pd.RangeIndex) and measured.index.start == 0:
-            hint = "pandas.read_csv(file, index_col=0)['name'], if the first column has them"
-            raise invalid("measured", "a Series with a default index",
-                         "one over wavelengths (nm)", hint)  # fmt: skip
+        is_default = isinstance(measured.index, pd.RangeIndex) and measured.index.start == 0
+        hint = "pandas.read_csv(file, index_col=0)['name'], if the first column has them"
+        check_relations(
+            (
+                not is_default, "measured", "a Series with a default index",
+                "one over wavelengths (nm)", hint,
+            )
+        )  # fmt: skip
         pair = (measured.index.to_numpy(), measured.to_numpy())
     elif isinstance(measured, tuple | list) and len(measured) == 2:
         pair = measured
@@ -221,69 +241,67 @@ def _read_spectrum(measured: Any) -> tuple[np.ndarray, np.ndarray]:
     has_labels = isinstance(measured, xr.DataArray | pd.Series)
     wavelength = check_wavelengths("measured (wavelengths)", pair[0], is_sorted=not has_labels)
     values = align_to_labels("measured", pair[1], wavelength, find_labels(pair[0]), allow_gaps=True)
-    if values.shape != wavelength.shape:
-        sizes = f"{wavelength.size} wavelengths, {values.size} values"
-        raise invalid("measured", sizes, "the same number of wavelengths and values")
+    sizes = f"{wavelength.size} wavelengths, {values.size} values"
+    allowed = "the same number of wavelengths and values"
+    check_relations((values.shape == wavelength.shape, "measured", sizes, allowed))
     return wavelength, values
 
 
 def _make_covariance(
     key: str, noise: Any, wavelength_nm: np.ndarray, bands: Sequence[str]
 ) -> np.ndarray:
-    """Return the covariance of noise, in the order of wavelengths or bands."""
+    """Return the covariance of noise, in the order of wavelengths or bands.
+
+    A mapping has noise that is correlated between nearby wavelengths.
+    """
     n_values = wavelength_nm.size
-    allowed = f"standard errors in (0, 1), one or {n_values} of them, or their covariance"
     if isinstance(noise, Mapping):
-        return _make_correlated_covariance(noise, wavelength_nm, bands)
+        is_complete = {"stderr", "correlation_nm"} <= set(noise) <= {*NOISE_KEYS}
+        allowed = " and ".join(NOISE_KEYS[:2])
+        check_relations((is_complete, "noise", sorted(map(str, noise)), allowed))
+        length = check_range(
+            "noise.correlation_nm", noise["correlation_nm"], 0.0, 1e5, open_low=True
+        )
+        allowed = f"one standard error or {n_values} of them"
+        check_relations((np.ndim(noise["stderr"]) <= 1, "noise.stderr", "a matrix", allowed))
+        stderr = np.sqrt(
+            np.diag(_make_covariance("noise.stderr", noise["stderr"], wavelength_nm, bands))
+        )
+        covariance = correlate_errors(stderr, wavelength_nm, length)
+        if "independent" in noise:
+            independent = noise["independent"]
+            covariance += _make_covariance("noise.independent", independent, wavelength_nm, bands)
+        return covariance
+    allowed = f"standard errors in (0, 1), one or {n_values} of them, or their covariance"
     # A default index is no wavelength, but bands may be given in their order.
     labels = [bands] if bands else [wavelength_nm]
     values = align_to_labels(
         key, noise, *labels, allowed=allowed, ignore_default_labels=bool(bands)
     )
     if values.shape == (n_values, n_values):
-        if not np.allclose(values, values.T, rtol=ROUNDING_TOLERANCE, atol=0.0):
-            raise invalid(key, "a matrix that is not symmetric", allowed)
-        if not np.linalg.eigvalsh(values)[0] > 0.0:
-            raise invalid(key, "a matrix that is not positive definite", allowed)
-        if np.diag(values).max() >= MAX_NOISE_STDERR**2:
-            largest = float(np.diag(values).max())
-            allowed = f"below {MAX_NOISE_STDERR**2:g}"
-            raise invalid(key, f"a variance of {largest:g}", allowed, NOISE_HINT)
+        is_symmetric = np.allclose(values, values.T, rtol=ROUNDING_TOLERANCE, atol=0.0)
+        largest, limit = float(np.diag(values).max()), MAX_NOISE_STDERR**2
+        check_relations(
+            (is_symmetric, key, "a matrix that is not symmetric", allowed),
+            (
+                np.linalg.eigvalsh(values)[0] > 0.0, key, "a matrix that is not positive definite",
+                allowed,
+            ),
+            (largest < limit, key, f"a variance of {largest:g}", f"below {limit:g}", NOISE_HINT),
+        )  # fmt: skip
         return values
-    if values.shape not in ((), (n_values,)):
-        raise invalid(key, f"of shape {values.shape}", allowed)
-    is_invalid = ~((values > 0.0) & (values < MAX_NOISE_STDERR))
-    if is_invalid.any():
-        wrong = float(values[is_invalid].flat[0])
-        hint = "no measurement is without noise" if wrong <= 0.0 else NOISE_HINT
-        raise invalid(key, wrong, allowed, hint)
+    is_valid = (values > 0.0) & (values < MAX_NOISE_STDERR)
+    wrong = next(iter(values[~is_valid].tolist()), 1.0)
+    hint = "no measurement is without noise" if wrong <= 0.0 else NOISE_HINT
+    check_relations(
+        (values.shape in ((), (n_values,)), key, f"of shape {values.shape}", allowed),
+        (is_valid.all(), key, wrong, allowed, hint),
+    )
     return np.diag(np.broadcast_to(values, (n_values,)) ** 2)
 
 
-def _make_correlated_covariance(
-    noise: Mapping[str, Any], wavelength_nm: np.ndarray, bands: Sequence[str]
-) -> np.ndarray:
-    """Return the covariance of noise that is correlated between nearby wavelengths."""
-    if not {"stderr", "correlation_nm"} <= set(noise) <= {*NOISE_KEYS}:
-        raise invalid("noise", sorted(map(str, noise)), " and ".join(NOISE_KEYS[:2]))
-    length = check_range("noise.correlation_nm", noise["correlation_nm"], 0.0, 1e5, open_low=True)
-    if np.ndim(noise["stderr"]) > 1:
-        raise invalid(
-            "noise.stderr", "a matrix", f"one standard error or {wavelength_nm.size} of them"
-        )
-    stderr = _make_covariance("noise.stderr", noise["stderr"], wavelength_nm, bands)
+def correlate_errors(stderr: np.ndarray, wavelength_nm: np.ndarray, length: float) -> np.ndarray:
+    """Return the covariance of errors whose correlation at a distance d (nm) is e^(−d/length)."""
     distance = np.abs(wavelength_nm[:, np.newaxis] - wavelength_nm)
-    error = np.sqrt(np.diag(stderr))
-    covariance: np.ndarray = np.exp(-distance / length) * error[:, np.newaxis] * error
-    if "independent" in noise:
-        covariance += _make_covariance(
-            "noise.independent", noise["independent"], wavelength_nm, bands
-        )
+    covariance: np.ndarray = np.exp(-distance / length) * stderr[:, np.newaxis] * stderr
     return covariance
-
-
-def _compute_mean_wavelength(band: SpectralBand) -> float:
-    """Return the mean wavelength (nm) of a band."""
-    wavelength = np.linspace(*band.limits_nm, 501)
-    response = np.interp(wavelength, band.wavelength_nm, band.response)
-    return float((wavelength * response).sum() / response.sum())

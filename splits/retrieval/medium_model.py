@@ -7,13 +7,12 @@ ordinates, without noise.  Near the minimum, reflectance is assumed to be linear
 from __future__ import annotations
 
 import time
-from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -53,23 +52,21 @@ from splits.media.parameters import (
 from splits.retrieval.forward_model import (
     ERROR_CORRELATION_NM,
     SCALE_RANGE,
-    LinearizedModel,
     make_measurement_operator,
 )
 from splits.retrieval.linearization import (
     BOUND_MARGIN,
-    LocalMinimum,
+    Minima,
     is_jacobian_noisy,
     minimize_gauss_newton,
-    remove_jacobian_noise,
 )
-from splits.retrieval.measurement import Measurement
+from splits.retrieval.measurement import Measurement, correlate_errors
 from splits.retrieval.optimal_estimation import (
     ALTERNATIVE_CHI2,
     MIN_SEPARATION,
     MIN_START_SEPARATION,
-    MAPEstimate,
     Objective,
+    compute_whitening,
     select_distinct,
 )
 from splits.retrieval.state_vector import SCALE, ParameterRange, StateVector
@@ -83,30 +80,11 @@ MAX_EVALUATIONS = 60
 """Approximate limit of simulations per descent."""
 
 
-class DescentStage(NamedTuple):
-    """Settings of a stage of descents.
-
-    Attributes
-    ----------
-    n_starts : int
-        Largest number of descents, from the best states of the previous stage.
-    radius : float
-        Half the edge of the first trust region.
-    min_separation : float
-        Smallest distance between the coordinates of two starts.
-    max_cost_increase : float
-        Largest excess of the cost of a start over that of the best one.
-    """
-
-    n_starts: int
-    radius: float
-    min_separation: float
-    max_cost_increase: float = np.inf
-
-
+# Of each stage: half the edge of the first trust region, the smallest distance between the
+# coordinates of two starts, and the largest excess of the cost of a start over that of the best.
 DESCENT_STAGES = (
-    DescentStage(2, 0.3, MIN_START_SEPARATION),
-    DescentStage(2, 0.15, MIN_SEPARATION, ALTERNATIVE_CHI2),
+    (0.3, MIN_START_SEPARATION, np.inf),
+    (0.15, MIN_SEPARATION, ALTERNATIVE_CHI2),
 )
 """Stages of descents: from the best states of the survey, which is stage 0, and with the final
 accuracy near the minimum.  Each stage has its own random numbers and more rays."""
@@ -118,277 +96,25 @@ def count_survey(n_parameters: int) -> int:
     return int(np.clip(2**n_parameters, *SURVEY_RANGE))
 
 
-class ConvergedMinima(NamedTuple):
-    """Minima of a retrieval, and independent Jacobians at the best one.
-
-    Attributes
-    ----------
-    minima : sequence of LocalMinimum or MAPEstimate
-        Separated minima, best first.
-    modelled : float, shape (n,)
-        Modelled measurement at the best minimum.
-    model_covariance : float, shape (n, n)
-        Covariance of the errors of the model.
-    jacobians : list of float, shape (n, parameters)
-        Independent Jacobians at the best minimum; the same one twice without noise.
-    """
-
-    minima: Sequence[LocalMinimum | MAPEstimate]
-    modelled: np.ndarray
-    model_covariance: np.ndarray
-    jacobians: list[np.ndarray]
-
-    def linearize(
-        self, state_vector: StateVector, measurement_covariance: np.ndarray
-    ) -> LinearizedModel:
-        """Return the linear model at the best minimum, with noise removed from its Jacobian."""
-        covariance = self.model_covariance
-        slopes = remove_jacobian_noise(self.jacobians, measurement_covariance + covariance)
-        best = self.minima[0].state
-        return LinearizedModel(state_vector, best, self.modelled, slopes, covariance)
-
-    def find_alternatives(self, max_increase: float) -> tuple[np.ndarray, ...]:
-        """Return the other minima whose cost exceeds the best by less than a limit."""
-        best, *other_minima = self.minima
-        return tuple(
-            minimum.state for minimum in other_minima if minimum.cost < best.cost + max_increase
-        )
-
-
-class MediumForwardModel(ABC):
-    """Forward model of a medium, with stages of increasing accuracy.
-
-    Parameters
-    ----------
-    medium : Medium
-    measurement : Measurement
-    state_vector : StateVector
-        See `splits.retrieval.medium_model.make_medium_state_vector`.
-    incidence : float or "diffuse"
-    seed : int
-        Of the survey, and of simulations.
-    """
-
-    solver: str
-    descent_stages: tuple[DescentStage, ...] = DESCENT_STAGES
-
-    def __init__(
-        self, medium: Medium, measurement: Measurement, state_vector: StateVector,
-        incidence: float | str, seed: int,
-    ) -> None:  # fmt: skip
-        self.medium, self.measurement, self.state_vector = medium, measurement, state_vector
-        self.incidence, self.seed = incidence, seed
-        self.wavelengths = (
-            choose_band_wavelengths(measurement.bands)
-            if measurement.bands
-            else np.unique(measurement.wavelength_nm)
-        )
-        self.operator = make_measurement_operator(measurement, self.wavelengths).weights
-        self.names = [name for name in state_vector.names if name != SCALE]
-        self.rows = [state_vector.names.index(name) for name in self.names]
-        self.scale_row = state_vector.names.index(SCALE) if SCALE in state_vector.names else None
-
-    @abstractmethod
-    def evaluate_with_covariance(
-        self, state: np.ndarray, stage: int
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the modelled measurement, shape (n,), and the covariance of its errors."""
-
-    @abstractmethod
-    def compute_jacobian(self, state: np.ndarray, stage: int) -> np.ndarray:
-        """Return the Jacobian with respect to the coordinates, shape (n, parameters)."""
-
-    def compute_final_jacobians(
-        self, state: np.ndarray, model_covariance: np.ndarray
-    ) -> list[np.ndarray]:
-        """Return at least two independent Jacobians of the last stage; the same without noise."""
-        return [self.compute_jacobian(state, LAST_STAGE)] * 2
-
-    def select_values(self, stage: int) -> np.ndarray:
-        """Return the positions of the measured values that a stage uses."""
-        return np.arange(self.measurement.values.size)
-
-    def evaluate(self, state: np.ndarray, stage: int) -> np.ndarray:
-        """Return the modelled measurement, shape (n,)."""
-        return self.evaluate_with_covariance(state, stage)[0]
-
-    def evaluate_state(self, state: np.ndarray) -> np.ndarray:
-        """Return the modelled measurement of the last stage, shape (n,)."""
-        return self.evaluate(state, LAST_STAGE)
-
-    def make_inputs(self, state: np.ndarray) -> tuple[Medium, float | str, float]:
-        """Return the medium, the incidence and the scale of a state."""
-        physical = self.state_vector.to_physical(state)
-        values = {n: float(physical[row]) for row, n in zip(self.rows, self.names, strict=True)}
-        incidence = values.pop(INCIDENCE_KEY, self.incidence)
-        medium = replace_parameters(self.medium, values)
-        scale = 1.0 if self.scale_row is None else float(physical[self.scale_row])
-        return medium, incidence, scale
-
-    def make_objective(self, state: np.ndarray, stage: int) -> Objective:
-        """Return the objective near a state, with the errors of measurement and model."""
-        positions = self.select_values(stage)
-        measured = self.measurement.values[positions]
-        if not self.measurement.noise_known:
-            return Objective(measured, np.eye(measured.size), self.state_vector)
-        covariance = self.measurement.covariance[np.ix_(positions, positions)]
-        covariance = covariance + self.evaluate_with_covariance(state, stage)[1]
-        return Objective.from_covariance(measured, covariance, self.state_vector)
-
-    def find_minima(self) -> ConvergedMinima:
-        """Return the minima of the descents, and Jacobians at the best one."""
-        from scipy.stats import qmc
-
-        state_vector = self.state_vector
-        n_parameters = len(state_vector.names)
-        sequence = qmc.Sobol(n_parameters, seed=self.seed)
-        survey_states = sequence.random(count_survey(n_parameters))
-        has_prior = np.isfinite(state_vector.prior_sd)
-        survey_states[:, has_prior] = (
-            state_vector.prior_mean[has_prior]
-            + (survey_states[:, has_prior] - 0.5) * state_vector.prior_sd[has_prior]
-        )
-        survey_states = np.clip(survey_states, 0.02, 0.98)
-        objective = self.make_objective(survey_states[0], 0)
-        minima = []
-        for state in survey_states:
-            residuals = objective.compute_residuals(self.evaluate(state, 0), state)
-            minima.append(LocalMinimum(float(residuals @ residuals), state))
-        for number, stage in enumerate(self.descent_stages, 1):
-            costs, states = zip(*minima, strict=True)
-            limits = stage.n_starts, stage.min_separation, stage.max_cost_increase
-            starts = [states[i] for i in select_distinct(costs, states, *limits)]
-            objective = self.make_objective(starts[0], number)
-            evaluate = partial(self.evaluate, stage=number)
-            compute_jacobian = partial(self.compute_jacobian, stage=number)
-            minima = [
-                minimize_gauss_newton(
-                    evaluate, compute_jacobian, start, objective, MAX_EVALUATIONS, stage.radius
-                )
-                for start in starts
-            ]
-            minima.sort(key=lambda minimum: minimum.cost)
-        best, *others = minima
-        minima = [best] + [
-            minimum
-            for minimum in others
-            if np.abs(minimum.state - best.state).max() > MIN_SEPARATION
-        ]
-        values, covariance = self.evaluate_with_covariance(best.state, LAST_STAGE)
-        jacobians = self.compute_final_jacobians(best.state, covariance)
-        return ConvergedMinima(minima, values, covariance, jacobians)
-
-
 MAX_ERROR = 1e-3
 """Error that determines the number of streams, by default."""
 DIFFERENCE_STEP = 1e-4
 """Step of coordinates for differences, whose relative error is about half of this."""
-
-
-class OrdinatesForwardModel(MediumForwardModel):
-    """Forward model by discrete ordinates.
-
-    All stages but the last use a few of the wavelengths.  Derivatives are differences of solutions,
-    which need one solution per parameter and hold for dry and for wet snow.
-    """
-
-    solver = DISCRETE_ORDINATES
-    # Solutions take little time, so that more descents look for alternative solutions.
-    descent_stages = tuple(stage._replace(n_starts=4) for stage in DESCENT_STAGES)
-
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self.n_streams, self._truncation = 0, np.zeros(self.wavelengths.size)
-        self._solutions: dict[tuple[bytes, int], np.ndarray] = {}
-
-    def list_extreme_media(self) -> list[Medium]:
-        """Return the media in the middle (first) and at the corners of the ranges of each layer.
-
-        Corners without a medium are left out, such as more water than fits into dense snow.
-        """
-        middle = np.full(len(self.state_vector.names), 0.5)
-        media, by_layer = [self.make_inputs(middle)[0]], defaultdict(list)
-        for row, name in zip(self.rows, self.names, strict=True):
-            if name != INCIDENCE_KEY:
-                by_layer[name.split(".")[1] if name.startswith("layers.") else ""].append(row)
-        for rows in by_layer.values():
-            for corner in product((BOUND_MARGIN, 1.0 - BOUND_MARGIN), repeat=len(rows)):
-                state = middle.copy()
-                state[rows] = corner
-                with suppress(InvalidValue):
-                    media.append(self.make_inputs(state)[0])
-        return media
-
-    def choose_streams(self, max_error: float) -> None:
-        """Set the number of streams that an error requires in the middle of all ranges."""
-        medium, incidence, _ = self.make_inputs(np.full(len(self.state_vector.names), 0.5))
-        with limit_blas_threads():
-            solution = solve_spectrum(
-                make_granular_stack(medium, self.wavelengths),
-                _compute_cosines(incidence),
-                max_error,
-            )
-        self.n_streams, self._truncation = solution.n_streams, solution.truncation
-
-    def select_values(self, stage: int) -> np.ndarray:
-        """Return the positions of the measured values that a stage uses."""
-        n_values = self.measurement.values.size
-        if stage == LAST_STAGE or self.measurement.bands:
-            return np.arange(n_values)
-        return choose_trial_wavelengths(n_values)
-
-    def evaluate(self, state: np.ndarray, stage: int) -> np.ndarray:
-        """Return the modelled measurement, shape (n,)."""
-        key = (state.tobytes(), stage)
-        if key not in self._solutions:
-            self._solutions[key] = self._solve([state], stage)[0]
-        return self._solutions[key]
-
-    def _solve(self, states: Sequence[np.ndarray], stage: int) -> np.ndarray:
-        """Return the modelled measurements of states, shape (states, n)."""
-        operator = self.operator[self.select_values(stage)]
-        used = np.flatnonzero(operator.any(axis=0))
-        media, incidences, scales = zip(*map(self.make_inputs, states), strict=True)
-        snowpacks = [make_granular_stack(medium, self.wavelengths[used]) for medium in media]
-        cosines = np.array([_compute_cosines(incidence) for incidence in incidences])
-        with limit_blas_threads():
-            reflectance = solve_snowpacks(snowpacks, cosines, self.n_streams)[:, 0]
-        return np.array(scales)[:, np.newaxis] * (reflectance @ operator[:, used].T)
-
-    def evaluate_with_covariance(
-        self, state: np.ndarray, stage: int
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the modelled measurement, shape (n,), and the covariance of its errors.
-
-        Errors of the tables of grains and of streams are correlated over `ERROR_CORRELATION_NM`.
-        """
-        medium, _, scale = self.make_inputs(state)
-        optics = compute_optics_error(make_granular_stack(medium, self.wavelengths))
-        stderr = scale * np.hypot(optics, self._truncation)
-        distance = np.abs(self.wavelengths[:, np.newaxis] - self.wavelengths)
-        covariance = np.exp(-distance / ERROR_CORRELATION_NM) * np.outer(stderr, stderr)
-        operator = self.operator[self.select_values(stage)]
-        return self.evaluate(state, stage), operator @ covariance @ operator.T
-
-    def compute_jacobian(self, state: np.ndarray, stage: int) -> np.ndarray:
-        """Return the Jacobian with respect to the coordinates, shape (n, parameters)."""
-        steps = np.where(state > 0.5, -DIFFERENCE_STEP, DIFFERENCE_STEP)
-        shifted = self._solve(state + np.diag(steps), stage)
-        return (shifted - self.evaluate(state, stage)).T / steps
-
-
-def _compute_cosines(incidence: float | str) -> np.ndarray:
-    """Return the cosines of the beams: none for isotropic light."""
-    angles = [] if isinstance(incidence, str) else [incidence]
-    return np.cos(np.radians(angles))
-
-
+N_STARTS = {MONTE_CARLO: 2, DISCRETE_ORDINATES: 4}
+"""Largest number of descents of a stage by solver; ordinates take little time, so that more of them
+look for alternative solutions."""
 SURVEY_STDERR = 0.01
 """Standard error of simulations of the survey and of the first descents."""
 MIN_JACOBIAN_STDERR = 0.004
 """Smallest standard error of simulations for Jacobians, of which several are averaged."""
 N_JACOBIANS_RANGE = (2, 6)
 """Smallest and largest number of independent Jacobians for the errors."""
+NOISE_FRACTION = 0.5
+"""Ratio of the final standard error to the smallest noise of the measurement."""
+MIN_STDERR, MAX_STDERR = 1e-3, 0.01
+"""Limits of the final standard error."""
+UNKNOWN_NOISE_MAX_STDERR = 2e-3
+"""Final standard error for unknown noise."""
 
 
 class ProgressTracker:
@@ -410,9 +136,9 @@ class ProgressTracker:
         )
         # Each descent needs about two Jacobians and a few steps; descents of the last stage mostly
         # start at the minimum.  Jacobians for errors and the test of linearity follow.
-        descent_cost = DESCENT_STAGES[0].n_starts * 2 * (2 + count_runs(n_parameters))
+        descent_cost = N_STARTS[MONTE_CARLO] * 2 * (2 + count_runs(n_parameters))
         survey_cost = count_survey(n_parameters) + descent_cost
-        last_stage_cost = DESCENT_STAGES[1].n_starts * (4 * final_cost + jacobian_cost)
+        last_stage_cost = N_STARTS[MONTE_CARLO] * (4 * final_cost + jacobian_cost)
         self.total_cost = (
             survey_cost
             + last_stage_cost
@@ -460,37 +186,65 @@ def _estimate_cost(max_stderr: float) -> float:
     return (SURVEY_STDERR / max_stderr) ** 2
 
 
-NOISE_FRACTION = 0.5
-"""Ratio of the final standard error to the smallest noise of the measurement."""
-MIN_STDERR, MAX_STDERR = 1e-3, 0.01
-"""Limits of the final standard error."""
-UNKNOWN_NOISE_MAX_STDERR = 2e-3
-"""Final standard error for unknown noise."""
+class MediumModel:
+    """Forward model of a medium, with stages of increasing accuracy.
 
-
-class SimulationForwardModel(MediumForwardModel):
-    """Forward model by simulation.
+    Discrete ordinates are used where they apply, see `choose_solver`.  They have no noise, all
+    stages but the last use a few of the wavelengths, and derivatives are differences of solutions,
+    which need one solution per parameter and hold for dry and for wet snow.  Otherwise, spectra
+    are simulated, with derivatives from the same paths.
 
     Parameters
     ----------
-    medium, measurement, state_vector, incidence, seed
-        See `splits.retrieval.medium_model.MediumForwardModel`.
+    medium : Medium
+    measurement : Measurement
+    state_vector : StateVector
+        See `splits.retrieval.medium_model.make_medium_state_vector`.
+    incidence : float or "diffuse"
+    solver : str
     max_stderr : float, optional
-        Final standard error; by default `NOISE_FRACTION` of the smallest noise.
+        Error that determines the number of streams, by default `MAX_ERROR`; or the standard error
+        of the last simulations, by default `NOISE_FRACTION` of the smallest noise.
+    seed : int
+        Of the survey, and of simulations.
     progress : callable, optional
     **options
         Other options of `splits.spectrophotometer`: the number of rays, threads and the kernel.
     """
 
-    solver = MONTE_CARLO
-
     def __init__(
         self, medium: Medium, measurement: Measurement, state_vector: StateVector,
-        incidence: float | str, seed: int, max_stderr: float | None, progress: ProgressCallback,
-        **options: Any,
+        incidence: float | str, solver: str, max_stderr: float | None, seed: int,
+        progress: ProgressCallback, **options: Any,
     ) -> None:  # fmt: skip
-        super().__init__(medium, measurement, state_vector, incidence, seed)
-        self._options = options
+        self.medium, self.measurement, self.state_vector = medium, measurement, state_vector
+        self.incidence, self.seed, self._options = incidence, seed, options
+        self.wavelengths = (
+            choose_band_wavelengths(measurement.bands)
+            if measurement.bands
+            else np.unique(measurement.wavelength_nm)
+        )
+        self.operator = make_measurement_operator(measurement, self.wavelengths).weights
+        self.names = [name for name in state_vector.names if name != SCALE]
+        self.rows = [state_vector.names.index(name) for name in self.names]
+        self.scale_row = state_vector.names.index(SCALE) if SCALE in state_vector.names else None
+        self._cache: dict[tuple[bytes, int], Any] = {}
+        self.solver = MONTE_CARLO
+        if solver != MONTE_CARLO:
+            self.solver = choose_solver(
+                solver, self.list_extreme_media(), self.wavelengths,
+                find_further_obstacle=lambda one: find_parameter_obstacle(one, self.names),
+            ).solver  # fmt: skip
+        if self.is_exact:
+            # The number of streams that an error requires in the middle of all ranges.
+            medium, incidence, _ = self.make_inputs(np.full(len(state_vector.names), 0.5))
+            stack = make_granular_stack(medium, self.wavelengths)
+            with limit_blas_threads():
+                solution = solve_spectrum(
+                    stack, _compute_cosines(incidence), max_stderr or MAX_ERROR
+                )
+            self.n_streams, self._truncation = solution.n_streams, solution.truncation
+            return
         min_noise = float(np.sqrt(np.diag(measurement.covariance).min()))
         default_stderr = (
             min(max(NOISE_FRACTION * min_noise, MIN_STDERR), MAX_STDERR)
@@ -498,12 +252,173 @@ class SimulationForwardModel(MediumForwardModel):
             else UNKNOWN_NOISE_MAX_STDERR
         )
         self.max_stderr = max_stderr or default_stderr
-        self._cache: dict[tuple[bytes, int], tuple[np.ndarray, np.ndarray]] = {}
         self._progress = ProgressTracker(progress, self.max_stderr, len(state_vector.names))
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether the model has no noise."""
+        return self.solver != MONTE_CARLO
+
+    def evaluate(self, states: np.ndarray) -> np.ndarray:
+        """Return modelled measurements of the last stage, shape (states, n)."""
+        return np.array([self.evaluate_state(state, LAST_STAGE) for state in states])
+
+    def evaluate_state(self, state: np.ndarray, stage: int) -> np.ndarray:
+        """Return the modelled measurement of one state, shape (n,)."""
+        if not self.is_exact:
+            return self._simulate_with_covariance(state, stage)[0]
+        key = (state.tobytes(), stage)
+        if key not in self._cache:
+            self._cache[key] = self._solve([state], stage)[0]
+        return self._cache[key]  # type: ignore[no-any-return]
+
+    def error_covariance(self, state: np.ndarray, stage: int = LAST_STAGE) -> np.ndarray:
+        """Return the covariance of the errors of the model, shape (n, n).
+
+        Errors of the tables of grains and of streams are correlated over `ERROR_CORRELATION_NM`.
+        """
+        if not self.is_exact:
+            return self._simulate_with_covariance(state, stage)[1]
+        medium, _, scale = self.make_inputs(state)
+        optics = compute_optics_error(make_granular_stack(medium, self.wavelengths))
+        stderr = scale * np.hypot(optics, self._truncation)
+        covariance = correlate_errors(stderr, self.wavelengths, ERROR_CORRELATION_NM)
+        operator = self.operator[self.select_values(stage)]
+        return operator @ covariance @ operator.T
+
+    def jacobian(
+        self, state: np.ndarray, stage: int = LAST_STAGE, seed: int | None = None
+    ) -> np.ndarray:
+        """Return the Jacobian with respect to the coordinates, shape (n, parameters)."""
+        if self.is_exact:
+            steps = np.where(state > 0.5, -DIFFERENCE_STEP, DIFFERENCE_STEP)
+            shifted = self._solve(state + np.diag(steps), stage)
+            return (shifted - self.evaluate_state(state, stage)).T / steps
+        error = max(self.get_stage_stderr(stage), MIN_JACOBIAN_STDERR)
+        seed = self.seed if seed is None else seed
+        spectrum, scale = self.simulate(state, error, self.names, seed)
+        step = 1e-6
+        low, high = np.clip(state - step, 0.0, 1.0), np.clip(state + step, 0.0, 1.0)
+        to_physical = self.state_vector.to_physical
+        rates = (to_physical(high) - to_physical(low)) / (high - low)
+        jacobian = np.empty((len(self.operator), len(state)))
+        jacobian[:, self.rows] = scale * (self.operator @ spectrum.reflectance_jacobian.values.T)
+        if self.scale_row is not None:
+            jacobian[:, self.scale_row] = self.operator @ spectrum.reflectance.values
+        return jacobian * rates
+
+    def compute_final_jacobians(self, state: np.ndarray) -> list[np.ndarray]:
+        """Return at least two independent Jacobians of the last stage; the same without noise.
+
+        Simulations have independent random numbers, and are as many as their noise requires.
+        """
+        if self.is_exact:
+            return [self.jacobian(state)] * 2
+        jacobians: list[np.ndarray] = []
+        min_jacobians, max_jacobians = N_JACOBIANS_RANGE
+        covariance = self.measurement.covariance + self.error_covariance(state)
+        while len(jacobians) < min_jacobians or (
+            self.measurement.noise_known
+            and len(jacobians) < max_jacobians
+            and is_jacobian_noisy(jacobians, covariance)
+        ):
+            jacobians.append(self.jacobian(state, seed=self.seed + 1 + len(jacobians)))
+        return jacobians
+
+    def select_values(self, stage: int) -> np.ndarray:
+        """Return the positions of the measured values that a stage uses."""
+        n_values = self.measurement.values.size
+        if not self.is_exact or stage == LAST_STAGE or self.measurement.bands:
+            return np.arange(n_values)
+        return choose_trial_wavelengths(n_values)
 
     def get_stage_stderr(self, stage: int) -> float:
         """Return the standard error of the simulations of a stage."""
         return self.max_stderr if stage == LAST_STAGE else max(SURVEY_STDERR, self.max_stderr)
+
+    def make_inputs(self, state: np.ndarray) -> tuple[Medium, float | str, float]:
+        """Return the medium, the incidence and the scale of a state."""
+        physical = self.state_vector.to_physical(state)
+        values = {n: float(physical[row]) for row, n in zip(self.rows, self.names, strict=True)}
+        incidence = values.pop(INCIDENCE_KEY, self.incidence)
+        medium = replace_parameters(self.medium, values)
+        scale = 1.0 if self.scale_row is None else float(physical[self.scale_row])
+        return medium, incidence, scale
+
+    def make_objective(self, state: np.ndarray, stage: int) -> Objective:
+        """Return the objective near a state, with the errors of measurement and model."""
+        positions = self.select_values(stage)
+        measured, whitening = self.measurement.values[positions], np.eye(positions.size)
+        if self.measurement.noise_known:
+            covariance = self.measurement.covariance[np.ix_(positions, positions)]
+            whitening = compute_whitening(covariance + self.error_covariance(state, stage))
+        return Objective(measured, whitening, self.state_vector)
+
+    def list_extreme_media(self) -> list[Medium]:
+        """Return the media in the middle (first) and at the corners of the ranges of each layer.
+
+        Corners without a medium are left out, such as more water than fits into dense snow.
+        """
+        middle = np.full(len(self.state_vector.names), 0.5)
+        media, by_layer = [self.make_inputs(middle)[0]], defaultdict(list)
+        for row, name in zip(self.rows, self.names, strict=True):
+            if name != INCIDENCE_KEY:
+                by_layer[name.split(".")[1] if name.startswith("layers.") else ""].append(row)
+        for rows in by_layer.values():
+            for corner in product((BOUND_MARGIN, 1.0 - BOUND_MARGIN), repeat=len(rows)):
+                state = middle.copy()
+                state[rows] = corner
+                with suppress(InvalidValue):
+                    media.append(self.make_inputs(state)[0])
+        return media
+
+    def find_minima(self) -> tuple[Minima, list[np.ndarray]]:
+        """Return separated minima, best first, and independent Jacobians at the best one."""
+        from scipy.stats import qmc
+
+        state_vector = self.state_vector
+        n_parameters = len(state_vector.names)
+        survey_states = qmc.Sobol(n_parameters, seed=self.seed).random(count_survey(n_parameters))
+        has_prior = np.isfinite(state_vector.prior_sd)
+        survey_states[:, has_prior] = (
+            state_vector.prior_mean[has_prior]
+            + (survey_states[:, has_prior] - 0.5) * state_vector.prior_sd[has_prior]
+        )
+        survey_states = np.clip(survey_states, 0.02, 0.98)
+        objective = self.make_objective(survey_states[0], 0)
+        minima = []
+        for state in survey_states:
+            residuals = objective.compute_residuals(self.evaluate_state(state, 0), state)
+            minima.append((float(residuals @ residuals), state))
+        for stage, (radius, separation, max_increase) in enumerate(DESCENT_STAGES, 1):
+            costs, states = zip(*minima, strict=True)
+            selected = select_distinct(
+                costs, states, N_STARTS[self.solver], separation, max_increase
+            )
+            objective = self.make_objective(states[selected[0]], stage)
+            minima = [
+                minimize_gauss_newton(
+                    partial(self.evaluate_state, stage=stage),
+                    partial(self.jacobian, stage=stage),
+                    states[i], objective, MAX_EVALUATIONS, radius,
+                )
+                for i in selected
+            ]  # fmt: skip
+            minima.sort(key=lambda minimum: minimum[0])
+        (_, best), *others = minima
+        distinct = [one for one in others if np.abs(one[1] - best).max() > MIN_SEPARATION]
+        return [minima[0], *distinct], self.compute_final_jacobians(best)
+
+    def _solve(self, states: Sequence[np.ndarray], stage: int) -> np.ndarray:
+        """Return the modelled measurements of states, shape (states, n)."""
+        operator = self.operator[self.select_values(stage)]
+        used = np.flatnonzero(operator.any(axis=0))
+        media, incidences, scales = zip(*map(self.make_inputs, states), strict=True)
+        snowpacks = [make_granular_stack(medium, self.wavelengths[used]) for medium in media]
+        cosines = np.array([_compute_cosines(incidence) for incidence in incidences])
+        with limit_blas_threads():
+            reflectance = solve_snowpacks(snowpacks, cosines, self.n_streams)[:, 0]
+        return np.array(scales)[:, np.newaxis] * (reflectance @ operator[:, used].T)
 
     def simulate(
         self, state: np.ndarray, max_stderr: float, names: list[str], seed: int
@@ -517,10 +432,10 @@ class SimulationForwardModel(MediumForwardModel):
         )  # fmt: skip
         return spectrum, scale
 
-    def evaluate_with_covariance(
+    def _simulate_with_covariance(
         self, state: np.ndarray, stage: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the modelled measurement, shape (n,), and the covariance of simulation noise."""
+        """Return the modelled measurement, shape (n,), and the covariance of its noise."""
         key = (state.tobytes(), stage)
         if key not in self._cache:
             spectrum, scale = self.simulate(state, self.get_stage_stderr(stage), [], self.seed)
@@ -530,41 +445,13 @@ class SimulationForwardModel(MediumForwardModel):
             covariance = batches.T @ batches
             covariance += np.diag(np.maximum(stderr**2 - np.diag(covariance), 0.0))
             self._cache[key] = values, covariance
-        return self._cache[key]
+        return self._cache[key]  # type: ignore[no-any-return]
 
-    def compute_jacobian(
-        self, state: np.ndarray, stage: int, seed: int | None = None
-    ) -> np.ndarray:
-        """Return the Jacobian with respect to the coordinates, shape (n, parameters)."""
-        error = max(self.get_stage_stderr(stage), MIN_JACOBIAN_STDERR)
-        spectrum, scale = self.simulate(
-            state, error, self.names, self.seed if seed is None else seed
-        )
-        step = 1e-6
-        low, high = np.clip(state - step, 0.0, 1.0), np.clip(state + step, 0.0, 1.0)
-        to_physical = self.state_vector.to_physical
-        rates = (to_physical(high) - to_physical(low)) / (high - low)
-        jacobian = np.empty((len(self.operator), len(state)))
-        jacobian[:, self.rows] = scale * (self.operator @ spectrum.reflectance_jacobian.values.T)
-        if self.scale_row is not None:
-            jacobian[:, self.scale_row] = self.operator @ spectrum.reflectance.values
-        return jacobian * rates
 
-    def compute_final_jacobians(
-        self, state: np.ndarray, model_covariance: np.ndarray
-    ) -> list[np.ndarray]:
-        """Return Jacobians with independent random numbers, as many as their noise requires."""
-        jacobians: list[np.ndarray] = []
-        min_jacobians, max_jacobians = N_JACOBIANS_RANGE
-        covariance = self.measurement.covariance + model_covariance
-        while len(jacobians) < min_jacobians or (
-            self.measurement.noise_known
-            and len(jacobians) < max_jacobians
-            and is_jacobian_noisy(jacobians, covariance)
-        ):
-            seed = self.seed + 1 + len(jacobians)
-            jacobians.append(self.compute_jacobian(state, LAST_STAGE, seed))
-        return jacobians
+def _compute_cosines(incidence: float | str) -> np.ndarray:
+    """Return the cosines of the beams: none for isotropic light."""
+    angles = [] if isinstance(incidence, str) else [incidence]
+    return np.cos(np.radians(angles))
 
 
 def make_medium_state_vector(
@@ -603,7 +490,10 @@ def make_medium_state_vector(
         limits = np.array(check_named_numbers(f"free.{name}", pair, ("low", "high")))
         if not limits[0] < limits[1]:
             raise invalid(f"free.{name}", pair, "low < high")
-        for value in limits if name != INCIDENCE_KEY else ():
+        for value in limits:
+            if name == INCIDENCE_KEY:
+                check_incidence(name, float(value))
+                continue
             try:
                 replace_parameter(medium, name, float(value))
             except InvalidValue as error:
@@ -612,8 +502,6 @@ def make_medium_state_vector(
                 allowed = error.allowed if is_own else "a valid value of the medium"
                 hint = error.hint if is_own else str(error)
                 raise invalid(f"free.{name}", float(value), allowed, hint) from None
-        for value in limits if name == INCIDENCE_KEY else ():
-            check_incidence("incidence_deg", float(value))
         middle = np.array([limits[0], 0.5 * limits.sum(), limits[1]])
         allowed_ranges[name] = ParameterRange(
             float(limits[0]), float(limits[1]), transform_axis(name, middle)[0]
@@ -628,22 +516,3 @@ def check_measurement_incidence(fixed: Mapping[str, Any] | None, ranges: Any) ->
         "incidence_deg",
         check_axis_values(fixed, [INCIDENCE_KEY], "fixed.", free_axes=free).get(INCIDENCE_KEY, 0.0),
     )
-
-
-def make_medium_model(
-    medium: Medium, measurement: Measurement, state_vector: StateVector,
-    incidence: float | str, solver: str, max_stderr: float | None, seed: int,
-    progress: ProgressCallback, **options: Any,
-) -> MediumForwardModel:  # fmt: skip
-    """Return the forward model by discrete ordinates or by simulation; see `choose_solver`."""
-    arguments = medium, measurement, state_vector, incidence, seed
-    if solver != MONTE_CARLO:
-        model = OrdinatesForwardModel(*arguments)
-        choice = choose_solver(
-            solver, model.list_extreme_media(), model.wavelengths,
-            find_further_obstacle=lambda one: find_parameter_obstacle(one, model.names),
-        )  # fmt: skip
-        if choice.solver != MONTE_CARLO:
-            model.choose_streams(max_stderr or MAX_ERROR)
-            return model
-    return SimulationForwardModel(*arguments, max_stderr, progress, **options)

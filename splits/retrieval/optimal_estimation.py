@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.retrieval.forward_model import ForwardModel, drop_priors
+from splits.retrieval.forward_model import ForwardModel, LinearModel, TableModel, drop_priors
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.state_vector import StateVector
 
@@ -37,6 +37,12 @@ BOUND_TOLERANCE = 2e-3
 """Distance of coordinates from a bound within which it may be active."""
 
 
+def compute_whitening(covariance: np.ndarray) -> np.ndarray:
+    """Return the matrix that makes errors with a covariance independent, with variances of 1."""
+    whitening: np.ndarray = np.linalg.inv(np.linalg.cholesky(covariance))
+    return whitening
+
+
 class Objective(NamedTuple):
     """Cost function of a fit: measurement, error covariance and priors.
 
@@ -44,7 +50,7 @@ class Objective(NamedTuple):
     ----------
     measured : float, shape (n,)
     whitening : float, shape (n, n)
-        Matrix that makes errors independent, with variances of 1.
+        See `compute_whitening`.
     state_vector : StateVector
         State vector with its priors.
     """
@@ -52,13 +58,6 @@ class Objective(NamedTuple):
     measured: np.ndarray
     whitening: np.ndarray
     state_vector: StateVector
-
-    @classmethod
-    def from_covariance(
-        cls, measured: np.ndarray, covariance: np.ndarray, state_vector: StateVector
-    ) -> Objective:
-        """Return the objective for the covariance of all errors."""
-        return cls(measured, np.linalg.inv(np.linalg.cholesky(covariance)), state_vector)
 
     def compute_residuals(self, modelled: np.ndarray, state: np.ndarray) -> np.ndarray:
         """Return the residuals of measurement and priors in standard deviations."""
@@ -100,26 +99,6 @@ class MAPEstimate(NamedTuple):
     chi2: float
     active_bounds: np.ndarray
 
-    @classmethod
-    def from_fit(
-        cls,
-        state: np.ndarray,
-        modelled: np.ndarray,
-        jacobian: np.ndarray,
-        error_covariance: np.ndarray,
-        measured: np.ndarray,
-        state_vector: StateVector,
-    ) -> MAPEstimate:
-        """Return the estimate at the end of a descent."""
-        residual = modelled - measured
-        weighted_residual = np.linalg.solve(error_covariance, residual)
-        chi2 = float(residual @ weighted_residual)
-        prior_residual = (state - state_vector.prior_mean) / state_vector.prior_sd
-        gradient = jacobian.T @ weighted_residual + prior_residual / state_vector.prior_sd
-        cost = chi2 + float(prior_residual @ prior_residual)
-        active_bounds = find_active_bounds(state, gradient)
-        return cls(state, modelled, jacobian, error_covariance, cost, chi2, active_bounds)
-
     @property
     def minus_two_log_posterior(self) -> float:
         """Twice the negative logarithm of the posterior density, up to a constant.
@@ -129,23 +108,23 @@ class MAPEstimate(NamedTuple):
         return self.cost + float(np.linalg.slogdet(self.error_covariance)[1])
 
 
-class PosteriorSummary(NamedTuple):
-    """Information content of a measurement near an optimum.
-
-    Attributes
-    ----------
-    covariance : float, shape (parameters, parameters)
-        Posterior covariance of the coordinates.
-    averaging_kernel : float, shape (parameters, parameters)
-    degrees_of_freedom : float
-        Degrees of freedom for signal, the trace of the averaging kernel.
-    information_bits : float
-    """
-
-    covariance: np.ndarray
-    averaging_kernel: np.ndarray
-    degrees_of_freedom: float
-    information_bits: float
+def make_map_estimate(
+    model: ForwardModel,
+    state: np.ndarray,
+    jacobian: np.ndarray,
+    error_covariance: np.ndarray,
+    measured: np.ndarray,
+) -> MAPEstimate:
+    """Return the estimate at the end of a descent."""
+    modelled, state_vector = model.evaluate(state[np.newaxis])[0], model.state_vector
+    residual = modelled - measured
+    weighted_residual = np.linalg.solve(error_covariance, residual)
+    chi2 = float(residual @ weighted_residual)
+    prior_residual = (state - state_vector.prior_mean) / state_vector.prior_sd
+    gradient = jacobian.T @ weighted_residual + prior_residual / state_vector.prior_sd
+    cost = chi2 + float(prior_residual @ prior_residual)
+    active_bounds = find_active_bounds(state, gradient)
+    return MAPEstimate(state, modelled, jacobian, error_covariance, cost, chi2, active_bounds)
 
 
 def find_map_estimate(
@@ -169,14 +148,13 @@ def find_map_estimate(
 
     state = np.clip(start, 1e-6, 1.0 - 1e-6)
     for _ in range(MAX_COVARIANCE_UPDATES):
-        covariance = measurement.covariance + model.compute_error_covariance(state)
-        objective = Objective.from_covariance(
-            measurement.values, variance_inflation * covariance, model.state_vector
-        )
+        covariance = measurement.covariance + model.error_covariance(state)
+        whitening = compute_whitening(variance_inflation * covariance)
+        objective = Objective(measurement.values, whitening, model.state_vector)
         optimum = least_squares(
-            lambda x, one: one.compute_residuals(model.evaluate_with_jacobian(x)[0], x),
+            lambda x, one: one.compute_residuals(model.evaluate(x[np.newaxis])[0], x),
             state,
-            lambda x, one: one.compute_residual_jacobian(model.evaluate_with_jacobian(x)[1]),
+            lambda x, one: one.compute_residual_jacobian(model.jacobian(x)),
             bounds=(0.0, 1.0),
             xtol=TOLERANCE,
             ftol=TOLERANCE,
@@ -186,14 +164,8 @@ def find_map_estimate(
         state = np.clip(optimum.x, 1e-9, 1.0 - 1e-9)
         if step < 1e-3:
             break
-    covariance = measurement.covariance + model.compute_error_covariance(state)
-    return MAPEstimate.from_fit(
-        state,
-        *model.evaluate_with_jacobian(state),
-        variance_inflation * covariance,
-        measurement.values,
-        model.state_vector,
-    )
+    covariance = variance_inflation * (measurement.covariance + model.error_covariance(state))
+    return make_map_estimate(model, state, model.jacobian(state), covariance, measurement.values)
 
 
 def find_active_bounds(state: np.ndarray, gradient: np.ndarray) -> np.ndarray:
@@ -233,13 +205,13 @@ def select_distinct(
 
 
 def find_distinct_map_estimates(
-    model: ForwardModel, measurement: Measurement, variance_inflation: float = 1.0
+    model: TableModel | LinearModel, measurement: Measurement, variance_inflation: float = 1.0
 ) -> list[MAPEstimate]:
     """Return the distinct estimates of several descents, best first.
 
     Parameters
     ----------
-    model : ForwardModel
+    model : TableModel or LinearModel
         Descents start from its first guesses with the smallest misfit.
     measurement : Measurement
     variance_inflation : float
@@ -260,15 +232,15 @@ def find_distinct_map_estimates(
     return [estimates[i] for i in distinct]
 
 
-def summarize_posterior(estimate: MAPEstimate, state_vector: StateVector) -> PosteriorSummary:
-    """Return the information content near an optimum (Rodgers 2000, Eqs 2.27, 2.78, 2.80)."""
+def compute_posterior(
+    estimate: MAPEstimate, state_vector: StateVector
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the posterior covariance of the coordinates near an optimum, and the Fisher matrix.
+
+    See Rodgers (2000), Eq. 2.27.
+    """
     fisher = estimate.jacobian.T @ np.linalg.solve(estimate.error_covariance, estimate.jacobian)
-    prior_precision = np.diag(1.0 / state_vector.prior_variance)
-    posterior_covariance = np.linalg.inv(fisher + prior_precision)
-    kernel = posterior_covariance @ fisher
-    scaled = np.eye(len(fisher)) + fisher * state_vector.prior_variance[:, np.newaxis]
-    information_bits = 0.5 * float(np.linalg.slogdet(scaled)[1]) / float(np.log(2.0))
-    return PosteriorSummary(posterior_covariance, kernel, float(np.trace(kernel)), information_bits)
+    return np.linalg.inv(fisher + np.diag(1.0 / state_vector.prior_variance)), fisher
 
 
 def compute_fit_degrees_of_freedom(estimate: MAPEstimate, state_vector: StateVector) -> float:
@@ -290,51 +262,33 @@ DEFENSIVE_FRACTION = 0.1
 """Fraction of draws from the whole range, so that every part of it is sampled."""
 
 
-class PosteriorDraws(NamedTuple):
-    """Draws from a posterior.
+def _compute_log_density(
+    states: np.ndarray, components: Sequence[tuple[np.ndarray, np.ndarray]]
+) -> np.ndarray:
+    """Return the logarithm of the density of every component, up to a constant common to all.
 
-    Attributes
-    ----------
-    states : float, shape (N_DRAWS, parameters)
-        Coordinates, with equal weights.
-    n_effective : float
-        Effective sample size.
+    Components of the proposal distribution are multivariate Student's t, given by their centre and
+    the Cholesky factor of their covariance.
     """
+    densities = []
+    for centre, cholesky in components:
+        standardized = np.linalg.solve(cholesky, (states - centre).T)
+        tails = np.log1p((standardized**2).sum(axis=0) / STUDENT_T_DOF)
+        log_scale = np.log(np.diag(cholesky)).sum()
+        densities.append(-log_scale - 0.5 * (STUDENT_T_DOF + len(centre)) * tails)
+    return np.array(densities)
 
-    states: np.ndarray
-    n_effective: float
 
-
-class _MixtureComponent(NamedTuple):
-    """Component of the proposal distribution: a multivariate Student's t."""
-
-    centre: np.ndarray
-    cholesky: np.ndarray
-
-    @classmethod
-    def from_covariance(cls, centre: np.ndarray, covariance: np.ndarray) -> _MixtureComponent:
-        tiny = 1e-12 * np.eye(len(centre))
-        return cls(centre, np.linalg.cholesky(covariance + tiny))
-
-    def draw(self, random: np.random.Generator, n_draws: int) -> np.ndarray:
-        normal = random.standard_normal((n_draws, len(self.centre)))
-        scale = np.sqrt(STUDENT_T_DOF / random.chisquare(STUDENT_T_DOF, n_draws))[:, np.newaxis]
-        return self.centre + scale * (normal @ self.cholesky.T)
-
-    def compute_log_density(self, states: np.ndarray) -> np.ndarray:
-        """Return the logarithm of the density, up to a constant common to all components."""
-        standardized = np.linalg.solve(self.cholesky, (states - self.centre).T)
-        n_dimensions = len(self.centre)
-        log_scale = np.log(np.diag(self.cholesky)).sum()
-        return -log_scale - 0.5 * (STUDENT_T_DOF + n_dimensions) * np.log1p(
-            (standardized**2).sum(axis=0) / STUDENT_T_DOF
-        )
+def _factorize(covariance: np.ndarray) -> np.ndarray:
+    """Return the Cholesky factor of the covariance of a component."""
+    factor: np.ndarray = np.linalg.cholesky(covariance + 1e-12 * np.eye(len(covariance)))
+    return factor
 
 
 def draw_posterior(
     model: ForwardModel, measurement: Measurement, estimates: Sequence[MAPEstimate], seed: int
-) -> PosteriorDraws:
-    """Return draws from the posterior.
+) -> tuple[np.ndarray, float]:
+    """Return draws from the posterior, with equal weights, and their effective number.
 
     Parameters
     ----------
@@ -346,10 +300,8 @@ def draw_posterior(
     """
     random = np.random.default_rng([seed, 20])
     components = [
-        _MixtureComponent.from_covariance(
-            estimate.state, 1.5 * summarize_posterior(estimate, model.state_vector).covariance
-        )
-        for estimate in estimates
+        (one.state, _factorize(1.5 * compute_posterior(one, model.state_vector)[0]))
+        for one in estimates
     ]
     # Logarithm of the normalization of Student's t.
     n_dimensions = len(estimates[0].state)
@@ -363,13 +315,14 @@ def draw_posterior(
         # From the whole range, and from all components.
         uniform = random.random((int(DEFENSIVE_FRACTION * N_DRAWS), n_dimensions))
         n_draws = (N_DRAWS - len(uniform)) // len(components)
-        drawn = [component.draw(random, n_draws) for component in components]
-        states = np.concatenate([uniform, *drawn])
-        is_inside = ((states >= 0.0) & (states <= 1.0)).all(axis=1)
-        states = states[is_inside]
-        log_proposal = np.logaddexp.reduce(
-            [component.compute_log_density(states) for component in components], axis=0
-        )
+        drawn = [uniform]
+        for centre, cholesky in components:
+            normal = random.standard_normal((n_draws, n_dimensions))
+            scale = np.sqrt(STUDENT_T_DOF / random.chisquare(STUDENT_T_DOF, n_draws))
+            drawn.append(centre + scale[:, np.newaxis] * (normal @ cholesky.T))
+        states = np.concatenate(drawn)
+        states = states[((states >= 0.0) & (states <= 1.0)).all(axis=1)]
+        log_proposal = np.logaddexp.reduce(_compute_log_density(states, components), axis=0)
         log_proposal += constant - np.log(len(components)) + np.log1p(-DEFENSIVE_FRACTION)
         log_weight = _compute_log_posterior(model, measurement, states, estimates) - np.logaddexp(
             log_proposal, np.log(DEFENSIVE_FRACTION)
@@ -388,7 +341,7 @@ def draw_posterior(
     # Systematic resampling.
     positions = (np.arange(N_DRAWS) + random.random()) / N_DRAWS
     rows = np.searchsorted(np.cumsum(weights), positions * weights.sum())
-    return PosteriorDraws(states[np.minimum(rows, len(weights) - 1)], n_effective)
+    return states[np.minimum(rows, len(weights) - 1)], n_effective
 
 
 def _compute_log_posterior(
@@ -413,12 +366,12 @@ def _compute_log_posterior(
 
 
 def _update_components(
-    states: np.ndarray, weights: np.ndarray, components: Sequence[_MixtureComponent]
-) -> list[_MixtureComponent]:
+    states: np.ndarray, weights: np.ndarray, components: list[tuple[np.ndarray, np.ndarray]]
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return components adapted to weighted states, each assigned to its nearest component."""
-    nearest = np.argmax([component.compute_log_density(states) for component in components], axis=0)
+    nearest = np.argmax(_compute_log_density(states, components), axis=0)
     updated = []
-    for number, component in enumerate(components):
+    for number, (_, cholesky) in enumerate(components):
         own_weights = weights * (nearest == number)
         if own_weights.sum() < 1e-6:
             continue
@@ -429,13 +382,10 @@ def _update_components(
         n_effective = 1.0 / (own_weights**2).sum()
         # Few effective states do not determine a covariance, so the previous one is mixed in.
         kept_fraction = 1.0 / (1.0 + n_effective / (4.0 * len(centre)))
-        previous = component.cholesky @ component.cholesky.T
-        updated.append(
-            _MixtureComponent.from_covariance(
-                centre, (1.0 - kept_fraction) * 1.5 * spread + kept_fraction * 0.5 * previous
-            )
-        )
-    return updated or list(components)
+        previous = cholesky @ cholesky.T
+        adapted = (1.0 - kept_fraction) * 1.5 * spread + kept_fraction * 0.5 * previous
+        updated.append((centre, _factorize(adapted)))
+    return updated or components
 
 
 MIN_MISFIT_PROBABILITY = 0.01
@@ -451,8 +401,14 @@ class Solution(NamedTuple):
     ----------
     estimates : sequence of MAPEstimate
         Best first.
-    posterior : PosteriorSummary
-    draws : PosteriorDraws
+    draws : float, shape (N_DRAWS, parameters)
+        Coordinates from the posterior, with equal weights.
+    n_effective : float
+        Effective number of draws.
+    covariance : float, shape (parameters, parameters)
+        Posterior covariance of the coordinates at the best estimate.
+    fisher : float, shape (parameters, parameters)
+        Information of the measurement on the coordinates there.
     variance_inflation : float
         Factor of all variances that makes the misfit plausible.
     prior_tension : float, shape (parameters,)
@@ -466,8 +422,10 @@ class Solution(NamedTuple):
     """
 
     estimates: Sequence[MAPEstimate]
-    posterior: PosteriorSummary
-    draws: PosteriorDraws
+    draws: np.ndarray
+    n_effective: float
+    covariance: np.ndarray
+    fisher: np.ndarray
     variance_inflation: float
     prior_tension: np.ndarray
     forward_model_error: np.ndarray
@@ -475,20 +433,12 @@ class Solution(NamedTuple):
     nonlinearity: float = 0.0
 
 
-def compute_variance_inflation(estimate: MAPEstimate, state_vector: StateVector) -> float:
-    """Return the factor of all variances that makes the misfit plausible."""
+def solve_for_known_noise(
+    model: TableModel | LinearModel, measurement: Measurement, seed: int
+) -> Solution:
+    """Return the solution: estimates, posterior and draws."""
     from scipy.stats import chi2
 
-    n_dof = max(
-        len(estimate.modelled) - compute_fit_degrees_of_freedom(estimate, state_vector), 1.0
-    )
-    if chi2.sf(estimate.chi2, n_dof) > MIN_MISFIT_PROBABILITY:
-        return 1.0
-    return estimate.chi2 / n_dof
-
-
-def solve_for_known_noise(model: ForwardModel, measurement: Measurement, seed: int) -> Solution:
-    """Return the solution: estimates, posterior and draws."""
     state_vector = model.state_vector
     estimates = find_distinct_map_estimates(model, measurement)
     # A prior that contradicts the measurement must not inflate the variances.
@@ -496,15 +446,16 @@ def solve_for_known_noise(model: ForwardModel, measurement: Measurement, seed: i
     if np.isfinite(state_vector.prior_sd).any():
         without_priors = find_map_estimate(drop_priors(model), measurement, estimates[0].state)
     reference = estimates[0] if estimates[0].chi2 <= without_priors.chi2 else without_priors
-    variance_inflation = compute_variance_inflation(reference, state_vector)
-    if variance_inflation > 1.0:
+    n_used = compute_fit_degrees_of_freedom(reference, state_vector)
+    n_dof = max(len(reference.modelled) - n_used, 1.0)
+    variance_inflation = 1.0
+    if chi2.sf(reference.chi2, n_dof) <= MIN_MISFIT_PROBABILITY:
+        variance_inflation = reference.chi2 / n_dof
         estimates = find_distinct_map_estimates(model, measurement, variance_inflation)
-    spread = summarize_posterior(
-        without_priors._replace(
-            error_covariance=variance_inflation * without_priors.error_covariance
-        ),
-        state_vector.without_priors(),
-    ).covariance
+    inflated = variance_inflation * without_priors.error_covariance
+    spread, _ = compute_posterior(
+        without_priors._replace(error_covariance=inflated), state_vector.without_priors()
+    )
     tension = np.abs(without_priors.state - state_vector.prior_mean) / np.sqrt(
         state_vector.prior_sd**2 + np.diag(spread)
     )
@@ -512,12 +463,6 @@ def solve_for_known_noise(model: ForwardModel, measurement: Measurement, seed: i
         # The priors do not contradict the measurement if the misfit is as good without them.
         tension = np.zeros_like(tension)
     draws = draw_posterior(model, measurement, estimates, seed)
-    model_error = np.sqrt(np.diag(model.compute_error_covariance(estimates[0].state)))
-    return Solution(
-        estimates,
-        summarize_posterior(estimates[0], state_vector),
-        draws,
-        variance_inflation,
-        tension,
-        model_error,
-    )
+    model_error = np.sqrt(np.diag(model.error_covariance(estimates[0].state)))
+    posterior = compute_posterior(estimates[0], state_vector)
+    return Solution(estimates, *draws, *posterior, variance_inflation, tension, model_error)

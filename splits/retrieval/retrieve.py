@@ -18,7 +18,7 @@ from splits.core.inputs import Kernel, MaxRays, Seed, Solver, StandardError, Thr
 from splits.core.keywords import declare_function
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import make_variable
-from splits.core.validation import check_choice, invalid
+from splits.core.validation import InvalidValue, check_choice, check_relations, invalid
 from splits.illumination.bands import Bands
 from splits.instruments.solver import AUTO
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
@@ -26,18 +26,21 @@ from splits.media.formatting import suggest_medium
 from splits.media.kinds import list_media_names
 from splits.media.parameters import INCIDENCE_KEY, describe_parameter
 from splits.retrieval.forward_model import (
-    TableForwardModel,
-    choose_quantity,
+    TableModel,
+    drop_priors,
     get_table_ranges,
+    select_quantity,
 )
-from splits.retrieval.least_squares import retrieve_without_noise
-from splits.retrieval.linearization import MAX_DEVIATION, estimate_nonlinearity, refine_posterior
+from splits.retrieval.linearization import (
+    MIN_RESIDUAL_DOF,
+    find_table_minima,
+    solve_for_unknown_noise,
+    solve_near_minima,
+)
 from splits.retrieval.measurement import Measurement, check_modelled_quantity
 from splits.retrieval.medium_model import (
-    MediumForwardModel,
-    OrdinatesForwardModel,
+    MediumModel,
     check_measurement_incidence,
-    make_medium_model,
     make_medium_state_vector,
 )
 from splits.retrieval.optimal_estimation import (
@@ -50,7 +53,7 @@ from splits.retrieval.optimal_estimation import (
     compute_fit_degrees_of_freedom,
     solve_for_known_noise,
 )
-from splits.retrieval.state_vector import SCALE, StateVector
+from splits.retrieval.state_vector import PRIOR, SCALE, Prior, StateVector
 from splits.simulation.run_options import make_wavelength_coordinate
 from splits.tables.table import Table
 
@@ -60,41 +63,27 @@ TABLE_SOLVER = "table"
 """Attribute ``solver`` of a retrieval with a table."""
 
 
-def describe_model(model: Any, solver: str) -> dict[str, Any]:
-    """Return the attributes of a model: its solver and its medium.
-
-    Parameters
-    ----------
-    model : Table or Medium
-        Values of free parameters in a medium have no effect.
-    solver : str
-    """
-    if isinstance(model, Table):
-        medium = model.dataset.attrs.get("medium")
-        return {"solver": solver} | ({} if medium is None else {"medium": medium})
-    details = {f"{model.kind}_{key}": value for key, value in model.describe().items()}
-    return {"solver": solver, "medium": model.kind, **details}
-
-
-def describe_parameters(
-    state_vector: StateVector, fixed: Mapping[str, Any], prior: Mapping[str, Any] | None, seed: int
-) -> dict[str, Any]:
-    """Return the attributes of the free and fixed parameters and of the seed.
+def describe_retrieval(
+    model: Any, solver: str, state_vector: StateVector, fixed: Mapping[str, Any],
+    prior: Mapping[str, Any] | None, seed: int, **others: Any,
+) -> dict[str, Any]:  # fmt: skip
+    """Return the attributes of a retrieval: its model, its free and fixed parameters, its seed.
 
     ``free_NAME`` is the range (low, high), ``prior_NAME`` the prior (mean, standard deviation) as
-    given, and ``fixed_NAME`` a fixed value.
+    given, and ``fixed_NAME`` a fixed value.  Values of free parameters in a medium have no effect.
     """
+    attributes = {"solver": solver, **others, "seed": seed}
+    if not isinstance(model, Table):
+        details = {f"{model.kind}_{key}": value for key, value in model.describe().items()}
+        attributes |= {"medium": model.kind, **details}
+    elif "medium" in model.dataset.attrs:
+        attributes["medium"] = model.dataset.attrs["medium"]
     limits = zip(state_vector.names, state_vector.low, state_vector.high, strict=True)
-    names = ("mean", "standard deviation")
-    return {
-        **{f"{FIXED_PREFIX}{name}": value for name, value in fixed.items()},
-        **{f"free_{name}": [float(low), float(high)] for name, low, high in limits},
-        **{
-            f"prior_{name}": list(check_named_numbers(f"prior.{name}", pair, names))
-            for name, pair in (prior or {}).items()
-        },
-        "seed": seed,
-    }
+    attributes |= {f"free_{name}": [float(low), float(high)] for name, low, high in limits}
+    attributes |= {f"{FIXED_PREFIX}{name}": value for name, value in fixed.items()}
+    for name, pair in (prior or {}).items():
+        attributes[f"prior_{name}"] = list(check_named_numbers(f"prior.{name}", pair, PRIOR))
+    return attributes
 
 
 BOUND_DISTANCE = 0.01
@@ -107,22 +96,28 @@ def list_warnings(
     state_vector: StateVector, solution: Solution, constrained: np.ndarray
 ) -> list[str]:
     """Return the warnings about a result."""
-    estimates, _, draws, variance_inflation, tension, *_ = solution
-    best, warnings = estimates[0], []
-    if variance_inflation > 1.0:
-        warnings.append(
-            f"the model does not fit the measurement within its noise: errors are multiplied by "
-            f"{np.sqrt(variance_inflation):.3g}, and may still be too small"
+    best, names = solution.estimates[0], state_vector.names
+    unconstrained = np.array(names)[~constrained].tolist()
+    warnings = [
+        text
+        for is_shown, text in (
+            (
+                solution.variance_inflation > 1.0,
+                "the model does not fit the measurement within its noise: errors are multiplied by "
+                f"{np.sqrt(solution.variance_inflation):.3g}, and may still be too small",
+            ),
+            (unconstrained, f"not constrained by the measurement: {', '.join(unconstrained)}"),
+            *(
+                (
+                    sigma > MAX_PRIOR_TENSION,
+                    f"{name}: prior and measurement are {sigma:.1f} standard deviations apart",
+                )
+                for name, sigma in zip(names, solution.prior_tension, strict=True)
+            ),
         )
-    unconstrained = np.array(state_vector.names)[~constrained].tolist()
-    if unconstrained:
-        warnings.append(f"not constrained by the measurement: {', '.join(unconstrained)}")
-    for name, tension_sigma in zip(state_vector.names, tension, strict=True):
-        if tension_sigma > MAX_PRIOR_TENSION:
-            warnings.append(
-                f"{name}: prior and measurement are {tension_sigma:.1f} standard deviations apart"
-            )
-    for i, name in enumerate(state_vector.names):
+        if is_shown
+    ]
+    for i, name in enumerate(names):
         low, high = state_vector.low[i], state_vector.high[i]
         if not (constrained[i] or best.active_bounds[i]):
             continue
@@ -136,8 +131,8 @@ def list_warnings(
             "errors are approximate: they use linear or interpolated reflectances, which deviate "
             f"from those of the model by up to {solution.nonlinearity:.1f} times the noise"
         )
-    if draws.n_effective < MIN_EFFECTIVE_DRAWS:
-        warnings.append(f"quantiles are imprecise: {draws.n_effective:.0f} effective draws")
+    if solution.n_effective < MIN_EFFECTIVE_DRAWS:
+        warnings.append(f"quantiles are imprecise: {solution.n_effective:.0f} effective draws")
     return warnings
 
 
@@ -148,14 +143,13 @@ def _list_alternatives(state_vector: StateVector, solution: Solution) -> list[st
     for alternative in [*others[:1], *solution.alternatives]:
         difference = alternative - best
         is_within_error = (
-            difference @ np.linalg.solve(solution.posterior.covariance, difference)
-            < ALTERNATIVE_CHI2
+            difference @ np.linalg.solve(solution.covariance, difference) < ALTERNATIVE_CHI2
         )
         distances = [np.abs(alternative - state).max() for state in listed]
         if is_within_error or min(distances) < MIN_SEPARATION:
             continue
         listed.append(alternative)
-        is_near = np.abs(solution.draws.states - alternative).max(axis=1) < 0.5 * distances[0]
+        is_near = np.abs(solution.draws - alternative).max(axis=1) < 0.5 * distances[0]
         coverage = "" if is_near.any() else ", but draws do not cover it"
         values = [
             f"{parameter} {value:.3g}"
@@ -258,20 +252,21 @@ def make_result(
     solution: Solution,
     settings: Mapping[str, Any],
 ) -> RetrievalResult:
-    """Return the result of a retrieval as a dataset.
+    """Return the result of a retrieval; `settings` are attributes, see `describe_retrieval`.
 
-    `settings` are attributes, see `describe_model` and `describe_parameters`.
+    The averaging kernel and the information are those of Rodgers (2000), Eqs 2.78 and 2.80.
     """
-    (best, *_), summary, draws, variance_inflation, _, model_error, *_ = solution
-    value, physical = state_vector.to_physical(best.state), state_vector.to_physical(draws.states)
-    spread = draws.states.std(axis=0)
+    best, draws, names = solution.estimates[0], solution.draws, list(state_vector.names)
+    value, physical = state_vector.to_physical(best.state), state_vector.to_physical(draws)
     prior_sd = np.sqrt(state_vector.prior_variance)
-    constrained = spread < UNDETERMINED_FRACTION * prior_sd
+    constrained = draws.std(axis=0) < UNDETERMINED_FRACTION * prior_sd
+    kernel = solution.covariance @ solution.fisher
+    scaled = np.eye(len(names)) + solution.fisher * state_vector.prior_variance[:, np.newaxis]
     noise = np.sqrt(np.diag(measurement.covariance))
     parameter_dims, pair_dims = ("parameter",), ("parameter", "other_parameter")
     quantiles = np.quantile(physical, QUANTILES, axis=0)
     with np.errstate(invalid="ignore"):
-        correlation = np.nan_to_num(np.atleast_2d(np.corrcoef(draws.states, rowvar=False)))
+        correlation = np.nan_to_num(np.atleast_2d(np.corrcoef(draws, rowvar=False)))
     variables = {
         **make_variable(
             "value", parameter_dims, value, physical.std(axis=0), "most probable value"
@@ -288,7 +283,7 @@ def make_result(
         **make_variable(
             "averaging_kernel",
             pair_dims,
-            summary.averaging_kernel * prior_sd / prior_sd[:, np.newaxis],
+            kernel * prior_sd / prior_sd[:, np.newaxis],
             None,
             "averaging kernel, in units of the prior standard deviation",
         ),
@@ -296,7 +291,11 @@ def make_result(
         **make_variable("draws", ("draw", "parameter"), physical, None, "draws from the posterior"),
         **make_variable("measured", "wavelength", measurement.values, noise, "measured"),
         **make_variable(
-            "fitted", "wavelength", best.modelled, model_error, "of the most probable value"
+            "fitted",
+            "wavelength",
+            best.modelled,
+            solution.forward_model_error,
+            "of the most probable value",
         ),
     }
     attributes: dict[str, Any] = {
@@ -304,16 +303,15 @@ def make_result(
         **settings,
         "rmse": float(np.sqrt(np.mean((best.modelled - measurement.values) ** 2))),
         "noise": NOISE_GIVEN if measurement.noise_known else "found from the misfit",
-        "chi2": variance_inflation * best.chi2,
+        "chi2": solution.variance_inflation * best.chi2,
         "chi2_expected": len(best.modelled) - compute_fit_degrees_of_freedom(best, state_vector),
-        "error_inflation": float(np.sqrt(variance_inflation)),
-        "degrees_of_freedom": summary.degrees_of_freedom,
-        "information_bits": summary.information_bits,
-        "effective_sample_size": draws.n_effective,
+        "error_inflation": float(np.sqrt(solution.variance_inflation)),
+        "degrees_of_freedom": float(np.trace(kernel)),
+        "information_bits": 0.5 * float(np.linalg.slogdet(scaled)[1]) / float(np.log(2.0)),
+        "effective_sample_size": solution.n_effective,
         "warnings": "; ".join(list_warnings(state_vector, solution, constrained)) or "none",
         **make_provenance("retrieval"),
     }
-    names = list(state_vector.names)
     labels = [f"{name}: {describe_parameter(name)[0]}" for name in names]
     units = [describe_parameter(name)[1] if name != SCALE else "1" for name in names]
     coordinates = {
@@ -338,7 +336,7 @@ def retrieve(
     max_stderr: StandardError | None = None,
     solver: Solver = "auto",
     fixed: Mapping[str, Any] | None = None,
-    prior: Mapping[str, Any] | None = None,
+    prior: Prior = None,
     bands: Bands = None,
     quantity: str | None = None,
     seed: Seed = 1,
@@ -437,83 +435,76 @@ def retrieve(
     >>> found.constrained
     {'optical_radius_um': True}
     """
-    forward_model: TableForwardModel | MediumForwardModel
+    forward_model: TableModel | MediumModel
     note = ""
     if isinstance(model, Table):
-        if max_stderr is not None:
-            raise invalid("max_stderr", max_stderr, "left out", "a table has its own errors")
-        if solver != AUTO:
-            raise invalid("solver", solver, "left out", "a table has its own spectra")
-        quantity = choose_quantity(model, quantity)
-        settings = describe_model(model, TABLE_SOLVER) | {"quantity": quantity}
-        if model.has_views:
-            model, fixed = model.fix_view(fixed or {}, "fixed.")
-        check_choice("quantity", quantity, model.quantities)
+        check_relations(
+            (
+                max_stderr is None, "max_stderr", max_stderr, "left out",
+                "a table has its own errors",
+            ),
+            (solver == AUTO, "solver", solver, "left out", "a table has its own spectra"),
+        )  # fmt: skip
+        model, quantity, fixed = select_quantity(model, quantity, fixed)
         measurement = Measurement.from_input(measured, noise, bands)
         state_vector = StateVector.from_ranges(free, prior, get_table_ranges(model))
-        forward_model = TableForwardModel(model, measurement, state_vector, fixed, quantity)
-        fixed_values = forward_model.list_fixed_values()
-        check_modelled_quantity("measured", measured, quantity, fixed_values)
+        forward_model = TableModel(model, measurement, state_vector, fixed, quantity)
+        fixed_values, others = forward_model.list_fixed_values(), {"quantity": quantity}
+        used_solver = TABLE_SOLVER
     else:
         if isinstance(model, str | Mapping) or not hasattr(model, "kind"):
-            shown = model if isinstance(model, str) or callable(model) else type(model).__name__
-            hint = (
-                "splits.Table(splits.build_table(…)), open_table, or a snow, sand, layer or stack"
-            )
-            suggestion = suggest_medium(model, list_media_names())
-            if hasattr(model, "data_vars"):
-                suggestion = "splits.Table(dataset) of what splits.build_table returned"
-            raise invalid("model", shown, "a Table, or a medium", suggestion or hint)
+            raise _refuse_model(model)
         check_choice("quantity", quantity or "reflectance", ["reflectance"])
-        measurement = Measurement.from_input(measured, noise, bands)
+        measurement, others = Measurement.from_input(measured, noise, bands), {}
         incidence = check_measurement_incidence(fixed, free)
         state_vector = make_medium_state_vector(model, free, prior, incidence)
         fixed_values = {} if INCIDENCE_KEY in state_vector.names else {INCIDENCE_KEY: incidence}
         # Labelled values state it themselves.
-        has_label = INCIDENCE_KEY in getattr(measured, "coords", ())
-        if fixed_values and not fixed and not has_label:
+        if fixed_values and not fixed and INCIDENCE_KEY not in getattr(measured, "coords", ()):
             note = f"{INCIDENCE_KEY} is not given, {incidence:g} is assumed"
-        check_modelled_quantity("measured", measured, "reflectance", fixed_values)
-        forward_model = make_medium_model(
+        forward_model = MediumModel(
             model, measurement, state_vector, incidence, solver, max_stderr, seed, progress,
             max_rays=max_rays, threads=threads, kernel=kernel,
         )  # fmt: skip
-        settings = describe_model(model, forward_model.solver)
-    if not measurement.noise_known:
-        solution, measurement = retrieve_without_noise(forward_model, measurement, seed)
-    elif isinstance(forward_model, MediumForwardModel):
-        solution = _solve_from_medium(forward_model, measurement, seed)
-    else:
-        solution = solve_for_known_noise(forward_model, measurement, seed)
-    settings |= describe_parameters(state_vector, fixed_values, prior, seed)
+        used_solver = forward_model.solver
+    check_modelled_quantity("measured", measured, quantity or "reflectance", fixed_values)
+    solution, measurement = _solve(forward_model, measurement, seed)
+    settings = describe_retrieval(
+        model, used_solver, state_vector, fixed_values, prior, seed, **others
+    )
     result = make_result(state_vector, measurement, solution, settings)
     if note:
         add_warning(result.dataset, note)
     return result
 
 
-def _solve_from_medium(model: MediumForwardModel, measurement: Measurement, seed: int) -> Solution:
-    """Return the solution from a medium for known noise."""
-    converged = model.find_minima()
-    linear_model = converged.linearize(model.state_vector, measurement.covariance)
-    solution = solve_for_known_noise(linear_model, measurement, seed)
-    noise = solution.variance_inflation * (measurement.covariance + converged.model_covariance)
-    nonlinearity = estimate_nonlinearity(
-        model.evaluate_state,
-        linear_model,
-        solution.estimates[0].state,
-        solution.posterior.covariance,
-        noise,
+def _refuse_model(model: Any) -> InvalidValue:
+    """Return the error for what is neither a table nor a medium."""
+    shown = model if isinstance(model, str) or callable(model) else type(model).__name__
+    hint = "splits.Table(splits.build_table(…)), open_table, or a snow, sand, layer or stack"
+    hint = suggest_medium(model, list_media_names()) or hint
+    if hasattr(model, "data_vars"):
+        hint = "splits.Table(dataset) of what splits.build_table returned"
+    return invalid("model", shown, "a Table, or a medium", hint)
+
+
+def _solve(
+    model: TableModel | MediumModel, measurement: Measurement, seed: int
+) -> tuple[Solution, Measurement]:
+    """Return the solution, and the measurement with its noise, found from the misfit if unknown."""
+    if measurement.noise_known:
+        if isinstance(model, TableModel):
+            return solve_for_known_noise(model, measurement, seed), measurement
+        minima = model.find_minima()
+        return solve_near_minima(model, *minima, measurement, seed, model.is_exact), measurement
+    n_values, min_values = measurement.values.size, len(model.state_vector.names) + MIN_RESIDUAL_DOF
+    if n_values < min_values:
+        reason = "values are too few to estimate it from the misfit"
+        hint = f"{n_values} {reason}, {min_values} are needed"
+        raise invalid("noise", None, "given", hint)
+    minima = (
+        find_table_minima(drop_priors(model), measurement)
+        if isinstance(model, TableModel)
+        else drop_priors(model).find_minima()
     )
-    solution = solution._replace(nonlinearity=nonlinearity)
-    alternatives = converged.find_alternatives(ALTERNATIVE_CHI2)
-    is_linear = nonlinearity <= MAX_DEVIATION and not alternatives
-    if isinstance(model, OrdinatesForwardModel) and not is_linear:
-        solution = refine_posterior(
-            model.evaluate_state,
-            linear_model,
-            solution,
-            lambda interpolated: solve_for_known_noise(interpolated, measurement, seed),
-            alternatives,
-        )
-    return solution._replace(alternatives=alternatives)
+    return solve_for_unknown_noise(model, *minima, measurement, seed)

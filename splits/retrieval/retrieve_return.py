@@ -26,23 +26,23 @@ from splits.core.validation import (
     ROUNDING_TOLERANCE,
     as_scalar,
     check_range,
+    check_relations,
     invalid,
     short_repr,
 )
 from splits.illumination.bands import SpectralOperator
 from splits.instruments.delay_record import Pulse, PulseInput, describe_record
-from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
+from splits.retrieval.forward_model import TableModel, get_table_ranges
 from splits.retrieval.measurement import Measurement, check_conditions, is_same_label
 from splits.retrieval.optimal_estimation import solve_for_known_noise
 from splits.retrieval.retrieve import (
     TABLE_SOLVER,
     RetrievalResult,
     add_warning,
-    describe_model,
-    describe_parameters,
+    describe_retrieval,
     make_result,
 )
-from splits.retrieval.state_vector import SCALE, StateVector
+from splits.retrieval.state_vector import SCALE, Prior, StateVector
 from splits.tables.axes import INCIDENCE
 from splits.tables.return_table import TITLE
 from splits.tables.table import Table
@@ -57,63 +57,50 @@ RECORD_ATTRIBUTES = (
 """Attributes of returns that describe the receiver and the pulse."""
 
 
-class ReturnForwardModel(TableForwardModel):
-    """Forward model that interpolates a table of returns over channels, see `make_channel_table`.
+def sort_returns(key: str, dataset: xr.Dataset) -> tuple[xr.Dataset, np.ndarray]:
+    """Return a dataset with ascending wavelengths and delays, and the delays between its bins (s).
 
-    Its operator is from the channels of the table to those of the measurement.
+    Bins must follow each other.
     """
-
-    def compute_node_covariance(
-        self, node_stderr: np.ndarray, axis_values: dict[str, Any]
-    ) -> np.ndarray:
-        """Return the covariance of the errors of nodes: rays in different bins are independent."""
-        scaled = self.operator.weights * node_stderr
-        return scaled @ scaled.T
-
-
-def sort_returns(dataset: Any) -> Any:
-    """Return a dataset with ascending wavelengths and delays; other objects are unchanged."""
     for dimension in ("wavelength", "delay_s"):
-        if isinstance(dataset, xr.Dataset) and dimension in dataset.indexes:
-            dataset = dataset.sortby(dimension)
-    if isinstance(dataset, xr.Dataset) and "delay_bounds" in dataset:
-        bounds = dataset.delay_bounds.transpose("delay_s", ..., missing_dims="ignore")
-        dataset = dataset.assign_coords(delay_bounds=bounds)
-    return dataset
+        dataset = dataset.sortby(dimension) if dimension in dataset.indexes else dataset
+    bounds = dataset.delay_bounds.transpose("delay_s", ..., missing_dims="ignore")
+    dataset, rows = dataset.assign_coords(delay_bounds=bounds), np.atleast_2d(bounds.values)
+    follow = np.allclose(rows[1:, 0], rows[:-1, 1], rtol=ROUNDING_TOLERANCE, atol=0.0)
+    allowed, hint = "bins that follow each other", "select a slice of the record"
+    check_relations((follow, f"{key}.delay_s", "with gaps", allowed, hint))
+    return dataset, np.append(rows[:, 0], rows[-1, 1])
 
 
-def read_edges(key: str, dataset: xr.Dataset) -> np.ndarray:
-    """Return the delays between the bins of a dataset (s), which must follow each other."""
-    bounds = dataset.delay_bounds.values
-    if not np.allclose(bounds[1:, 0], bounds[:-1, 1], rtol=ROUNDING_TOLERANCE, atol=0.0):
-        hint = "select a slice of the record"
-        raise invalid(f"{key}.delay_s", "with gaps", "bins that follow each other", hint)
-    return np.append(bounds[:, 0], bounds[-1, 1])
-
-
-def make_channel_table(table: Any) -> Table:
-    """Return a table of returns with its wavelengths and bins as one axis, after checking it.
-
-    Raises
-    ------
-    ValueError
-        If the dataset is not from `splits.build_return_table`, or incomplete.
-    """
-    allowed = "what splits.build_return_table returned"
-    if not isinstance(table, xr.Dataset) or table.attrs.get("title") != TITLE:
-        found = table.attrs.get("title") if isinstance(table, xr.Dataset) else None
-        raise invalid("table", found or type(table).__name__, allowed)
-    names = [QUANTITY, f"{QUANTITY}_stderr"]
-    for name in (*names, "delay_bounds"):
-        if name not in table:
-            raise invalid(f"table.{name}", None, "given", allowed)
-    for dimension in ("wavelength", "delay_s"):
-        if dimension not in table[QUANTITY].dims or dimension not in table.coords:
-            hint = f"select a list: isel({dimension}=[0]), which keeps the axis"
-            raise invalid("table", f"without an axis {dimension}", allowed, hint)
+def check_return_table(table: Any) -> None:
+    """Reject what is not a complete dataset of `splits.build_return_table`."""
+    allowed, names = "what splits.build_return_table returned", [QUANTITY, f"{QUANTITY}_stderr"]
+    title = table.attrs.get("title") if isinstance(table, xr.Dataset) else None
+    check_relations((title == TITLE, "table", title or type(table).__name__, allowed))
+    check_relations(
+        *(
+            (name in table, f"table.{name}", None, "given", allowed)
+            for name in (*names, "delay_bounds")
+        )
+    )
+    check_relations(
+        *(
+            (
+                one in table[QUANTITY].dims and one in table.coords, "table",
+                f"without an axis {one}", allowed,
+                f"select a list: isel({one}=[0]), which keeps the axis",
+            )
+            for one in ("wavelength", "delay_s")
+        )
+    )  # fmt: skip
     check_no_gaps("table", table[names])
-    read_edges("table", table)
-    stacked = table[names].stack(channel=("wavelength", "delay_s"), create_index=False)
+
+
+def make_channel_table(table: xr.Dataset) -> Table:
+    """Return a table of returns with its wavelengths and bins as one axis."""
+    stacked = table[[QUANTITY, f"{QUANTITY}_stderr"]].stack(
+        channel=("wavelength", "delay_s"), create_index=False
+    )
     channels = stacked.drop_vars(["wavelength", "delay_s", "range"], errors="ignore")
     channels = channels.rename(channel="wavelength")
     channels = channels.assign_coords(wavelength=np.arange(channels.sizes["wavelength"]) + 1.0)
@@ -146,10 +133,19 @@ def read_return(measured: Any, wavelengths: np.ndarray) -> tuple[np.ndarray, np.
     rates = _align_to_channels(
         "measured", measured[1], edges, wavelengths, "numbers in s⁻¹, without gaps"
     )
-    shape = wavelengths.size, max(edges.size - 1, 0)
-    if edges.size < 2 or rates.shape not in (shape, (rates.size,)) or rates.size != np.prod(shape):
-        allowed = f"{shape[1]} values for each of the {shape[0]} wavelengths of the table"
-        raise invalid("measured", f"of shape {rates.shape}", allowed, "one fewer than delays")
+    shape = wavelengths.size, edges.size - 1
+    is_complete = edges.size > 1 and rates.size == np.prod(shape) and rates.ndim in (1, 2)
+    allowed = f"{shape[1]} values for each of the {shape[0]} wavelengths of the table"
+    found, hint = f"of shape {rates.shape}", "one fewer than delays"
+    check_relations(
+        (
+            is_complete and rates.shape[-1] in (shape[1], rates.size),
+            "measured",
+            found,
+            allowed,
+            hint,
+        )
+    )
     return edges, rates.reshape(shape)
 
 
@@ -171,7 +167,7 @@ def _align_to_channels(
         if isinstance(values, xr.DataArray) and values.dims[axis] in labels:
             name = str(values.dims[axis])
         positions = match_labels(f"{key} ({name})", find_labels(values, axis), labels[name])
-        numbers = numbers.take(positions, axis) if isinstance(positions, np.ndarray) else numbers
+        numbers = numbers[(slice(None),) * axis + (positions,)]
     return numbers
 
 
@@ -192,40 +188,41 @@ def check_return_conditions(
     if not isinstance(measured, xr.Dataset):
         check_conditions("measured", measured[1], conditions)
         return
-    check_conditions("measured", measured, conditions)
     stated = {**measured.attrs, **{name: value.values for name, value in measured.coords.items()}}
+    light = {INCIDENCE: stated[INCIDENCE]} if stated.get(INCIDENCE) is not None else {}
+    check_conditions("measured", measured.assign_coords(light), conditions)
     is_complete = measured.attrs.get("instrument") == "time_of_flight"
     for name in RECORD_ATTRIBUTES:
-        if name in stated or (is_complete and name in attributes):
-            own, expected = stated.get(name), attributes.get(name)
-            if own is None or expected is None or not is_same_label(own, expected):
-                allowed = "left out" if expected is None else f"{short_repr(expected)}"
-                hint = "as for the table and the argument pulse"
-                raise invalid(f"measured.{name}", own, allowed, hint)
-    incidence = stated.get(INCIDENCE)
-    if incidence is not None and INCIDENCE in conditions:
-        check_conditions("measured", xr.Dataset(coords={INCIDENCE: incidence}), conditions)
+        own, expected = stated.get(name), attributes.get(name)
+        is_stated = name in stated or (is_complete and name in attributes)
+        differs = own is None or expected is None or not is_same_label(own, expected)
+        allowed = "left out" if expected is None else f"{short_repr(expected)}"
+        hint = "as for the table and the argument pulse"
+        check_relations((not (is_stated and differs), f"measured.{name}", own, allowed, hint))
 
 
 def _read_return_dataset(measured: xr.Dataset) -> tuple[np.ndarray, xr.DataArray]:
     """Return the delays between bins and the light per time of `splits.time_of_flight`."""
-    measured = sort_returns(measured)
-    part = measured.isel({dim: 0 for dim in ("side", "wavelength") if measured.sizes.get(dim) == 1})
-    if not {QUANTITY, "delay_bounds"} <= {*part.variables}:
-        raise invalid("measured", "a dataset", f"with {QUANTITY} and delay_bounds", RETURN_HINT)
-    rates = part[QUANTITY]
-    side = str(as_scalar(part.coords.get("side", "reflected")))
-    if (
-        "delay_s" not in rates.dims
-        or {*rates.dims} - {"wavelength", "delay_s"}
-        or side != "reflected"
-    ):
-        side = "both sides" if "side" in rates.dims else side
-        found = f"{side}, over {', '.join(map(str, rates.dims))}"
-        raise invalid("measured", found, "reflected, over wavelength and delay_s", RETURN_HINT)
-    edges = read_edges("measured", part)
-    if rates.attrs.get("units", UNITS) != UNITS:
-        raise invalid("measured", f"in {rates.attrs['units']}", f"in {UNITS}")
+    is_return = {QUANTITY, "delay_bounds"} <= {*measured.variables}
+    allowed = f"with {QUANTITY} and delay_bounds"
+    check_relations((is_return, "measured", "a dataset", allowed, RETURN_HINT))
+    single = [dim for dim in ("side", "wavelength") if measured.sizes.get(dim) == 1]
+    rates = measured.isel(dict.fromkeys(single, 0))[QUANTITY]
+    side = (
+        "both sides" if "side" in rates.dims else as_scalar(rates.coords.get("side", "reflected"))
+    )
+    is_record = "delay_s" in rates.dims and not {*rates.dims} - {"wavelength", "delay_s"}
+    found = f"{side}, over {', '.join(map(str, rates.dims))}"
+    unit = rates.attrs.get("units", UNITS)
+    check_relations(
+        (
+            is_record and side == "reflected", "measured", found,
+            "reflected, over wavelength and delay_s", RETURN_HINT,
+        ),
+        (unit == UNITS, "measured", f"in {unit}", f"in {UNITS}"),
+    )  # fmt: skip
+    measured, edges = sort_returns("measured", measured)
+    rates = measured.isel(dict.fromkeys(single, 0))[QUANTITY]
     # Light is matched by the delays of its bins.
     return edges, rates.drop_vars("delay_s", errors="ignore").transpose(..., "delay_s")
 
@@ -249,19 +246,18 @@ def check_return_noise(
     shape = wavelengths.size, edges.size - 1
     n_values = int(np.prod(shape))
     allowed = f"standard errors above 0 in s⁻¹, one or {n_values} of them, or {{'photons': …}}"
-    if noise is None:
-        raise invalid("noise", None, allowed)
+    check_relations((noise is not None, "noise", None, allowed))
     if isinstance(noise, Mapping):
-        if set(noise) != {"photons"}:
-            raise invalid("noise", sorted(map(str, noise)), allowed)
+        check_relations((set(noise) == {"photons"}, "noise", sorted(map(str, noise)), allowed))
         photons = check_range("noise.photons", noise["photons"], 0.0, MAX_PHOTONS, open_low=True)
         return np.tile(1.0 / (photons * np.diff(edges)), shape[0]), True
     stderr = _align_to_channels("noise", noise, edges, wavelengths, allowed)
-    if stderr.shape not in ((), shape, (n_values,)):
-        raise invalid("noise", f"of shape {stderr.shape}", allowed)
-    if not (stderr > 0.0).all():
-        hint = "noise={'photons': …} also applies to bins without photons"
-        raise invalid("noise", float(stderr.min()), allowed, hint)
+    is_complete, smallest = stderr.shape in ((), shape, (n_values,)), np.min(stderr, initial=np.inf)
+    hint = "noise={'photons': …} also applies to bins without photons"
+    check_relations(
+        (is_complete, "noise", f"of shape {stderr.shape}", allowed),
+        (smallest > 0.0, "noise", float(smallest), allowed, hint),
+    )
     return np.broadcast_to(stderr.ravel(), n_values), False
 
 
@@ -285,15 +281,17 @@ def make_return_operator(table: xr.Dataset, edges: np.ndarray, pulse: Pulse) -> 
     ValueError
         For bins of the measurement that need light outside the record of the table.
     """
-    own_edges = read_edges("table", table)
+    bounds = table.delay_bounds.values
+    own_edges = np.append(bounds[:, 0], bounds[-1, 1])
     n_wavelengths, tolerance = table.sizes["wavelength"], ROUNDING_TOLERANCE * own_edges[-1]
     latest = own_edges[-1] + float(pulse.delay_s[0])
     earliest = own_edges[0] + (float(pulse.delay_s[-1]) if own_edges[0] > 0.0 else -np.inf)
-    if edges[-1] > latest + tolerance or edges[0] < earliest - tolerance:
-        allowed = f"up to {latest:.4g} s" if edges[-1] > latest else f"from {earliest:.4g} s"
-        found = edges[-1] if edges[-1] > latest else edges[0]
-        hint = "as far as the table goes, minus the length of the pulse"
-        raise invalid("measured (delays)", float(found), allowed, hint)
+    (first, last), key = edges[[0, -1]].tolist(), "measured (delays)"
+    hint = "as far as the table goes, minus the length of the pulse"
+    check_relations(
+        (last <= latest + tolerance, key, last, f"up to {latest:.4g} s", hint),
+        (first >= earliest - tolerance, key, first, f"from {earliest:.4g} s", hint),
+    )
     matrix = _redistribute(own_edges, edges, pulse)
     largest = np.interp(edges, own_edges[1:], np.diff(own_edges))
     resolved = np.diff(edges) + np.ptp(pulse.delay_s) >= np.maximum(largest[:-1], largest[1:])
@@ -361,7 +359,7 @@ def retrieve_return(
     *,
     pulse: PulseInput = None,
     fixed: Mapping[str, Any] | None = None,
-    prior: Mapping[str, Any] | None = None,
+    prior: Prior = None,
     seed: Seed = 1,
 ) -> RetrievalResult:
     """Retrieve parameters from the measured return of a light pulse, with their errors.
@@ -425,7 +423,8 @@ def retrieve_return(
     >>> found.constrained
     {'specific_surface_area_m2_kg': True}
     """
-    table = sort_returns(table)
+    check_return_table(table)
+    table, _ = sort_returns("table", table)
     channels = make_channel_table(table)
     edges, rates = read_return(measured, table.wavelength.values)
     noise_rate, is_counted = check_return_noise(noise, edges, table.wavelength.values)
@@ -441,18 +440,17 @@ def retrieve_return(
         if is_counted:
             stderr = np.sqrt(np.maximum(expected / noise_rate, min_count)) * noise_rate
         measurement = Measurement(rates.ravel(), positions, np.diag(stderr**2), {})
-        forward_model = ReturnForwardModel(
-            channels, measurement, state_vector, fixed, QUANTITY, operator
+        # Rays in different bins are independent.
+        model = TableModel(
+            channels, measurement, state_vector, fixed, QUANTITY, operator, independent_errors=True
         )
-        solution = solve_for_known_noise(forward_model, measurement, seed)
+        solution = solve_for_known_noise(model, measurement, seed)
         expected, min_count = solution.estimates[0].modelled, MIN_EXPECTED_COUNT
-    conditions = forward_model.list_fixed_values()
-    settings = {
-        **describe_model(channels, TABLE_SOLVER),
-        "quantity": QUANTITY,
-        **pulse_attributes,
-        **describe_parameters(state_vector, conditions, prior, seed),
-    }
+    conditions = model.list_fixed_values()
+    settings = describe_retrieval(
+        channels, TABLE_SOLVER, state_vector, conditions, prior, seed,
+        quantity=QUANTITY, **pulse_attributes,
+    )  # fmt: skip
     check_return_conditions(measured, conditions, {**table.attrs, **pulse_attributes})
     check_conditions("noise", noise, conditions)
     dataset = make_result(state_vector, measurement, solution, settings).dataset
@@ -495,12 +493,15 @@ def _check_rates(
     least, most = limits[0] * float(tabulated.min()), limits[1] * len(rates)
     total, uncertainty = float(np.abs(rates).ravel() @ width), float(noise_rate @ width)
     largest = total if is_counted else total + uncertainty
-    too_small = total > 0.0 and largest < least / MAX_DEFICIT
-    if too_small or float(rates.ravel() @ width) > MAX_EXCESS * (most + uncertainty):
-        limit = f"at least {least:.3g}" if too_small else f"at most {most:g}"
-        allowed = f"rates in s⁻¹, which have a sum of rate times width of {limit}"
-        hint = "n of N incident photons in a bin of width w (s) have the value n/(N w)"
-        raise invalid("measured", f"of the sum {total:.3g}", allowed, hint)
+    found = f"of the sum {total:.3g}"
+    allowed = "rates in s⁻¹, which have a sum of rate times width of"
+    hint = "n of N incident photons in a bin of width w (s) have the value n/(N w)"
+    is_too_small = total > 0.0 and largest < least / MAX_DEFICIT
+    is_too_large = float(rates.ravel() @ width) > MAX_EXCESS * (most + uncertainty)
+    check_relations(
+        (not is_too_small, "measured", found, f"{allowed} at least {least:.3g}", hint),
+        (not is_too_large, "measured", found, f"{allowed} at most {most:g}", hint),
+    )
 
 
 def _split_channels(dataset: xr.Dataset, table: xr.Dataset, edges: np.ndarray) -> xr.Dataset:

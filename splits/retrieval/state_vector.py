@@ -7,16 +7,26 @@ is closest to linear: the logarithm of a size, the square root of an amount from
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from splits.core.arrays import check_named_numbers
-from splits.core.validation import invalid, snap_to_limits, unknown_key
+from splits.core.declarations import Quantity
+from splits.core.inputs import check_mapping
+from splits.core.validation import check_relations, invalid, snap_to_limits, unknown_key
 from splits.tables.interpolation import COORDINATES, apply_axis_transform
 
 SCALE = "scale"
 """Name of the factor of the modelled reflectance, such as that of a reference panel."""
+PRIOR = ("mean", "standard deviation")
+Prior = Annotated[
+    Mapping[str, Any] | None,
+    Quantity(
+        "prior knowledge by parameter",
+        check=check_mapping("a mapping of names to (mean, standard deviation)"),
+    ),
+]
 UNIFORM_VARIANCE = 1.0 / 12.0
 """Variance of a coordinate with a uniform prior."""
 
@@ -75,38 +85,37 @@ class StateVector(NamedTuple):
         names = tuple(limits)
         low, high = np.array([limits[name] for name in names]).T
         transforms = tuple(allowed_ranges[name].transform for name in names)
-        uniform = cls(
+        vector = cls(
             names, low, high, transforms, np.full(len(names), 0.5), np.full(len(names), np.inf)
         )
-        if prior is None:
-            return uniform
-        if not isinstance(prior, Mapping):
-            raise invalid("prior", prior, "a mapping of names to (mean, standard deviation)")
-        mean, sd = uniform.prior_mean.copy(), uniform.prior_sd.copy()
-        for name, pair in prior.items():
+        for name, pair in (prior or {}).items():
             if name not in names:
                 raise unknown_key(f"prior.{name}", names)
             i = names.index(name)
-            mean[i], sd[i] = uniform._to_coordinate_prior(i, pair)
-        return uniform._replace(prior_mean=mean, prior_sd=sd)
+            # The arrays are those of the vector, which nothing else refers to yet.
+            vector.prior_mean[i], vector.prior_sd[i] = vector._to_coordinate_prior(i, pair)
+        return vector
 
     def _to_coordinate_prior(self, index: int, pair: Any) -> tuple[float, float]:
         """Return the mean and standard deviation of a prior in its coordinate."""
         key = f"prior.{self.names[index]}"
-        mean, sd = check_named_numbers(key, pair, ("mean", "standard deviation"))
-        if not sd > 0.0:
-            raise invalid(key, pair, "a standard deviation above 0")
+        mean, sd = check_named_numbers(key, pair, PRIOR)
         low, high = self.low[index], self.high[index]
         mean = float(snap_to_limits(mean, low, high))
-        if not low <= mean <= high:
-            raise invalid(key, pair, f"a mean in the range {low:g} to {high:g}")
+        is_inside = np.array([low <= mean - sd, mean + sd <= high])
+        check_relations(
+            (sd > 0.0, key, pair, "a standard deviation above 0"),
+            (low <= mean <= high, key, pair, f"a mean in the range {low:g} to {high:g}"),
+            (
+                is_inside.any(), key, pair,
+                f"a standard deviation that fits into the range {low:g} to {high:g}",
+                "leave it out: it is wider than the range",
+            ),
+        )  # fmt: skip
         ends = np.clip([mean - sd, mean, mean + sd], low, high)
         coordinates = self.to_coordinate(index, ends)
         # A side that the range cuts off does not count.
-        distances = np.diff(coordinates)[[low <= mean - sd, mean + sd <= high]]
-        if not distances.size:
-            allowed = f"a standard deviation that fits into the range {low:g} to {high:g}"
-            raise invalid(key, pair, allowed, "leave it out: it is wider than the range")
+        distances = np.diff(coordinates)[is_inside]
         return float(coordinates[1]), float(distances.mean())
 
     def without_priors(self) -> StateVector:
@@ -159,8 +168,8 @@ def _check_ranges(
         pair = free[name] if isinstance(free, Mapping) else (widest.low, widest.high)
         limits = (widest.low, widest.high)
         low, high = check_named_numbers(f"free.{name}", pair, ("low", "high"), limits)
-        if not widest.low <= low < high <= widest.high:
-            allowed = f"{widest.low:g} <= low < high <= {widest.high:g}"
-            raise invalid(f"free.{name}", pair, allowed)
+        allowed = f"{widest.low:g} <= low < high <= {widest.high:g}"
+        is_range = widest.low <= low < high <= widest.high
+        check_relations((is_range, f"free.{name}", pair, allowed))
         ranges[str(name)] = (low, high)
     return ranges

@@ -7,7 +7,7 @@ from chi2 import NEEDS_JIT, judge_z
 import splits
 from splits.core.progress import Progress
 from splits.core.validation import InvalidValue
-from splits.retrieval.forward_model import LinearizedModel
+from splits.retrieval.forward_model import LinearModel
 from splits.retrieval.linearization import estimate_nonlinearity
 from splits.retrieval.medium_model import (
     ProgressTracker,
@@ -158,14 +158,13 @@ def test_linearized_model_is_linear():
     state_vector = make_medium_state_vector(
         make_snow(100.0), {SIZE: (50, 200), "scale": (0.5, 2.0)}, None, 0.0
     )
-    model = LinearizedModel(
+    model = LinearModel(
         state_vector, np.array([0.3, 0.6]), np.ones(3), np.arange(6.0).reshape(3, 2), np.eye(3)
     )
     state = np.array([0.4, 0.5])
-    value, slopes = model.evaluate_with_jacobian(state)
-    np.testing.assert_allclose(value, 1.0 + model.jacobian @ [0.1, -0.1])
-    np.testing.assert_array_equal(slopes, model.jacobian)
-    np.testing.assert_array_equal(model.evaluate(state[np.newaxis])[0], value)
+    value, slopes = model.evaluate(state[np.newaxis])[0], np.arange(6.0).reshape(3, 2)
+    np.testing.assert_allclose(value, 1.0 + slopes @ [0.1, -0.1])
+    np.testing.assert_array_equal(model.jacobian(state), slopes)
     assert state_vector.transforms == ("logarithm", "identity")
 
 
@@ -175,19 +174,17 @@ def test_nonlinearity_is_measured_in_units_of_noise():
         make_snow(100.0), {SIZE: (50, 200), "scale": (0.5, 2.0)}, None, 0.0
     )
     state, spread, noise = np.array([0.4, 0.5]), np.array([0.1, 0.25]), np.array([0.02, 0.02, 0.01])
-    model = LinearizedModel(state_vector, state, np.zeros(3), np.ones((3, 2)), np.zeros((3, 3)))
+    model = LinearModel(state_vector, state, np.zeros(3), np.ones((3, 2)), np.zeros((3, 3)))
 
-    def curved(x):
-        return (x - state).sum() + np.array([0.0, 0.0, 3.0]) * (x[0] - state[0]) ** 2
+    def curved(states):
+        x = states - state
+        return x.sum(axis=1, keepdims=True) + np.array([0.0, 0.0, 3.0]) * x[:, :1] ** 2
 
     covariance = np.diag(spread**2), np.diag(noise**2)
     assert estimate_nonlinearity(curved, model, state, *covariance) == pytest.approx(
         3.0 * spread[0] ** 2 / noise[2]
     )
-    assert (
-        estimate_nonlinearity(lambda x: model.evaluate(x[np.newaxis])[0], model, state, *covariance)
-        < 1e-12
-    )
+    assert estimate_nonlinearity(model.evaluate, model, state, *covariance) < 1e-12
 
 
 INVALID = {

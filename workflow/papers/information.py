@@ -35,7 +35,7 @@ from splits.plotting.style import (
     start_at_zero,
     use_style,
 )
-from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
+from splits.retrieval.forward_model import TableModel, get_table_ranges
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.state_vector import StateVector
 from splits.simulation.run_options import make_wavelength_coordinate
@@ -178,7 +178,7 @@ def compute_sobol_indices(
     state_vector = StateVector.from_ranges(free, None, get_table_ranges(table))
     wavelength = table.dataset.wavelength.values
     measurement = Measurement.from_input((wavelength, np.full(wavelength.size, 0.5)), 0.01)
-    model = TableForwardModel(table, measurement, state_vector, None)
+    model = TableModel(table, measurement, state_vector, None)
     is_varying = model.node_values.std(axis=0) > MIN_STANDARD_DEVIATION
     n_parameters = len(state_vector.names)
     first_order, total = np.zeros((2, N_REPEATS, n_parameters, wavelength.size))
@@ -262,14 +262,14 @@ def select_bands(
         measurement = Measurement.from_input((bands, np.full(len(bands), 0.5)), noise)
         names = [f"{wavelength:g} nm" for wavelength in measurement.wavelength_nm]
     state_vector = StateVector.from_ranges(free, None, get_table_ranges(table))
-    model = TableForwardModel(table, measurement, state_vector, fixed)
+    model = TableModel(table, measurement, state_vector, fixed)
     random = np.random.default_rng(seed)
     jacobians, stderr = [], []
     for state in random.random((N_STATES, len(state_vector.names))):
-        covariance = measurement.covariance + model.compute_error_covariance(state)
+        covariance = measurement.covariance + model.error_covariance(state)
         # The selection assumes independent errors of the bands.
         stderr.append(np.sqrt(np.diag(covariance)))
-        jacobians.append(model.evaluate_with_jacobian(state)[1])
+        jacobians.append(model.jacobian(state)[1])
     whitened_jacobians = np.array(jacobians) / np.array(stderr)[:, :, np.newaxis]
     selected, information, relative_spread = _select_greedily(
         whitened_jacobians, state_vector.prior_variance, n_bands

@@ -119,11 +119,11 @@ def test_measured_returns_have_the_same_results(folder, experiment, table, retur
     """A file of counted photons, or of light per time with its errors."""
     section = dict(FROM_FILE, samples=["coarse"])
     one_photon = 1.0 / (SECTION["photons"] * STEP_S)
-    samples = {name: one.rates / (one_photon if counts else 1.0) for name, one in returns.items()}
+    samples = {name: one[0][1] / (one_photon if counts else 1.0) for name, one in returns.items()}
     if not counts:
         del section["photons"]
-        samples["coarse_stderr"] = np.sqrt(np.maximum(returns["coarse"].rates * one_photon, 1e15))
-    write_measured(folder, samples, returns["fine"].edges)
+        samples["coarse_stderr"] = np.sqrt(np.maximum(returns["coarse"][0][1] * one_photon, 1e15))
+    write_measured(folder, samples, returns["fine"][0][0])
     measured = load(folder, {**EXPERIMENT, "retrieve_return": section}).retrieve_return
     frame = pd.read_csv(folder / "measured" / "returns.csv")
     selected = select_returns(measured, frame, table.wavelength.values)
@@ -148,8 +148,8 @@ def test_table_and_figure_are_written(tmp_path, experiment, table):
 
 def test_the_command_retrieves_from_a_file(tmp_path, monkeypatch, capsys, returns):
     monkeypatch.chdir(tmp_path)
-    counts = {"field": returns["coarse"].rates * SECTION["photons"] * STEP_S}
-    write_measured(tmp_path, counts, returns["coarse"].edges)
+    counts = {"field": returns["coarse"][0][1] * SECTION["photons"] * STEP_S}
+    write_measured(tmp_path, counts, returns["coarse"][0][0])
     path = write_experiment(tmp_path, {**EXPERIMENT, "retrieve_return": FROM_FILE})
     assert cli.main(["run", str(path), "--media", str(tmp_path / "media")]) == 0
     assert "returned_retrieved.csv" in capsys.readouterr().out

@@ -62,6 +62,11 @@ def test_invalid_pixels_are_flagged(table, image):
     np.testing.assert_array_equal(result[SIZE].values[valid], expected[SIZE].values[valid])
 
 
+def test_a_dataset_is_no_table(table, image):
+    with pytest.raises(InvalidValue, match=r"table = 'Dataset': must be a Table \(splits.Table"):
+        splits.retrieve_map(image, table.dataset, [SIZE, SOOT], 0.01, fixed=FIXED)
+
+
 def test_bounds_and_unconstrained_parameters_are_flagged(table, image):
     sizes = splits.retrieve_map(
         image, table, {SIZE: (400.0, 900.0)}, 0.01, fixed={**FIXED, SOOT: 200.0}

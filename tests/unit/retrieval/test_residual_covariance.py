@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from splits.retrieval.least_squares import (
+from splits.retrieval.linearization import (
     NEIGHBOUR_CORRELATIONS,
     estimate_fit_covariance,
     estimate_misfit_variances,
@@ -21,7 +21,7 @@ def sample_states(best, covariance):
     free = StateVector.from_ranges(
         names, None, dict.fromkeys(names, ParameterRange(0.0, 1.0, "identity"))
     )
-    return solve_for_state(free, best, covariance, 1).draws.states
+    return solve_for_state(free, best, covariance, 1).draws
 
 
 def compute_covariance(jacobians, misfit, noise):

@@ -11,13 +11,11 @@ from scipy.stats import binom
 
 import splits
 from splits.core.validation import InvalidValue
-from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
+from splits.retrieval.forward_model import TableModel, get_table_ranges
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.optimal_estimation import (
     N_DRAWS,
     MAPEstimate,
-    PosteriorDraws,
-    PosteriorSummary,
     Solution,
 )
 from splits.retrieval.retrieve import list_warnings
@@ -35,7 +33,7 @@ def table():
 def make_model(table, free, fixed=FIXED, noise=0.01):
     measurement = Measurement.from_input((W, np.full(W.size, 0.5)), noise)
     state_vector = StateVector.from_ranges(free, None, get_table_ranges(table))
-    return TableForwardModel(table, measurement, state_vector, fixed)
+    return TableModel(table, measurement, state_vector, fixed)
 
 
 def test_model_values_equal_table_interpolation(table):
@@ -51,8 +49,7 @@ def test_model_values_equal_table_interpolation(table):
 def test_jacobian_equals_finite_differences(table):
     model = make_model(table, [SIZE, SOOT, "scale"])
     state = np.array([0.31, 0.62, 0.4])
-    values, slopes = model.evaluate_with_jacobian(state)
-    np.testing.assert_allclose(values, model.evaluate(state[np.newaxis])[0])
+    slopes = model.jacobian(state)
     for i, step in enumerate(1e-6 * np.eye(3)):
         pair = model.evaluate(np.stack([state - step, state + step]))
         np.testing.assert_allclose(slopes[:, i], (pair[1] - pair[0]) / 2e-6, rtol=1e-5, atol=1e-8)
@@ -97,7 +94,7 @@ def test_samples_follow_a_non_gaussian_posterior(table):
     u = np.linspace(0.0, 1.0, 20_001)
     best = np.sqrt(result.dataset.value.values / 1600.0)
     misfit = model.evaluate(u[:, np.newaxis]) - measured
-    covariance = model.measurement.covariance + model.compute_error_covariance(best)
+    covariance = model.measurement.covariance + model.error_covariance(best)
     chi2 = (misfit * np.linalg.solve(covariance, misfit.T).T).sum(axis=1)
     cumulative = np.cumsum(np.exp(-0.5 * (chi2 - chi2.min())))
     probabilities = result.dataset["quantile"].values
@@ -143,7 +140,7 @@ def test_table_batches_give_correlated_errors():
     dataset = plain.dataset.assign(reflectance_batches=(dims, batches))
     model = make_model(splits.Table(dataset), [SIZE, SOOT], noise=0.001)
     # Between grid nodes, where the interpolation weights differ.
-    covariance = model.compute_error_covariance(np.array([0.4, 0.3]))
+    covariance = model.error_covariance(np.array([0.4, 0.3]))
     expected = 32.0 * np.outer(shape, shape)
     off_diagonal = ~np.eye(W.size, dtype=bool)
     np.testing.assert_allclose(
@@ -383,8 +380,7 @@ def make_solution(alternatives, spread):
         MAPEstimate(np.array([x]), none, covariance, covariance, 0.0, 0.0, np.array([False]))
         for x in (0.2, *alternatives[:1])
     ]
-    summary = PosteriorSummary(covariance, np.eye(1), 1.0, 1.0)
-    return Solution(estimates, summary, PosteriorDraws(draws, 4000.0), 1.0, none, none,
+    return Solution(estimates, draws, 4000.0, covariance, np.eye(1), 1.0, none, none,
                     tuple(np.array([x]) for x in alternatives))  # fmt: skip
 
 
@@ -415,11 +411,11 @@ def test_quantiles_match_an_ensemble_sampler():
     ranges = {SIZE: (40.0, 2000.0), SOOT: (0.0, 1600.0), "scale": (0.8, 1.2)}
     result = splits.retrieve((w, measured), table, ranges, 0.05, fixed=FIXED)
     measurement = Measurement.from_input((w, measured), 0.05)
-    model = TableForwardModel(
+    model = TableModel(
         table, measurement, StateVector.from_ranges(ranges, None, get_table_ranges(table)), FIXED
     )
     best = model.state_vector.to_coordinates(result.dataset.value.values)
-    covariance = measurement.covariance + model.compute_error_covariance(best)
+    covariance = measurement.covariance + model.error_covariance(best)
     lower = np.linalg.cholesky(covariance)
 
     def compute_log_probability(states):

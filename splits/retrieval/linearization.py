@@ -309,6 +309,8 @@ def _refine_posterior(
         states, values = np.concatenate([states, new]), np.concatenate([values, exact])
         approximation = linear_model.with_deviation(states, values)
         solution = solve_for_known_noise(approximation, measurement, seed)
+        # Not known after the last turn, where it is at most what it was before.
+        solution = solution._replace(nonlinearity=largest)
     return solution
 
 

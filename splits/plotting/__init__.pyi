@@ -1,6 +1,9 @@
 from .directions import draw_hemispheres as draw_hemispheres
 from .directions import draw_lobes as draw_lobes
 from .figure import draw as draw
+from .grammar import describe_conditions as describe_conditions
+from .grammar import save_figure as save_figure
+from .grammar import use_style as use_style
 from .points import draw_points as draw_points
 from .points import draw_summary as draw_summary
 from .points import draw_swatches as draw_swatches
@@ -11,7 +14,4 @@ from .rough_surface import draw_lens as draw_lens
 from .rough_surface import draw_surface as draw_surface
 from .spectra import draw_refractive_indices as draw_refractive_indices
 from .spectra import draw_spectra as draw_spectra
-from .style import describe_conditions as describe_conditions
-from .style import save_figure as save_figure
-from .style import use_style as use_style
 from .time_of_flight import draw_beam_spread as draw_beam_spread

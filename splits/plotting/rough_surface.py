@@ -2,32 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib import colormaps
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import LightSource, Normalize
-from matplotlib.figure import Figure
 
-from splits.io.netcdf import select_points
-from splits.plotting.style import (
+from splits.plotting.grammar import (
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
+    Figure,
     annotate_figure,
     compute_axis_top,
+    declare_figure,
     describe_conditions,
     draw_band,
     make_subplots,
     pick_colours,
-    use_style,
 )
+from splits.plotting.settings import Selection, select_one_point
 
 _REFERENCE_LINE_STYLE: dict[str, Any] = {"color": "0.6", "lw": 0.6, "ls": "--"}
 """Style of reference lines."""
-_LOWER_UPPER = np.array([-1.0, 1.0])
 
 
 def _make_panels(count: int, map_panel: int, **settings: Any) -> tuple[Figure, np.ndarray]:
@@ -37,8 +32,8 @@ def _make_panels(count: int, map_panel: int, **settings: Any) -> tuple[Figure, n
     return figure, panels
 
 
-@use_style()
-def draw_surface(dataset: xr.Dataset, select: Mapping[str, float | str] | None = None) -> Figure:
+@declare_figure
+def draw_surface(dataset: xr.Dataset, select: Selection = None) -> Figure:
     """Draw the heights of a surface in relief, and the distribution of rms slopes.
 
     Parameters
@@ -48,7 +43,11 @@ def draw_surface(dataset: xr.Dataset, select: Mapping[str, float | str] | None =
     select : mapping, optional
         Grid labels to select.
     """
-    dataset = select_points(dataset, select or {})
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LightSource, Normalize
+
+    dataset = select_one_point(dataset, select, "surface")
     height = dataset.height.transpose("y", "x").values
     x, y = dataset.x.values, dataset.y.values
     figure, (left, right) = _make_panels(2, map_panel=0, width_ratios=(1.35, 1.0))
@@ -79,8 +78,8 @@ def draw_surface(dataset: xr.Dataset, select: Mapping[str, float | str] | None =
     return annotate_figure(figure, [left, right], describe_conditions(dataset, select, ""))
 
 
-@use_style()
-def draw_lens(dataset: xr.Dataset, select: Mapping[str, float | str] | None = None) -> Figure:
+@declare_figure
+def draw_lens(dataset: xr.Dataset, select: Selection = None) -> Figure:
     """Draw rays below a surface, the ring on screens, and the concentration of light.
 
     Parameters
@@ -90,7 +89,7 @@ def draw_lens(dataset: xr.Dataset, select: Mapping[str, float | str] | None = No
     select : mapping, optional
         Grid labels to select.
     """
-    dataset = select_points(dataset, select or {})
+    dataset = select_one_point(dataset, select, "lens")
     depth = dataset.screen_depth.values
     spot = dataset.screen_position.where(dataset.detected > 0)
     size = (spot - spot.mean("ray")).pipe(np.square).sum("axis").mean("ray").values
@@ -120,8 +119,8 @@ def draw_lens(dataset: xr.Dataset, select: Mapping[str, float | str] | None = No
     positions = dataset.screen_position.values[shown][is_detected]
     middle = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
     half = 0.58 * np.ptp(positions, axis=0).max()
-    screen.set(xlim=middle[0] + half * _LOWER_UPPER, ylim=middle[1] + half * _LOWER_UPPER)
-    screen.set_aspect("equal")
+    (left, bottom), (right, top) = middle - half, middle + half
+    screen.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     figure.legend(
         *screen.get_legend_handles_labels(), title="depth of the screen", frameon=False,
         loc="outside upper center", ncols=3, markerscale=6.0,

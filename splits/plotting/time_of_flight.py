@@ -2,34 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 import xarray as xr
-from matplotlib.colors import LogNorm
-from matplotlib.figure import Figure
 
 from splits.core.validation import invalid
 from splits.instruments.delay_record import SPEED_OF_LIGHT
 from splits.io.netcdf import select_points
-from splits.plotting.lines import MAX_INSET_ENTRIES, PlotLines, place_legend_beside
-from splits.plotting.panels import MAX_LINES, MAX_ROWS, check_count
-from splits.plotting.style import (
+from splits.plotting.grammar import (
     BAND_SIGMA,
     ONE_COLUMN_INCHES,
     TWO_COLUMNS_INCHES,
+    Figure,
     annotate_figure,
     compute_axis_top,
+    declare_figure,
     describe_conditions,
     draw_curve,
     format_parameter,
     make_subplots,
     pick_colours,
-    use_style,
+)
+from splits.plotting.lines import MAX_INSET_ENTRIES, PlotLines, place_legend_beside
+from splits.plotting.settings import (
+    MAX_LINES,
+    MAX_ROWS,
+    Legend,
+    Selection,
+    check_count,
+    select_one_point,
 )
 
-MAX_TICKS = 8
-"""Largest number of values of a parameter that are all labelled."""
 HALF_SPEED_MM_PER_NS = 0.5e-6 * SPEED_OF_LIGHT
 """Apparent depth per delay."""
 
@@ -37,12 +39,8 @@ MAX_RELATIVE_ERROR = 0.25
 """Relative error above which a value is not drawn."""
 
 
-@use_style()
-def draw_returns(
-    dataset: xr.Dataset,
-    select: Mapping[str, float | str] | None = None,
-    legend: str | None = None,
-) -> Figure:
+@declare_figure
+def draw_returns(dataset: xr.Dataset, select: Selection = None, legend: Legend = None) -> Figure:
     """Draw the rate at which light returns, and the light that has returned, over the delay.
 
     Parameters
@@ -77,22 +75,15 @@ def draw_returns(
         axes.spines["top"].set_visible(True)
         depth = axes.secondary_xaxis(
             "top",
-            functions=(
-                lambda x: HALF_SPEED_MM_PER_NS * x,
-                lambda x: x / HALF_SPEED_MM_PER_NS,
-            ),
+            functions=(lambda x: HALF_SPEED_MM_PER_NS * x, lambda x: x / HALF_SPEED_MM_PER_NS),
         )
         depth.set_xlabel("apparent depth (mm)")
     lines.add_legend(figure, [left, right], legend)
     return annotate_figure(figure, [left, right], describe_conditions(dataset, select))
 
 
-@use_style()
-def draw_range_bias(
-    dataset: xr.Dataset,
-    select: Mapping[str, float | str] | None = None,
-    legend: str | None = None,
-) -> Figure:
+@declare_figure
+def draw_range_bias(dataset: xr.Dataset, select: Selection = None, legend: Legend = None) -> Figure:
     """Draw the range bias, half of the mean delay times the speed of light, over a parameter.
 
     The horizontal axis is that of the parameter with the largest number of numeric values.
@@ -108,9 +99,8 @@ def draw_range_bias(
     """
     dataset = _select_reflected(dataset, select)
     dims = [str(d) for d in dataset.mean_delay.dims if d != "wavelength"]
-    numeric = [d for d in dims if np.issubdtype(dataset[d].dtype, np.number)]
-    axis = max(numeric, key=lambda name: dataset.sizes[name], default="")
-    if dataset.sizes.get(axis, 0) < 2:
+    axis = find_bias_axis(dataset)
+    if not axis:
         allowed = "a parameter with several numbers for figure.kind = 'range_bias'"
         raise invalid("grid", dims, allowed)
     check_count("points", dataset.sizes[axis], MAX_ROWS, select)
@@ -127,23 +117,29 @@ def draw_range_bias(
         xscale="log" if x.min() > 0.0 else "linear",
     )  # fmt: skip
     axes.yaxis.set_major_formatter("{x:g}")
-    if x.size <= MAX_TICKS:
+    # Few values are all labelled.
+    if x.size <= 8:
         axes.set_xticks(x, [f"{value:g}" for value in x])
         axes.tick_params(axis="x", which="minor", bottom=False, labelbottom=False)
     lines.add_legend(figure, [axes], legend)
     return annotate_figure(figure, [axes], describe_conditions(dataset, select, "bars"))
 
 
-def _select_reflected(dataset: xr.Dataset, select: Mapping[str, float | str] | None) -> xr.Dataset:
+def find_bias_axis(dataset: xr.Dataset) -> str:
+    """Return the parameter with the largest number of numeric values, "" if none has several."""
+    dims = [str(d) for d in dataset.mean_delay.dims if d != "wavelength"]
+    numeric = [d for d in dims if dataset[d].dtype.kind in "iuf" and dataset.sizes[d] > 1]
+    return max(numeric, key=lambda name: dataset.sizes[name], default="")
+
+
+def _select_reflected(dataset: xr.Dataset, select: Selection) -> xr.Dataset:
     """Return the reflected light at values of the grid; a table of returns has no other."""
     dataset = select_points(dataset, select or {})
     return dataset.sel(side="reflected") if "side" in dataset.dims else dataset
 
 
-@use_style()
-def draw_beam_spread(
-    dataset: xr.Dataset, select: Mapping[str, float | str] | None = None
-) -> Figure:
+@declare_figure
+def draw_beam_spread(dataset: xr.Dataset, select: Selection = None) -> Figure:
     """Draw the exiting light against the distance from the entry, and its map.
 
     Parameters
@@ -153,7 +149,9 @@ def draw_beam_spread(
     select : mapping, optional
         Grid labels to select.
     """
-    dataset = select_points(dataset, select or {})
+    from matplotlib.colors import LogNorm
+
+    dataset = select_one_point(dataset, select, "spread")
     check_count("maps", dataset.sizes["wavelength"], MAX_LINES // 2, select)
     figure, (left, right) = make_subplots(
         1, 2, width=TWO_COLUMNS_INCHES, height=2.8, width_ratios=(1.15, 1.0)

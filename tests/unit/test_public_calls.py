@@ -102,7 +102,7 @@ INVALID_CALLS = {
     "albedo": lambda: splits.albedo(splits.Snow(ground="camborthid"), "midlatitude_winter"),
     "beam_spread": lambda: splits.beam_spread(SNOW, "x"),
     "compute_difference": lambda: splits.compute_difference(EMPTY, "reflectance", "a", "b"),
-    "draw": lambda: splits.draw(EMPTY, {"kind": "spectrum"}),
+    "draw": lambda: splits.draw(EMPTY, "spectrum"),
     "make_colour_table": lambda: splits.make_colour_table(EMPTY),
     "select_principal_plane": lambda: splits.select_principal_plane(EMPTY),
     "compute_mie_matrix": lambda: splits.compute_mie_matrix([500], 1.33, 10.0, 2.0),

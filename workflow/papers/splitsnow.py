@@ -12,7 +12,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from splits.core.uncertainty import compute_weighted_error
-from splits.plotting.style import (
+from splits.plotting.grammar import (
     BAND_SIGMA,
     TWO_COLUMNS_INCHES,
     annotate_figure,
@@ -520,7 +520,7 @@ def draw_albedo(table: pd.DataFrame, note: str = "") -> Figure:
     table : pandas.DataFrame
         See `compare_with_letcher`.
     note : str
-        Note for the foot, see `splits.plotting.style.describe_conditions`.
+        Note for the foot, see `splits.plotting.grammar.describe_conditions`.
     """
     depths = sorted(table.depth_m.unique(), reverse=True)
     with use_style():

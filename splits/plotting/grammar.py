@@ -1,31 +1,40 @@
-"""What all figures share: style, labels, conditions, panel letters, notes, and writing of files."""
+"""Grammar of figures: panels of lines with bands of errors, their labels, notes and files.
+
+Matplotlib is optional and its import slow, so that functions import it: experiments read the
+settings of figures from the signatures of the functions that draw.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial, wraps
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, ParamSpec
 
-import matplotlib.style
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.font_manager import fontManager
-from matplotlib.text import Text
 
 from splits.core.atomic import atomic_write
 from splits.core.declarations import AXIS_UNITS
 from splits.core.escaping import escape_mathtext
 from splits.core.inputs import UNPOLARIZED_LIGHT, get_incident_stokes
+from splits.core.keywords import declare_function
 from splits.core.validation import expand_path
 from splits.media.formatting import count_digits
 from splits.media.parameters import find_whole, get_quantity, parse_impurity_parameter
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes as Axes
+    from matplotlib.figure import Figure as Figure
+    from matplotlib.text import Text
+else:
+    # Signatures are read without matplotlib.
+    Axes = Figure = Any
+
+Given = ParamSpec("Given")
 Colour = tuple[float, float, float] | str
 Dash = str | tuple[int, tuple[int, ...]]
 
@@ -125,8 +134,9 @@ def format_value(value: object, parameter: str | None = None) -> str:
     return escape_mathtext(text.replace("_", " "))
 
 
-_MAX_TITLE_CHARS = 24
-"""Number of characters that fit above a small panel."""
+def format_point(labels: Mapping[str, Any]) -> str:
+    """Return the values of a point of a grid."""
+    return " · ".join(format_value(value, name) for name, value in labels.items())
 
 
 def make_panel_title(labels: Mapping[str, float | str], legend: str | None = None) -> str:
@@ -143,7 +153,8 @@ def make_panel_title(labels: Mapping[str, float | str], legend: str | None = Non
     for parameter, label in labels.items():
         name = legend if legend and len(labels) == 1 else format_parameter(parameter)
         value = format_value(label, parameter)
-        lines.append(f"{name}:{chr(10) if len(name + value) > _MAX_TITLE_CHARS else ' '}{value}")
+        # 24 characters fit above a small panel.
+        lines.append(f"{name}:{chr(10) if len(name + value) > 24 else ' '}{value}")
     return "\n".join(lines)
 
 
@@ -174,6 +185,9 @@ FALLBACK_FONTS = (
 @contextmanager
 def use_style() -> Iterator[None]:
     """Use the style of the project, with installed fonts for other scripts."""
+    import matplotlib.style
+    from matplotlib.font_manager import fontManager
+
     installed = {font.name for font in fontManager.ttflist}
     fonts = ["sans-serif", *(name for name in FALLBACK_FONTS if name in installed)]
     with matplotlib.style.context(
@@ -182,8 +196,19 @@ def use_style() -> Iterator[None]:
         yield
 
 
-class OffscreenFigure(Figure):
-    """Figure without pyplot, which needs no display and selects no backend for the process.
+def declare_figure(function: Callable[Given, Figure]) -> Callable[Given, Figure]:
+    """Decorate a function that draws: check its declared settings, and use the style."""
+
+    @wraps(function)
+    def styled(*values: Given.args, **keywords: Given.kwargs) -> Figure:
+        with use_style():
+            return function(*values, **keywords)
+
+    return declare_function(styled)
+
+
+def make_figure(width: float, height: float) -> Figure:
+    """Return a figure without pyplot, which needs no display and selects no backend.
 
     A notebook displays it as the value of a cell.
 
@@ -192,19 +217,23 @@ class OffscreenFigure(Figure):
     width : float
         `ONE_COLUMN_INCHES` or `TWO_COLUMNS_INCHES`.
     height : float
-        Inches.
+        Height (inches), to which notes and legends may add.
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
-    def __init__(self, width: float, height: float) -> None:
-        super().__init__(figsize=(width, height), layout="constrained")
-        # The canvas measures text before the figure is written.
-        FigureCanvasAgg(self)
+    figure = Figure(figsize=(width, height), layout="constrained")
+    # The canvas measures text before the figure is written.
+    FigureCanvasAgg(figure)
+    figure._repr_png_ = partial(_render_png, figure)  # type: ignore[attr-defined]
+    return figure
 
-    def _repr_png_(self) -> bytes:
-        buffer = BytesIO()
-        with use_style():
-            self.savefig(buffer, format="png", dpi=DPI // 2)
-        return buffer.getvalue()
+
+def _render_png(figure: Figure) -> bytes:
+    buffer = BytesIO()
+    with use_style():
+        figure.savefig(buffer, format="png", dpi=DPI // 2)
+    return buffer.getvalue()
 
 
 def make_subplots(
@@ -215,7 +244,7 @@ def make_subplots(
     width: float = ONE_COLUMN_INCHES,
     **settings: Any,
 ) -> tuple[Figure, Any]:
-    """Return an `OffscreenFigure` and its axes, as `matplotlib.pyplot.subplots` does.
+    """Return a figure and its axes, as `matplotlib.pyplot.subplots` does, see `make_figure`.
 
     Parameters
     ----------
@@ -225,8 +254,37 @@ def make_subplots(
     width : float
         `ONE_COLUMN_INCHES` or `TWO_COLUMNS_INCHES`.
     """
-    figure = OffscreenFigure(width, height)
+    figure = make_figure(width, height)
     return figure, figure.subplots(rows, columns, **settings)
+
+
+def hide_empty_panels(panels: np.ndarray, xlabel: str) -> None:
+    """Hide the panels of a grid without data, and label the axis of the lowest one of each column.
+
+    Parameters
+    ----------
+    panels : array of matplotlib.axes.Axes, shape (rows, columns)
+    xlabel : str
+    """
+    for axes in panels.flat:
+        axes.set_visible(axes.has_data())
+    for column in panels.T:
+        lowest = [axes for axes in column if axes.get_visible()][-1]
+        lowest.tick_params(labelbottom=True)
+        lowest.set_xlabel(xlabel)
+
+
+def select_evenly(size: int, max_count: int) -> np.ndarray:
+    """Return evenly spaced indices of an axis, including both ends."""
+    return np.unique(np.linspace(0, size - 1, min(size, max_count)).round().astype(int))
+
+
+def make_axis_label(variable: xr.DataArray) -> str:
+    """Return the label of an axis, on two lines if it is long."""
+    label = escape_mathtext(str(variable.attrs.get("long_name", variable.name)))
+    first, _, last = label.rpartition(" ")
+    # 30 characters fit along an axis.
+    return f"{first}\n{last}" if first and len(label) > 30 else label
 
 
 def compute_axis_top(highest: float, quantity: str = "") -> float:
@@ -284,6 +342,8 @@ def draw_curve(
 def pick_colours(count: int, parameter: str | None = None) -> list[Colour]:
     """Return distinct colours: a scale for ordered values, a palette for nominal ones."""
     if parameter not in NOMINAL_PARAMETERS:
+        import matplotlib
+
         positions = np.linspace(0.05, 0.74, count) if count > 1 else np.array([0.3])
         colours = matplotlib.colormaps["viridis"](positions)
         return [(r, g, b) for r, g, b, _ in colours.tolist()]
@@ -321,9 +381,6 @@ def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
     finally:
         figure.set_layout_engine(layout)
     return paths
-
-
-Attributes = Mapping[str, Any]
 
 
 _COMMON_CONDITIONS = {"depth_m": "depth", "ground": "ground:"}
@@ -409,7 +466,7 @@ def describe_conditions(
     return text[:1].upper() + text[1:]
 
 
-def _describe_medium(attributes: Attributes, select: dict[str, Any]) -> list[str]:
+def _describe_medium(attributes: Mapping[str, Any], select: dict[str, Any]) -> list[str]:
     """Return the descriptions of the medium and of the fixed labels."""
     kind = str(attributes.get("medium", ""))
     if kind not in CONDITIONS:
@@ -437,7 +494,8 @@ def _describe_medium(attributes: Attributes, select: dict[str, Any]) -> list[str
     for unit, symbol in (("_ng_g", "ng/g"), ("_cells_ml", "cells/ml")):
         for key, amount in attributes.items():
             name = str(key).removeprefix(f"{kind}_").removesuffix(unit)
-            if key == f"{kind}_{name}{unit}" and float(amount) > 0.0:
+            is_selected = any(str(one).endswith(f".{name}") for one in select)
+            if key == f"{kind}_{name}{unit}" and float(amount) > 0.0 and not is_selected:
                 items.append(f"{name.replace('_', ' ')} {format_value(amount)} {symbol}")
     return items + [
         f"{format_parameter(key)}: {format_value(value, key)}"

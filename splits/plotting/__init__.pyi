@@ -10,8 +10,8 @@ from .points import draw_swatches as draw_swatches
 from .principal_plane import draw_bin_sizes as draw_bin_sizes
 from .principal_plane import draw_polarization as draw_polarization
 from .principal_plane import draw_principal_planes as draw_principal_planes
-from .rough_surface import draw_lens as draw_lens
-from .rough_surface import draw_surface as draw_surface
+from .space_and_time import draw_beam_spread as draw_beam_spread
+from .space_and_time import draw_lens as draw_lens
+from .space_and_time import draw_surface as draw_surface
 from .spectra import draw_refractive_indices as draw_refractive_indices
 from .spectra import draw_spectra as draw_spectra
-from .time_of_flight import draw_beam_spread as draw_beam_spread

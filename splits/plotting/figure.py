@@ -17,19 +17,20 @@ from splits.plotting.grammar import Figure, add_notes
 from splits.plotting.points import draw_points, draw_summary, draw_swatches
 from splits.plotting.principal_plane import draw_bin_sizes, draw_polarization, draw_principal_planes
 from splits.plotting.retrieval import draw_retrieval_map, draw_retrievals
-from splits.plotting.rough_surface import draw_lens, draw_surface
 from splits.plotting.settings import Note, can_map_hemisphere
+from splits.plotting.space_and_time import (
+    draw_beam_spread,
+    draw_lens,
+    draw_range_bias,
+    draw_returns,
+    draw_surface,
+    find_bias_axis,
+)
 from splits.plotting.spectra import (
     draw_refractive_indices,
     draw_season,
     draw_spectra,
     list_spectral_quantities,
-)
-from splits.plotting.time_of_flight import (
-    draw_beam_spread,
-    draw_range_bias,
-    draw_returns,
-    find_bias_axis,
 )
 
 
@@ -174,7 +175,10 @@ def draw(
             names = join_names(map(str, dataset.variables))
             raise invalid("dataset", f"with {names}", "one that a kind of figure shows")
         kind = kinds[0] if kind is None else check_choice("figure.kind", kind, kinds)
-    given = {key: one for key, one in settings.items() if one is not None}
+    # An empty selection selects nothing.
+    given = {
+        k: one for k, one in settings.items() if one is not None and (k, one) != ("select", {})
+    }
     check_settings(kind, given)
     figure = FIGURES[kind].draw(dataset, **given)
     add_notes(figure, note or "")

@@ -21,7 +21,7 @@ from splits.core.atomic import atomic_write
 from splits.core.declarations import AXIS_UNITS
 from splits.core.escaping import escape_mathtext
 from splits.core.inputs import UNPOLARIZED_LIGHT, get_incident_stokes
-from splits.core.keywords import declare_function
+from splits.core.keywords import ERROR_NAMES, declare_function
 from splits.core.validation import expand_path
 from splits.media.formatting import count_digits
 from splits.media.parameters import find_whole, get_quantity, parse_impurity_parameter
@@ -74,10 +74,6 @@ NOMINAL_PARAMETERS = (
 """Parameters with unordered values."""
 FRACTIONS = ("reflectance", "transmittance", "absorptance", "albedo", "band_albedo")
 """Quantities from 0 to 1."""
-NEARLY_ONE = 0.85
-"""Value of a fraction above which its axis shows the limit 1."""
-_HEADROOM = 1.05
-"""Upper end of an axis from zero, relative to the largest value."""
 _NUMBER_PATTERN = r"\d+(?:\.\d+)?(?:e[+-]?\d+)?"
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -169,11 +165,11 @@ def _format_number(number: str) -> str:
     return tens if float(mantissa) == 1.0 else f"{float(mantissa):g} × {tens}"
 
 
-FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 FIGURE_METADATA: dict[str, dict[str, Any]] = {
     ".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None},
 }  # fmt: skip
-"""Metadata of figure files, without dates and program versions, for reproducible files."""
+"""Metadata of figure files by suffix, without dates and program versions, which would differ."""
+FIGURE_SUFFIXES = tuple(FIGURE_METADATA)
 FALLBACK_FONTS = (
     "Noto Sans CJK SC", "Noto Sans CJK JP", "Source Han Sans SC", "WenQuanYi Micro Hei",
     "Microsoft YaHei", "Yu Gothic", "Malgun Gothic", "PingFang SC", "Hiragino Sans",
@@ -289,9 +285,9 @@ def make_axis_label(variable: xr.DataArray) -> str:
 
 def compute_axis_top(highest: float, quantity: str = "") -> float:
     """Return the upper end of an axis from zero, above 1 for fractions near 1."""
-    if quantity in FRACTIONS and highest > NEARLY_ONE:
+    if quantity in FRACTIONS and highest > 0.85:
         highest = max(highest, 1.0)
-    return _HEADROOM * highest if highest > 0.0 else 1.0
+    return 1.05 * highest if highest > 0.0 else 1.0
 
 
 def start_at_zero(axes: Axes, quantity: str = "", ylim: tuple[float, float] | None = None) -> None:
@@ -369,12 +365,10 @@ def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
     paths = []
     layout = figure.get_layout_engine()
     try:
-        for suffix in FIGURE_SUFFIXES:
+        for suffix, metadata in FIGURE_METADATA.items():
             path = stem.with_name(stem.name + suffix)
             with use_style(), atomic_write(path) as temporary_path:
-                figure.savefig(
-                    temporary_path, format=suffix[1:], dpi=DPI, metadata=FIGURE_METADATA[suffix]
-                )
+                figure.savefig(temporary_path, format=suffix[1:], dpi=DPI, metadata=metadata)
             paths.append(path)
             # The layout is fixed now; computing it again takes as long as drawing.
             figure.set_layout_engine("none")
@@ -405,34 +399,19 @@ CONDITIONS: dict[str, dict[str, str]] = {
     "stack": _COMMON_CONDITIONS,
 }
 """Labels of the keywords that figures show, by kind of medium."""
-_CONDITION_WORDS = {
-    "saturation": {"0": "dry", "0.0": "dry"},
-    "ground": {"open": "", "none": ""},
-    "surface_rms_slope": {"inf": "slopes without finite rms"},
-}
-"""Texts in place of a label and a value."""
 
 
 def _format_condition(key: str, label: str, value: Any) -> str:
     """Return the value of a keyword with its label and its unit."""
+    words = {
+        "saturation": {"0": "dry", "0.0": "dry"}, "ground": {"open": "", "none": ""},
+        "surface_rms_slope": {"inf": "slopes without finite rms"},
+    }  # fmt: skip
     values, unit = np.atleast_1d(value), get_quantity(key).unit
-    if values.dtype.kind in "if":
-        text = "–".join(format_value(float(f"{x:.4g}")) for x in values)
-    else:
-        text = format_value(str(value))
-    shown = f"{label} {text} {'' if text == '∞' else AXIS_UNITS.get(unit, unit)}".strip()
-    return _CONDITION_WORDS.get(key, {}).get(str(value), shown)
-
-
-_EQUIVALENT_KEYS = (
-    ("specific_surface_area_m2_kg", "optical_radius_um", "grain_size_um"),
-    ("saturation", "liquid_water_content"),
-)
-"""Keywords that state the same quantity."""
-_INTERIOR_KEYS = ("optical_thickness", "single_scattering_albedo", "ground")
-"""Keywords of a layer without effect below an opaque surface."""
-_SURFACE_INSTRUMENTS = ("surface_map", "lens")
-"""Instruments that measure a rough surface only."""
+    is_number = values.dtype.kind in "if"
+    texts = [format_value(float(f"{x:.4g}") if is_number else str(x)) for x in values]
+    unit = "" if texts == ["∞"] else AXIS_UNITS.get(unit, unit)
+    return words.get(key, {}).get(str(value), f"{label} {'–'.join(texts)} {unit}".strip())
 
 
 def describe_conditions(
@@ -476,7 +455,9 @@ def _describe_medium(attributes: Mapping[str, Any], select: dict[str, Any]) -> l
         for key in CONDITIONS[kind]
         if f"{kind}_{key}" in attributes
     } | select
-    for keys in _EQUIVALENT_KEYS:
+    # Keywords that state the same quantity.
+    sizes = ("specific_surface_area_m2_kg", "optical_radius_um", "grain_size_um")
+    for keys in (sizes, ("saturation", "liquid_water_content")):
         # The selected one, or the one with the fewest digits, which is the one that was written.
         given = [key for key in keys if key in values]
         shown = [key for key in given if key in select] or sorted(
@@ -484,10 +465,13 @@ def _describe_medium(attributes: Mapping[str, Any], select: dict[str, Any]) -> l
         )
         values = {key: v for key, v in values.items() if key not in given or key == shown[0]}
     opaque = attributes.get(f"{kind}_opaque") == "true"
-    has_no_interior = opaque or attributes.get("instrument") in _SURFACE_INSTRUMENTS
+    # What is below has no effect.
+    hidden: tuple[str, ...] = ()
+    if opaque or attributes.get("instrument") in ("surface_map", "lens"):
+        hidden = ("optical_thickness", "single_scattering_albedo", "ground")
     items = [kind.replace("_", " ")]
     for key, label in CONDITIONS[kind].items():
-        if key in values and not (has_no_interior and key in _INTERIOR_KEYS):
+        if key in values and key not in hidden:
             items.append(_format_condition(key, label, values.pop(key)))
     if opaque:
         items.append("nothing below the surface")
@@ -512,27 +496,24 @@ def _describe_light(dataset: xr.Dataset, select: Mapping[str, Any]) -> str:
         return "diffuse light"
     text = f"incidence {format_value(incidence)}" + ("" if isinstance(incidence, str) else "°")
     stokes = get_incident_stokes(dataset.attrs)
-    if stokes == UNPOLARIZED_LIGHT:
-        return text
-    return f"{text}, Stokes vector ({', '.join(f'{value:g}' for value in stokes)})"
+    if stokes != UNPOLARIZED_LIGHT:
+        text += f", Stokes vector ({', '.join(f'{value:g}' for value in stokes)})"
+    return text
 
 
 def _describe_error(dataset: xr.Dataset, band: str) -> str:
     """Return the meaning of the bands, and the error reached."""
-    for key, description in (
-        ("max_stderr_reached", "standard error"),
-        ("relative_stderr_reached", "relative standard error"),
-    ):
-        reached = dataset[key].max() if key in dataset else dataset.attrs.get(key)
+    texts = [f"{band}: {BAND_SIGMA:g} standard errors"] if band else []
+    for key, description in ERROR_NAMES.items():
+        name = f"{key}_reached"
+        reached = dataset[name].max() if name in dataset else dataset.attrs.get(name)
         if reached is not None:
-            text = f"{description} ≤ {format_value(float(f'{float(reached):.1g}'))}"
-            return f"{band}: {BAND_SIGMA:g} standard errors; {text}" if band else text
-    return f"{band}: {BAND_SIGMA:g} standard errors" if band else ""
+            texts.append(f"{description} ≤ {format_value(float(f'{float(reached):.1g}'))}")
+            break
+    return "; ".join(texts)
 
 
 _MARGIN_INCHES = 0.05
-_LINE_SPACING = 1.25
-"""Line spacing of notes."""
 NOTES_GID = "foot"
 """Identifier of the text of notes in a figure."""
 
@@ -579,7 +560,7 @@ def add_notes(figure: Figure, *notes: str) -> None:
     if text is None:
         text = figure.text(
             _MARGIN_INCHES / inches, 0.0, "", va="bottom", ha="left", fontsize=SMALL_FONT_PT,
-            color="0.3", linespacing=_LINE_SPACING, gid=NOTES_GID,
+            color="0.3", linespacing=1.25, gid=NOTES_GID,
         )  # fmt: skip
         # The layout would otherwise reserve room inside the axes.
         text.set_in_layout(False)

@@ -130,10 +130,6 @@ class PlotLines:
                 PlotLine(labels, format_point(labels), self.colours[row], dash, is_default, zorder)
             )
 
-    def make_title(self) -> str:
-        """Return the names of the dimensions."""
-        return " · ".join(map(format_parameter, self.dims))
-
     def add_legend(
         self,
         figure: Figure,
@@ -163,7 +159,9 @@ class PlotLines:
             self._add_colour_bar(figure, axes, title)
         handles = [*self._make_handles(title), *extra_handles]
         is_split = len(self.lines) > MAX_INSET_ENTRIES and bool(self.dash_dims)
-        heading = None if is_split or self.has_colour_bar else title or self.make_title() or None
+        heading = (
+            None if is_split or self.has_colour_bar else title or format_names(self.dims) or None
+        )
         if not handles:
             return
         if len(handles) <= max_inset_entries and not self.has_colour_bar:
@@ -188,8 +186,7 @@ class PlotLines:
             for value, colour in zip(self._values[self.colour_dim], self.colours, strict=True):
                 text = format_value(value, self.colour_dim)
                 handles.append(make_handle(text, color=colour, lw=1.4))
-        heading = " · ".join(map(format_parameter, self.dash_dims))
-        handles.append(make_handle(heading, ls="none"))
+        handles.append(make_handle(format_names(self.dash_dims), ls="none"))
         points = itertools.product(*(self._values[d] for d in self.dash_dims))
         for values, dash in zip(points, itertools.cycle(DASHES)):
             text = format_point(dict(zip(self.dash_dims, values, strict=True)))
@@ -216,6 +213,11 @@ class PlotLines:
             [format_value(self._values[self.colour_dim][i], self.colour_dim) for i in ticks]
         )
         colour_bar.ax.minorticks_off()
+
+
+def format_names(parameters: Sequence[str]) -> str:
+    """Return the labels of parameters."""
+    return " · ".join(map(format_parameter, parameters))
 
 
 def make_handle(label: str, **style: Any) -> Artist:
@@ -289,9 +291,6 @@ def place_legend_beside(figure: Figure, handles: Sequence[Artist], title: str | 
 _FRACTION_PARAMETERS = {"water": ("saturation",), "hematite": ("iron_oxide", "hematite_ratio"),
            "magnetite": ("magnetite",)}  # fmt: skip
 """Parameters that must all be above 0 for a material to be present."""
-_TICK_COLOURS = {
-    "water": ("#c8553d", "red"), "ice": ("#1f6fb4", "blue"), "hematite": ("#7b3294", "purple"),
-}  # fmt: skip
 
 
 def find_coarse_nodes(dataset: xr.Dataset) -> dict[str, np.ndarray]:
@@ -364,13 +363,15 @@ def make_nodes_note(nodes: dict[str, np.ndarray]) -> str:
 
 def _get_tick_colour(name: str) -> tuple[str, str]:
     """Return the colour of a material's ticks, and the name of the colour."""
-    return _TICK_COLOURS.get(name.partition(" ")[0], ("#666666", "grey"))
+    colours = {
+        "water": ("#c8553d", "red"), "ice": ("#1f6fb4", "blue"), "hematite": ("#7b3294", "purple"),
+    }  # fmt: skip
+    return colours.get(name.partition(" ")[0], ("#666666", "grey"))
 
 
 # --------------------------------------------------------------------------------------------------
 # Panels of the shifts of curves from the one labelled ``default``.
 
-MAX_SHIFT_COLUMNS = 4
 SHIFT_COLOUR = "#1f6fb4"
 INDEPENDENCE_NOTE = (
     "errors of shifts assume independent runs, though they share some random numbers"
@@ -428,7 +429,7 @@ def draw_shifts(
     dataset = dataset.squeeze([d for d, n in dataset.sizes.items() if n == 1 and d in
                                dataset[quantity[0]].dims and d not in (dim, axis_dim)])  # fmt: skip
     others = [v for v in dataset[dim].values if str(v) != DEFAULT_LABEL]
-    columns = min(MAX_SHIFT_COLUMNS, 1 + len(others))
+    columns = min(4, 1 + len(others))
     rows_per_quantity = -(-(1 + len(others)) // columns)
     nodes = find_coarse_nodes(dataset) if axis_dim == "wavelength" else {}
     figure, panels = make_subplots(

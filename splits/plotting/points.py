@@ -36,6 +36,7 @@ from splits.plotting.lines import (
     PlotLines,
     compute_shift,
     find_default_dim,
+    format_names,
     place_legend_beside,
 )
 from splits.plotting.principal_plane import draw_principal_planes
@@ -114,7 +115,7 @@ def draw_points(
     if series.has_colour_bar and handles:
         series.add_legend(figure, list(panels[0]))
     elif len(handles) > 1:
-        place_legend_beside(figure, handles, series.make_title())
+        place_legend_beside(figure, handles, format_names(series.dims))
     shift_note = f"Shifts: {INDEPENDENCE_NOTE}." if dim and has_spectra else ""
     band = "bars" if has_spectra else ""
     return annotate_figure(
@@ -214,6 +215,8 @@ def draw_summary(
     )
     fixed = [n for n in (*select, *rest) if n in part.coords]
     shown = part.drop_vars([n for n in (*fixed, *single) if n in part.coords])
+    if shown.sizes["wavelength"] == 1:
+        return draw_points(shown, quantity, legend=legend)
     if panel_dims:
         note = _describe_nodes(part, fixed)
         return draw_small_multiples(shown, quantity, panel_dims, legend, note=note)

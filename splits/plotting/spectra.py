@@ -123,6 +123,9 @@ def draw_spectra(
     """
     dataset = select_points(dataset, select or {})
     quantity = choose_quantities(dataset, quantity, list_spectral_quantities(dataset))
+    if dataset.sizes["wavelength"] == 1:
+        hint = "kind='points' shows single wavelengths over a grid"
+        raise invalid("wavelength", dataset.wavelength.values.tolist(), "at least two", hint)
     if wavelength_nm:
         x = dataset.wavelength.values
         dataset = dataset.sel(wavelength=slice(*wavelength_nm))
@@ -150,12 +153,12 @@ def draw_spectra(
         len(quantity), 1, height=2.2 * len(quantity), squeeze=False, sharex=True
     )
     measured_handles: list[Any] = []
+    x = dataset.wavelength.values
     for axes, name in zip(panels[:, 0], quantity, strict=True):
         for line in lines.lines:
             part = dataset.sel(line.labels)
-            x, y, error = (part[one].values for one in ("wavelength", name, f"{name}_stderr"))
-            style = line.to_plot_style() | {"label": line.label or "model"}
-            draw_curve(axes, x, y, error, 0.0, alpha=0.25, **style)
+            style = line.to_plot_style() | {"label": line.label or "model", "alpha": 0.25}
+            draw_curve(axes, x, part[name].values, part[f"{name}_stderr"].values, 0.0, **style)
         if measured is not None and name in measured:
             y, limits = measured[name], None
             if f"{name}_min" in measured:

@@ -1,7 +1,7 @@
 from splits.core.escaping import escape_json
 from splits.core import provenance
 from splits.core.provenance import hash_files, hash_physics_sources, hash_sources
-from splits.experiments.config.sections import FIGURE_SUFFIXES
+from splits.plotting.grammar import FIGURE_SUFFIXES
 from splits.experiments.config.settings import (
     describe_missing,
     find_incomplete_studies,

@@ -33,7 +33,6 @@ from splits.experiments.config.retrieval import (
     check_retrieval,
 )
 from splits.experiments.config.sections import (
-    FIGURE_SUFFIXES,
     Caption,
     ConfigSection,
     MeasuredFile,
@@ -42,6 +41,7 @@ from splits.experiments.config.sections import (
 )
 from splits.experiments.config.simulation import Name, SimulationConfig
 from splits.plotting.figure import FIGURES, check_settings, draw, list_instrument_figures
+from splits.plotting.grammar import FIGURE_SUFFIXES
 from splits.tables.axes import ALL_QUANTITIES
 
 # --------------------------------------------------------------------------------------------------

@@ -27,8 +27,6 @@ from splits.core.validation import (
 )
 
 MAX_CAPTION_CHARS = 5000
-FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
-"""File suffixes of figures."""
 
 
 def match_pattern(pattern: re.Pattern[str], allowed: str) -> AfterValidator:

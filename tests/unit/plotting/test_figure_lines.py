@@ -376,7 +376,7 @@ WRONG_DATA = {
     "no spectrum": ({"quantity": "length"}, ONE.assign(length=0.1), None,
                     r"figure\.quantity = 'length': must be one of"),
     "unused setting": ({"kind": "points", "ylim": [0, 1]}, ONE, None,
-                       r"figure\.ylim = .*left out for kind points .it belongs to principal_plane, spectra"),
+                       r"figure\.ylim = .*left out for kind points .it belongs to principal_plane"),
     "unknown setting": ({"colour": "red"}, ONE, None, r"figure\.colour: unknown key"),
     "other columns": ({}, ONE, MEASURED.rename(columns={"reflectance": "albedo"}),
                       r"figure\.measured = .*with columns wavelength_nm and reflectance"),

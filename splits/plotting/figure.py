@@ -59,6 +59,11 @@ def _covers_hemisphere(dataset: xr.Dataset) -> bool:
     return can_map_hemisphere(dataset.polar_deg.values, dataset.azimuth_deg.values)
 
 
+def _has_spectra(dataset: xr.Dataset) -> bool:
+    names = list_spectral_quantities(dataset)
+    return any("polar_deg" not in dataset[name].dims for name in names)
+
+
 _SPECTRAL, _DIRECTIONAL = ("spectrophotometer",), ("goniophotometer",)
 _PULSED, _ANGLES = ("time_of_flight", "return_table"), ("polar_deg", "azimuth_deg")
 FIGURES = {
@@ -91,9 +96,9 @@ FIGURES = {
     "lens": FigureType(draw_lens, ("lens",), ("screen_depth", "concentration")),
     "spectra": FigureType(
         draw_spectra, _SPECTRAL, ("wavelength",),
-        lambda data: data.sizes.get("wavelength", 0) > 1 and list_spectral_quantities(data),
+        lambda data: data.sizes.get("wavelength", 0) > 1 and _has_spectra(data),
     ),
-    "points": FigureType(draw_points, _SPECTRAL, ("wavelength",), list_spectral_quantities),
+    "points": FigureType(draw_points, _SPECTRAL, ("wavelength",), _has_spectra),
     "swatches": FigureType(
         draw_swatches, _SPECTRAL, ("reflectance", "wavelength"),
         lambda data: data.reflectance.ndim in (2, 3) and np.ptp(data.wavelength.values) >= 380.0,

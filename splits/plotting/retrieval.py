@@ -126,11 +126,11 @@ def draw_retrievals(
 def describe_state(dataset: xr.Dataset) -> str:
     """Return the medians of the retrieved parameters, with the other conditions, as one line."""
     medians = dataset.quantiles.sel(quantile=0.5).to_series()
-    state: dict[str, Any] = {
+    state: dict[str, Any] = {str(name): float(f"{value:.4g}") for name, value in medians.items()}
+    state |= {
         key.removeprefix("fixed_"): value
         for key, value in dataset.attrs.items() if key.startswith("fixed_")
     }  # fmt: skip
-    state |= {str(name): float(f"{value:.4g}") for name, value in medians.items()}
     text = describe_conditions(dataset, state, "") or ", ".join(
         f"{format_parameter(name)}: {format_value(value, name)}" for name, value in state.items()
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterable, Mapping
 from functools import cache
@@ -196,6 +197,8 @@ def check_figure(content: Any) -> dict[str, Any]:
 def make_figure_schema() -> dict[str, Any]:
     """Return the JSON schema of a section `figure`."""
     properties = {key: one.make_schema() for key, one in list_figure_inputs().items()}
+    name = {"enum": list(dict.fromkeys(itertools.chain(*INSTRUMENT_QUANTITIES.values())))}
+    properties["quantity"] |= {"anyOf": [name, {"type": "array", "items": name}]}
     section = {"type": "object", "properties": properties, "additionalProperties": False}
     return {"anyOf": [{"const": "none"}, section]}
 

@@ -66,7 +66,7 @@ def keep_incidence(dataset: xr.Dataset, select: Mapping[str, float | str] | None
     return dataset if incidence is None else dataset.assign_attrs(incidence_deg=float(incidence))
 
 
-def choose_directional(dataset: xr.Dataset, given: Sequence[str] | None) -> Sequence[str]:
+def choose_directional(dataset: xr.Dataset, given: Sequence[str] | None) -> tuple[str, ...]:
     """Return the given quantities over directions, by default the first one."""
     return choose_quantities(dataset, given, [name for name in QUANTITY_LABELS if name in dataset])
 

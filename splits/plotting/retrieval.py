@@ -205,7 +205,7 @@ def _make_note(dataset: xr.Dataset, rows: int, several: bool) -> str:
 def _insert_gaps(x: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
     """Return rows with NaN inserted at gaps of the wavelengths."""
     steps = np.diff(x)
-    gaps = np.flatnonzero(steps > 2.0 * np.median(steps)) + 1 if steps.size else []
+    gaps = np.flatnonzero(steps > 2.0 * (np.median(steps) if steps.size else 0.0)) + 1
     return [np.insert(row.astype(float), gaps, np.nan) for row in (x, *rows)]
 
 
@@ -262,7 +262,7 @@ def _draw_corner(
     colours = [colour for _, colour in get_model_colours(part)]
     # A law has no draws of parameters that it does not contain.
     low, high = np.nanquantile(draws, [0.002, 0.998], axis=(0, 1))
-    for i, j in zip(*np.tril_indices(len(names)), strict=True):
+    for i, j in ((i, j) for i in range(len(names)) for j in range(i + 1)):
         axes = figure.add_subplot(inner[i, j])
         axes.set_xlim(low[j], high[j])
         axes.tick_params(labelsize=SMALL_FONT_PT, labelbottom=i == len(names) - 1)

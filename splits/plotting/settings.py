@@ -25,7 +25,7 @@ from splits.core.validation import (
 from splits.io.netcdf import select_points
 
 
-def check_names(key: str, value: Any) -> tuple[str, ...]:
+def check_quantity_names(key: str, value: Any) -> tuple[str, ...]:
     """Return one name, or several, as a tuple; reject none at all and repeated ones."""
     names = (value,) if isinstance(value, str) else value
     if not isinstance(names, list | tuple) or not all(isinstance(one, str) for one in names):
@@ -66,7 +66,7 @@ Quantities = Annotated[
     tuple[str, ...],
     Quantity(
         "one quantity, or several",
-        check=check_names,
+        check=check_quantity_names,
         schema={"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]},
     ),
 ]
@@ -134,13 +134,13 @@ def check_count(
 
 def choose_quantities(
     dataset: xr.Dataset, given: Sequence[str] | None, names: Sequence[str]
-) -> Sequence[str]:
+) -> tuple[str, ...]:
     """Return the given quantities, by default the first one of those that a kind of figure has."""
     if not names:
         raise invalid("dataset", f"with {', '.join(map(str, dataset))}", "of the figure's kind")
     for name in given or ():
         check_choice("figure.quantity", name, names)
-    return given or names[:1]
+    return tuple(given or names[:1])
 
 
 def select_one_point(

@@ -262,7 +262,8 @@ def _draw_corner(
     colours = [colour for _, colour in get_model_colours(part)]
     # A law has no draws of parameters that it does not contain.
     low, high = np.nanquantile(draws, [0.002, 0.998], axis=(0, 1))
-    for i, j in ((i, j) for i in range(len(names)) for j in range(i + 1)):
+    pairs = [(row, column) for row in range(len(names)) for column in range(row + 1)]
+    for i, j in pairs:
         axes = figure.add_subplot(inner[i, j])
         axes.set_xlim(low[j], high[j])
         axes.tick_params(labelsize=SMALL_FONT_PT, labelbottom=i == len(names) - 1)

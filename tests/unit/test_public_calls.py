@@ -25,7 +25,7 @@ from splits.tables.conversions import convert_to_isofit
 
 ROOT = Path(__file__).parents[2]
 TAKES_OTHER_KEYWORDS = {f"Table.{name}" for name in (
-    "derivatives", "deviations", "interp", "interpolation_errors", "to_eradiate", "to_isofit",
+    "draw", "derivatives", "deviations", "interp", "interpolation_errors", "to_eradiate", "to_isofit",
 )} | {"load_medium"}  # fmt: skip
 """Callables whose keywords are the axes of a table, or the keywords of a medium."""
 

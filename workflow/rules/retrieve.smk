@@ -1,9 +1,7 @@
 rule retrieve:
     input:
         table=f"{RESULTS}/data/{{experiment}}.nc",
-        measured=lambda wildcards: list_measured_files(
-            wildcards.experiment, "retrieve"
-        ),
+        measured=lambda wildcards: list_measured_files(wildcards.experiment, "retrieve"),
     output:
         table=f"{RESULTS}/tables/{{experiment}}_retrieved.csv",
         figure=multiext(f"{RESULTS}/figures/{{experiment}}", *FIGURE_SUFFIXES),

@@ -25,9 +25,9 @@ from splits.tables.conversions import convert_to_isofit
 
 ROOT = Path(__file__).parents[2]
 TAKES_OTHER_KEYWORDS = {f"Table.{name}" for name in (
-    "draw", "derivatives", "deviations", "interp", "interpolation_errors", "to_eradiate", "to_isofit",
-)} | {"load_medium"}  # fmt: skip
-"""Callables whose keywords are the axes of a table, or the keywords of a medium."""
+    "derivatives", "deviations", "interp", "interpolation_errors", "to_eradiate", "to_isofit",
+)} | {"draw", "load_medium"}  # fmt: skip
+"""Callables whose keywords are axes of a table, keywords of a medium, or settings of a figure."""
 
 
 def list_public_callables():

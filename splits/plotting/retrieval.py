@@ -192,6 +192,8 @@ def draw_retrieval_map(dataset: xr.Dataset, select: Selection = None) -> Figure:
 def _make_note(dataset: xr.Dataset, rows: int, several: bool) -> str:
     """Return the note at the foot of the figure."""
     note = RETURN_NOTE if "delay_s" in dataset.dims else SPECTRUM_NOTE
+    if "medium" in dataset.attrs:
+        note = note.replace("the table", "the model")
     if rows < dataset.sizes["sample"]:
         note = f"{rows} of {dataset.sizes['sample']} samples, evenly among all. " + note
     if dataset.sizes["model"] == 1:
@@ -226,7 +228,8 @@ def _draw_spectrum(figure: Figure, cell: SubplotSpec, part: xr.Dataset, title: s
             draw_band(top, x, measured, noise, color="0.8")
             draw_band(bottom, x, np.zeros_like(measured), noise, color="0.8")
         chi2 = float(part_of_model.chi2)
-        label = f"{format_value(model, 'model') if model else 'table'}, χ² {chi2:.0f}"
+        unnamed = "model" if "medium" in part.attrs else "table"
+        label = f"{format_value(model, 'model') if model else unnamed}, χ² {chi2:.0f}"
         if part.sizes["model"] == 1:
             label += f" of {float(part_of_model.chi2_expected):.0f}"
         top.plot(x, fitted, color=colour, lw=1.0, ls="--", label=label)

@@ -137,7 +137,13 @@ def choose_quantities(
 ) -> tuple[str, ...]:
     """Return the given quantities, by default the first one of those that a kind of figure has."""
     if not names:
-        raise invalid("dataset", f"with {', '.join(map(str, dataset))}", "of the figure's kind")
+        given_names, hint = (
+            ", ".join(map(str, dataset)),
+            "without a kind, draw chooses one that fits",
+        )
+        raise invalid(
+            "dataset", f"with {given_names}", "with quantities of the figure's kind", hint
+        )
     for name in given or ():
         check_choice("figure.quantity", name, names)
     return tuple(given or names[:1])

@@ -15,8 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from splits.plotting.lines import place_legend_above
-from splits.plotting.style import (
+from splits.plotting.grammar import (
     TWO_COLUMNS_INCHES,
     Colour,
     annotate_figure,
@@ -24,6 +23,7 @@ from splits.plotting.style import (
     pick_colours,
     use_style,
 )
+from splits.plotting.lines import place_legend_above
 
 QUANTITIES = ("reflectance", "transmittance", "absorptance")
 

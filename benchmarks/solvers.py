@@ -43,14 +43,14 @@ import splits
 from splits.discrete_ordinates import grains
 from splits.discrete_ordinates.applicability import make_granular_stack
 from splits.media.snow import NATURAL_GRAIN_SHAPE
-from splits.plotting.lines import place_legend_above
-from splits.plotting.style import (
+from splits.plotting.grammar import (
     TWO_COLUMNS_INCHES,
     annotate_figure,
     make_subplots,
     pick_colours,
     use_style,
 )
+from splits.plotting.lines import place_legend_above
 
 WAVELENGTHS_NM = np.arange(400.0, 2501.0, 10.0)
 TRACED_WAVELENGTHS_NM = np.arange(400.0, 1501.0, 10.0)

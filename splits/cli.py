@@ -117,8 +117,7 @@ def _check_targets(
     experiment: ExperimentConfig, arguments: argparse.Namespace, measured: Path
 ) -> None:
     """Reject results that would replace an input of their experiment."""
-    sections = (experiment.figure, experiment.retrieval)
-    names = [section.measured for section in sections if section and section.measured]
+    names = filter(None, experiment.list_measured_names().values())
     inputs = [arguments.file, *(measured / name for name in names)]
     targets = [arguments.output / Path(path).name for path in experiment.list_product_paths()]
     experiment.check_targets(targets, inputs, "set name or --output")
@@ -151,10 +150,10 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
         import_optional("matplotlib", "figures", "figures need")
         import_optional("seaborn", "figures", "figures need")
     measured = arguments.media.parent / "measured"
-    figure_measured = experiment.figure.measured
-    measured_spectra = (
-        [read_spectra(measured / figure_measured, "figure.measured")] if figure_measured else []
-    )
+    figure_measured = experiment.figure.get("measured")
+    measured_spectra = None
+    if figure_measured:
+        measured_spectra = read_spectra(measured / figure_measured, "figure.measured")
     _check_targets(experiment, arguments, measured)
     target = arguments.output / f"{experiment.name}.nc"
     check_writable(target)
@@ -173,7 +172,8 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
         if has_figure:
             from splits.plotting import draw, save_figure
 
-            figure = draw(load(target), experiment.resolve_figure(), *measured_spectra)
+            settings = experiment.resolve_figure() | {"measured": measured_spectra}
+            figure = draw(load(target), **settings)
             save_figure(figure, target.with_suffix(""))
             _print_line(target.with_suffix(".png"))
 

@@ -21,7 +21,7 @@ from sphinx.util.docutils import SphinxDirective
 import splits
 from splits.core.declarations import UNIT_SYMBOLS, Input, list_inputs
 from splits.core.discovery import load_instruments
-from splits.experiments.config.experiment import INSTRUMENT_FIGURES, INSTRUMENT_QUANTITIES
+from splits.experiments.config.experiment import INSTRUMENT_QUANTITIES, list_figure_inputs
 from splits.experiments.config.instruments import (
     FUNCTIONS,
     KINDS,
@@ -29,6 +29,7 @@ from splits.experiments.config.instruments import (
     list_section_inputs,
 )
 from splits.media.kinds import MEDIUM_FACTORIES
+from splits.plotting.figure import FIGURES, list_instrument_figures
 
 MAX_NUMBERS = 6
 """Longest sequence of numbers of which all are shown."""
@@ -215,7 +216,7 @@ class Instruments(SphinxDirective):
         """Return the table."""
         rows = []
         for kind in KINDS:
-            columns = INSTRUMENT_FIGURES.get(kind, ()), INSTRUMENT_QUANTITIES.get(kind, ())
+            columns = list_instrument_figures(kind), INSTRUMENT_QUANTITIES.get(kind, ())
             cells = [", ".join(f"`{name}`" for name in column) or "—" for column in columns]
             rows.append([f"`{kind}`", describe(FUNCTIONS.get(kind, splits.build_table)), *cells])
         head = ["`instrument.kind`", "description", "`figure.kind`", "`figure.quantity`"]
@@ -247,6 +248,26 @@ def list_instrument_keys() -> list[list[str]]:
         for (key, meaning, *others), owners in kinds.items()
     ]
     return sorted(rows, key=lambda row: keys.index(row[0]))
+
+
+def list_figure_keys() -> list[list[str]]:
+    """Return a row for each key of the section `figure`, with the kinds that have it."""
+    rows = []
+    for key, one in list_figure_inputs().items():
+        kinds = [f"`{kind}`" for kind, figure in FIGURES.items() if key in list_inputs(figure.draw)]
+        rows.append(
+            [f"`{key}`", str(one.quantity), ", ".join(kinds) or "all", describe_allowed(one)]
+        )
+    return rows
+
+
+class FigureKeys(SphinxDirective):
+    """``{figure-keys}``: a row for each key of the section `figure`."""
+
+    def run(self) -> list[nodes.Node]:
+        """Return the table."""
+        rows = list_figure_keys()
+        return self.parse_text_to_nodes(table(["key", "meaning", "kinds", "allowed"], rows))
 
 
 class InstrumentKeys(SphinxDirective):
@@ -360,7 +381,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directives."""
     for name, directive in (
         ("config-keys", Keys), ("instrument-kinds", Instruments),
-        ("instrument-keys", InstrumentKeys), ("keywords", Keywords),
+        ("instrument-keys", InstrumentKeys), ("figure-keys", FigureKeys), ("keywords", Keywords),
         ("all-keywords", AllKeywords),
     ):  # fmt: skip
         app.add_directive(name, directive)

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 import xarray as xr
+from pydantic import AfterValidator, AllowInfNan, Strict
 
 from splits.core.arrays import (
     as_1d_array,
@@ -25,6 +26,16 @@ from splits.core.validation import (
     suggest_number,
 )
 
+
+def check_interval(limits: tuple[float, float]) -> tuple[float, float]:
+    """Return the limits of an interval; reject an empty one."""
+    if not limits[0] < limits[1]:
+        raise invalid("", list(limits), "low < high")
+    return limits
+
+
+FiniteNumber = Annotated[float, Strict(), AllowInfNan(False)]
+Interval = Annotated[tuple[FiniteNumber, FiniteNumber], AfterValidator(check_interval)]
 INFINITE_HINT = "or infinite: .inf in YAML, math.inf in Python"
 
 

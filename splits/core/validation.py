@@ -153,6 +153,19 @@ def check_relations(*relations: tuple[Any, str, object, str, *tuple[str, ...]]) 
             raise invalid(key, value, allowed, *hint)
 
 
+MAX_LABEL_CHARS, MAX_TITLE_CHARS = 80, 200
+
+
+def check_text(key: str, value: str, max_chars: int, multiline: bool = False) -> str:
+    """Return a printable text of one or several lines; reject others."""
+    joined = value.replace("\n", "").replace("\t", "") if multiline else value
+    check_relations(
+        (len(value) <= max_chars, key, value, f"at most {max_chars} characters"),
+        (joined.isprintable(), key, value, "text without control characters or line breaks"),
+    )
+    return value
+
+
 def unknown_key(key: str, known_names: Iterable[str]) -> UnknownKey:
     """Return the error for an unknown key, with the nearest known name as a hint."""
     names = list(known_names)

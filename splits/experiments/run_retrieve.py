@@ -252,8 +252,8 @@ def write_samples(
     outputs: tuple[str | Path, str | Path],
 ) -> None:
     """Write the retrievals of all samples as a table and as a figure; see `write_retrieval`."""
+    from splits.plotting.grammar import save_figure
     from splits.plotting.retrieval import draw_retrievals
-    from splits.plotting.style import save_figure
 
     write_data_frame(make_retrieval_table(results, references), outputs[0])
     figure = draw_retrievals(combine_samples(results, experiment), references, prefixes)

@@ -3,39 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm, Normalize, to_rgb
-from matplotlib.figure import Figure
-from matplotlib.gridspec import SubplotSpec
-from matplotlib.ticker import LogLocator, MaxNLocator
 
 from splits.analysis.directions import select_principal_plane
 from splits.core.validation import invalid
 from splits.io.netcdf import select_points
+from splits.plotting.grammar import (
+    ONE_COLUMN_INCHES,
+    SMALL_FONT_PT,
+    TWO_COLUMNS_INCHES,
+    Axes,
+    Figure,
+    annotate_figure,
+    declare_figure,
+    describe_conditions,
+    draw_band,
+    make_figure,
+    make_panel_title,
+)
 from splits.plotting.lines import PlotLines
-from splits.plotting.panels import (
+from splits.plotting.settings import (
     MAX_AZIMUTH_GAP_DEG,
     MAX_PANELS,
     MIN_AZIMUTHS,
     MIN_POLAR_ANGLES,
+    Legend,
+    Quantities,
+    Selection,
     can_map_hemisphere,
     check_count,
+    choose_quantities,
+    select_one_point,
 )
-from splits.plotting.style import (
-    ONE_COLUMN_INCHES,
-    SMALL_FONT_PT,
-    TWO_COLUMNS_INCHES,
-    OffscreenFigure,
-    annotate_figure,
-    describe_conditions,
-    draw_band,
-    make_panel_title,
-    use_style,
-)
+
+if TYPE_CHECKING:
+    from matplotlib.colors import Normalize
+    from matplotlib.gridspec import SubplotSpec
 
 MAX_POLAR_DEG = 82.5
 """Largest angle from the normal at which directions are drawn and errors are controlled."""
@@ -54,16 +60,23 @@ MAX_INSET_LINES = 4
 """Largest number of lines with a legend inside the axes."""
 
 
-def select_point(dataset: xr.Dataset, select: Mapping[str, float | str] | None) -> xr.Dataset:
-    """Return the dataset at labels of its grid, with the incidence kept as an attribute."""
-    select = select or {}
-    attributes = {key: float(select[key]) for key in ("incidence_deg",) if key in select}
-    return select_points(dataset, select).assign_attrs(attributes)
+def keep_incidence(dataset: xr.Dataset, select: Mapping[str, float | str] | None) -> xr.Dataset:
+    """Return a dataset with the selected angle of incidence as an attribute."""
+    incidence = (select or {}).get("incidence_deg")
+    return dataset if incidence is None else dataset.assign_attrs(incidence_deg=float(incidence))
+
+
+def choose_directional(dataset: xr.Dataset, given: Sequence[str] | None) -> tuple[str, ...]:
+    """Return the given quantities over directions, by default the first one."""
+    return choose_quantities(dataset, given, [name for name in QUANTITY_LABELS if name in dataset])
 
 
 def extract_plane(dataset: xr.Dataset) -> xr.Dataset:
-    """Return the principal plane up to `MAX_POLAR_DEG`, with a gap where bins have no value."""
-    plane = select_principal_plane(dataset)
+    """Return the principal plane up to `MAX_POLAR_DEG`, with a gap where bins have no value.
+
+    The dataset may be that of a plane.
+    """
+    plane = dataset if "angle" in dataset.dims else select_principal_plane(dataset)
     plane = plane.isel(angle=np.abs(plane.angle.values) <= MAX_POLAR_DEG)
     return insert_zenith_gap(plane) if dataset.attrs.get("estimator") == "bins" else plane
 
@@ -111,6 +124,8 @@ def get_incidence_deg(line: xr.Dataset) -> float:
 
 def format_half_circle(axes: Axes, top: float | None, downward: bool = False) -> None:
     """Format polar axes as a half circle of viewing angles, above or below the surface."""
+    from matplotlib.ticker import MaxNLocator
+
     ticks = np.arange(-90, 91, 30)
     axes.set_theta_zero_location("N")  # type: ignore[attr-defined]
     axes.set_theta_direction(-1)  # type: ignore[attr-defined]
@@ -124,34 +139,19 @@ def format_half_circle(axes: Axes, top: float | None, downward: bool = False) ->
     axes.grid(color=".85", lw=0.5)
 
 
-MAX_MAP_COLUMNS = 4
 RING_ANGLES_DEG = (30.0, 60.0)
-_LOG_SCALE_RATIO = 10.0
-"""Ratio of values above which the colour scale is logarithmic."""
-_MIN_RELATIVE_VALUE = 0.01
-"""Lower end of a logarithmic colour scale, relative to the largest value."""
-_MAP_HEIGHT_INCHES = 1.75
 _MAX_ANGLE_STDERR_DEG = 20.0
 """Largest error (degrees) of an angle of linear polarization that is drawn."""
 _LINE_LENGTH_DEG = 9.0
 """Length of its lines, in degrees of the polar angle."""
-_MIN_AZIMUTH_STEPS = 180
-"""Smallest number of azimuth steps for round borders of bins."""
-_MARKER_STYLE: dict[str, Any] = {
-    "ls": "none",
-    "mfc": "white",
-    "mec": "black",
-    "mew": 0.7,
-    "clip_on": False,
-}
 
 
-@use_style()
+@declare_figure
 def draw_hemispheres(
     dataset: xr.Dataset,
-    quantity: Sequence[str] = ("brdf",),
-    select: Mapping[str, float | str] | None = None,
-    legend: str | None = None,
+    quantity: Quantities | None = None,
+    select: Selection = None,
+    legend: Legend = None,
 ) -> Figure:
     """Draw a hemisphere map for every point of a grid.
 
@@ -159,7 +159,7 @@ def draw_hemispheres(
     ----------
     dataset : xarray.Dataset
         Output of `splits.goniophotometer` or of an experiment with it, over all azimuths.
-    quantity : sequence of str
+    quantity : sequence of str, optional
         Keys of `splits.plotting.directions.QUANTITY_LABELS`; each has a block of maps with its
         own scale.
     select : mapping, optional
@@ -167,7 +167,8 @@ def draw_hemispheres(
     legend : str, optional
         Name of a single varying parameter; that of the parameter by default.
     """
-    dataset = select_point(dataset, select)
+    dataset = keep_incidence(select_points(dataset, select or {}), select)
+    quantity = choose_directional(dataset, quantity)
     if not can_map_hemisphere(dataset.polar_deg.values, dataset.azimuth_deg.values):
         allowed = (
             f"another kind, such as principal_plane: a map needs at least {MIN_POLAR_ANGLES} polar "
@@ -178,11 +179,11 @@ def draw_hemispheres(
         raise invalid("figure.kind", "hemisphere", allowed, hint)
     count = len(make_lines(dataset, quantity[0]).lines)
     check_count("maps", count * len(quantity), MAX_PANELS, select)
-    columns = min(MAX_MAP_COLUMNS, count)
+    columns = min(4, count)
     rows = -(-count // columns)
     width = ONE_COLUMN_INCHES if count == 1 else TWO_COLUMNS_INCHES
-    block_height = 2.6 if count == 1 else 0.25 + _MAP_HEIGHT_INCHES * rows
-    figure = OffscreenFigure(width, block_height * len(quantity))
+    block_height = 2.6 if count == 1 else 0.25 + 1.75 * rows
+    figure = make_figure(width, block_height * len(quantity))
     grid = figure.add_gridspec(rows * len(quantity), columns)
     panels = []
     for number, name in enumerate(quantity):
@@ -256,6 +257,9 @@ def draw_dataset_maps(
     name: str,
 ) -> list[Axes]:
     """Draw maps of datasets over ``polar_deg`` and ``azimuth_deg`` only, see `draw_maps`."""
+    from matplotlib.colors import LogNorm, Normalize
+    from matplotlib.ticker import LogLocator
+
     values = np.concatenate([part[name].values.ravel() for part in parts])
     is_degree = name == "brdf_dolp"
     norm = Normalize(0.0, float(values.max()) or 1.0) if is_degree else _make_colour_scale(values)
@@ -278,13 +282,13 @@ def draw_dataset_maps(
 
 def _make_colour_scale(values: np.ndarray) -> Normalize:
     """Return a colour scale for values, logarithmic where they span a large factor."""
+    from matplotlib.colors import LogNorm, Normalize
+
     positive = values[values > 0.0]
     if positive.size == 0:
         return Normalize(0.0, 1.0)
     low, high = float(np.quantile(positive, 0.01)), float(positive.max())
-    if high > _LOG_SCALE_RATIO * low:
-        return LogNorm(max(low, _MIN_RELATIVE_VALUE * high), high)
-    return Normalize(low, high)
+    return LogNorm(max(low, 0.01 * high), high) if high > 10.0 * low else Normalize(low, high)
 
 
 def _make_mesh(part: xr.Dataset, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -294,7 +298,8 @@ def _make_mesh(part: xr.Dataset, name: str) -> tuple[np.ndarray, np.ndarray, np.
     """
     part = part.sortby("azimuth_deg").sortby("polar_deg")
     azimuth, polar = part.azimuth_deg.values, part.polar_deg.values
-    n_cuts = -(-_MIN_AZIMUTH_STEPS // azimuth.size)
+    # At least 180 steps of azimuth.
+    n_cuts = -(-180 // azimuth.size)
     steps = np.diff(azimuth, append=azimuth[0] + 360.0)
     first = azimuth[0] - 0.5 * steps[-1]
     borders = np.append(first, azimuth + 0.5 * steps)
@@ -314,21 +319,20 @@ def _draw_map(axes: Axes, part: xr.Dataset, name: str, norm: Normalize) -> Any:
     azimuth_borders, polar_borders, values = _make_mesh(part, name)
     axes.grid(False)
     image = axes.pcolormesh(
-        azimuth_borders,
-        polar_borders,
-        np.clip(values, norm.vmin, norm.vmax),
-        norm=norm,
-        cmap="cividis",
-        rasterized=True,
-    )
+        azimuth_borders, polar_borders, np.clip(values, norm.vmin, norm.vmax), norm=norm,
+        cmap="cividis", rasterized=True,
+    )  # fmt: skip
     for ring in RING_ANGLES_DEG:
         axes.plot(
             azimuth_borders, np.full(azimuth_borders.size, ring), color="white", lw=0.5, alpha=0.7
         )
     incidence = get_incidence_deg(part)
-    axes.plot([0.0], [incidence], "D", ms=3, **_MARKER_STYLE)
+    marker: dict[str, Any] = {
+        "ls": "none", "mfc": "white", "mec": "black", "mew": 0.7, "clip_on": False,
+    }  # fmt: skip
+    axes.plot([0.0], [incidence], "D", ms=3, **marker)
     if name != "btdf":
-        axes.plot([np.pi], [incidence], "o", ms=4, **_MARKER_STYLE)
+        axes.plot([np.pi], [incidence], "o", ms=4, **marker)
     axes.set_ylim(0.0, 90.0)
     axes.set(xticks=[], yticks=[])
     axes.set_xlabel("forward →", labelpad=1.0)
@@ -360,14 +364,8 @@ def _draw_polarization_angles(axes: Axes, part: xr.Dataset) -> None:
     axes.plot(np.angle(ends), np.abs(ends), color="white", lw=0.8)
 
 
-MAX_LOBE_COLUMNS = 3
-_SURFACE_STYLE: dict[str, Any] = {
-    "rcount": 40, "ccount": 80, "lw": 0, "ec": "none", "antialiased": False,
-}  # fmt: skip
-
-
-@use_style()
-def draw_lobes(dataset: xr.Dataset, select: Mapping[str, float | str] | None = None) -> Figure:
+@declare_figure
+def draw_lobes(dataset: xr.Dataset, select: Selection = None) -> Figure:
     """Draw the BRDF of every point of a grid as a surface, and its principal plane below.
 
     Parameters
@@ -377,7 +375,9 @@ def draw_lobes(dataset: xr.Dataset, select: Mapping[str, float | str] | None = N
     select : mapping, optional
         Grid labels to select.
     """
-    dataset = select_point(dataset, select)
+    from matplotlib.colors import to_rgb
+
+    dataset = keep_incidence(select_one_point(dataset, select, "lobes", max_free=1), select)
     dataset = dataset.isel(polar_deg=dataset.polar_deg.values <= MAX_POLAR_DEG)
     periodic = dataset.pad(azimuth_deg=(0, 1), mode="wrap")
     azimuth = np.radians(
@@ -388,11 +388,10 @@ def draw_lobes(dataset: xr.Dataset, select: Mapping[str, float | str] | None = N
     check_count("surfaces", len(lines), MAX_PANELS, select)
     # Axes need a finite range even for a BRDF of 0.
     top = 1.05 * float(dataset.brdf.max()) or 1.0
-    columns = min(MAX_LOBE_COLUMNS, len(lines))
+    columns = min(3, len(lines))
     rows = -(-len(lines) // columns)
-    figure = OffscreenFigure(
-        ONE_COLUMN_INCHES if columns == 1 else TWO_COLUMNS_INCHES, 0.3 + 2.8 * rows
-    )
+    width = ONE_COLUMN_INCHES if columns == 1 else TWO_COLUMNS_INCHES
+    figure = make_figure(width, 0.3 + 2.8 * rows)
     surfaces, planes = [], []
     for number, grid_line in enumerate(lines):
         row, column = divmod(number, columns)
@@ -406,7 +405,8 @@ def draw_lobes(dataset: xr.Dataset, select: Mapping[str, float | str] | None = N
             radius * np.sin(polar) * np.sin(azimuth),
             radius * np.cos(polar) * np.ones_like(azimuth),
             # Lighter, so that it remains visible when shaded.
-            color=[0.6 * c + 0.4 for c in to_rgb(grid_line.colour)], **_SURFACE_STYLE,
+            color=[0.6 * c + 0.4 for c in to_rgb(grid_line.colour)],
+            rcount=40, ccount=80, lw=0, ec="none", antialiased=False,
         )  # fmt: skip
         axes.set(xlim=(-top, top), ylim=(-top, top), zlim=(0.0, top))
         axes.set_box_aspect((2, 2, 1), zoom=1.5)

@@ -7,45 +7,42 @@ import math
 import re
 from collections.abc import Sequence
 from textwrap import fill
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import BoundaryNorm, ListedColormap
-from matplotlib.figure import Figure
-from matplotlib.legend import Legend
-from matplotlib.lines import Line2D
 
 from splits.materials import TabulatedIndex
 from splits.materials.library import MATERIALS, list_datasets, make_refractive_index
-from splits.plotting.panels import DEFAULT_LABEL, MAX_LINES, MAX_PANELS, check_count
-from splits.plotting.style import (
+from splits.plotting.grammar import (
     BAND_SIGMA,
     NOMINAL_PARAMETERS,
     TWO_COLUMNS_INCHES,
+    Axes,
     Colour,
     Dash,
+    Figure,
     annotate_figure,
     draw_curve,
     format_parameter,
+    format_point,
     format_value,
+    hide_empty_panels,
     make_subplots,
     pick_colours,
     start_at_zero,
-    use_style,
 )
+from splits.plotting.settings import DEFAULT_LABEL, MAX_LINES, MAX_PANELS, check_count
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.legend import Legend
 
 DASHES: tuple[Dash, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (8, 3)))
 MAX_INSET_ENTRIES = 6
 """Largest number of lines with individual entries and a legend inside the axes."""
 MAX_COLOUR_ENTRIES = 10
 """Largest number of values of an ordered parameter without a colour bar."""
-_LEGEND_ENTRY_INCHES = 0.145
-_MAX_LEGEND_FRACTION = 0.4
-"""Largest width of a legend beside the axes, relative to the figure; taller ones are narrower."""
 
 
 class PlotLine(NamedTuple):
@@ -128,13 +125,10 @@ class PlotLines:
             is_default = str(labels.get(self.colour_dim)) == DEFAULT_LABEL
             # The first line is the reference and is drawn on top.
             zorder = 4.0 if is_default else 2.0 + 1.0 / (1 + len(self.lines))
-            text = " · ".join(format_value(value, d) for d, value in labels.items())
             dash = DASHES[dash_index % len(DASHES)]
-            self.lines.append(PlotLine(labels, text, self.colours[row], dash, is_default, zorder))
-
-    def make_title(self) -> str:
-        """Return the names of the dimensions."""
-        return " · ".join(map(format_parameter, self.dims))
+            self.lines.append(
+                PlotLine(labels, format_point(labels), self.colours[row], dash, is_default, zorder)
+            )
 
     def add_legend(
         self,
@@ -165,7 +159,9 @@ class PlotLines:
             self._add_colour_bar(figure, axes, title)
         handles = [*self._make_handles(title), *extra_handles]
         is_split = len(self.lines) > MAX_INSET_ENTRIES and bool(self.dash_dims)
-        heading = None if is_split or self.has_colour_bar else title or self.make_title() or None
+        heading = (
+            None if is_split or self.has_colour_bar else title or format_names(self.dims) or None
+        )
         if not handles:
             return
         if len(handles) <= max_inset_entries and not self.has_colour_bar:
@@ -182,28 +178,25 @@ class PlotLines:
     def _make_handles(self, title: str | None) -> list[Artist]:
         """Return an entry per line, or for many lines an entry per value of each parameter."""
         if len(self.lines) <= MAX_INSET_ENTRIES or not self.dash_dims:
-            if self.has_colour_bar:
-                return []
-            return [
-                Line2D([], [], label=item.label or "model", **item.to_plot_style())
-                for item in self.lines
-            ]
-        handles: list[Artist] = []
+            items = () if self.has_colour_bar else self.lines
+            return [make_handle(item.label or "model", **item.to_plot_style()) for item in items]
+        handles = []
         if not self.has_colour_bar:
-            handles.append(_make_heading(title or format_parameter(self.colour_dim)))
+            handles.append(make_handle(title or format_parameter(self.colour_dim), ls="none"))
             for value, colour in zip(self._values[self.colour_dim], self.colours, strict=True):
                 text = format_value(value, self.colour_dim)
-                handles.append(Line2D([], [], color=colour, lw=1.4, label=text))
-        handles.append(_make_heading(" · ".join(map(format_parameter, self.dash_dims))))
-        for number, item in enumerate(
-            itertools.product(*(self._values[d] for d in self.dash_dims))
-        ):  # fmt: skip
-            text = " · ".join(format_value(v, d) for d, v in zip(self.dash_dims, item, strict=True))
-            dash = DASHES[number % len(DASHES)]
-            handles.append(Line2D([], [], color="0.15", lw=1.0, ls=dash, label=text))
+                handles.append(make_handle(text, color=colour, lw=1.4))
+        handles.append(make_handle(format_names(self.dash_dims), ls="none"))
+        points = itertools.product(*(self._values[d] for d in self.dash_dims))
+        for values, dash in zip(points, itertools.cycle(DASHES)):
+            text = format_point(dict(zip(self.dash_dims, values, strict=True)))
+            handles.append(make_handle(text, color="0.15", lw=1.0, ls=dash))
         return handles
 
     def _add_colour_bar(self, figure: Figure, axes: Sequence[Axes], title: str | None) -> None:
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import BoundaryNorm, ListedColormap
+
         n_colours = len(self.colours)
         norm = BoundaryNorm(np.arange(n_colours + 1) - 0.5, n_colours)
         ticks = np.arange(0, n_colours, -(-n_colours // MAX_COLOUR_ENTRIES))
@@ -222,8 +215,16 @@ class PlotLines:
         colour_bar.ax.minorticks_off()
 
 
-def _make_heading(text: str) -> Line2D:
-    return Line2D([], [], ls="none", label=text)
+def format_names(parameters: Sequence[str]) -> str:
+    """Return the labels of parameters."""
+    return " · ".join(map(format_parameter, parameters))
+
+
+def make_handle(label: str, **style: Any) -> Artist:
+    """Return the entry of a line in a legend; with ``ls="none"``, a heading."""
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], label=label, **style)
 
 
 def is_covering_line(legend: Legend, axes: Axes) -> bool:
@@ -280,27 +281,16 @@ def place_legend_beside(figure: Figure, handles: Sequence[Artist], title: str | 
     title : str or None
     """
     figure.set_figwidth(TWO_COLUMNS_INCHES)
-    rows = max(1, int(figure.get_figheight() / _LEGEND_ENTRY_INCHES) - 2)
-    height = _place_legend(
-        figure, handles, title, "outside right upper", -(-len(handles) // rows),
-        _MAX_LEGEND_FRACTION * figure.bbox.width,
-    )  # fmt: skip
+    # An entry is 0.145 inches high, and the legend at most 0.4 of the width of the figure.
+    rows = max(1, int(figure.get_figheight() / 0.145) - 2)
+    columns, max_width = -(-len(handles) // rows), 0.4 * figure.bbox.width
+    height = _place_legend(figure, handles, title, "outside right upper", columns, max_width)
     figure.set_figheight(max(figure.get_figheight(), height + 0.1))
 
 
-COARSE_STEP_RATIO = 2.0
-"""Spacing of rows, in steps of the wavelengths, above which a table is coarse."""
-_INDEX_ATTRIBUTE = re.compile(r"(?P<medium>\w+?)_refractive_index_(?P<material>[a-z]+)")
 _FRACTION_PARAMETERS = {"water": ("saturation",), "hematite": ("iron_oxide", "hematite_ratio"),
            "magnetite": ("magnetite",)}  # fmt: skip
 """Parameters that must all be above 0 for a material to be present."""
-
-
-_TICK_COLOURS = {
-    "water": ("#c8553d", "red"), "ice": ("#1f6fb4", "blue"), "hematite": ("#7b3294", "purple"),
-}  # fmt: skip
-_TICK_LENGTHS_PT = (8.0, 5.0, 3.0, 2.0)
-"""Lengths (points) of the ticks of successive tables, half of which is above the axis."""
 
 
 def find_coarse_nodes(dataset: xr.Dataset) -> dict[str, np.ndarray]:
@@ -323,38 +313,37 @@ def find_coarse_nodes(dataset: xr.Dataset) -> dict[str, np.ndarray]:
     step = float(np.median(np.diff(x)))
     nodes: dict[str, tuple[float, np.ndarray]] = {}
     for key, name in dataset.attrs.items():
-        match = _INDEX_ATTRIBUTE.fullmatch(str(key))
-        if match is None or match["material"] not in MATERIALS:
-            continue
-        medium, material = match.groups()
-        needed = (f"{medium}_{one}" for one in _FRACTION_PARAMETERS.get(material, ()))
-        is_in_use = all(float(dataset.attrs.get(one, 1.0)) > 0.0 for one in needed)
+        medium, _, material = str(key).partition("_refractive_index_")
         # Without the factor of k.
         base_name = str(name).partition(", k x")[0]
-        if not is_in_use or base_name not in list_datasets(material):
+        needed = (f"{medium}_{one}" for one in _FRACTION_PARAMETERS.get(material, ()))
+        is_in_use = all(float(dataset.attrs.get(one, 1.0)) > 0.0 for one in needed)
+        # Layers of stacks, whose keys have dots, are left out.
+        is_known = medium.isidentifier() and material in MATERIALS
+        if not is_known or not is_in_use or base_name not in list_datasets(material):
             continue
         table = make_refractive_index(material, base_name)
         if not isinstance(table, TabulatedIndex):
             continue
-        rows = table.wavelength_nm
-        is_wide = np.diff(rows) > COARSE_STEP_RATIO * step
-        largest_gap = np.diff(rows)[(rows[1:] > x[0]) & (rows[:-1] < x[-1])].max(initial=0.0)
-        is_at_gap = np.concatenate([[False], is_wide]) | np.concatenate([is_wide, [False]])
-        rows = rows[is_at_gap & (rows >= x[0]) & (rows <= x[-1])]
+        # Ends of steps of a coarse table, which are wider than two of the wavelengths.
+        low, high = table.wavelength_nm[:-1], table.wavelength_nm[1:]
+        is_wide = high - low > 2.0 * step
+        gap = float((high - low)[(high > x[0]) & (low < x[-1])].max(initial=0.0))
+        rows = np.union1d(low[is_wide], high[is_wide])
+        rows = rows[(rows >= x[0]) & (rows <= x[-1])]
         if rows.size:
             # The printed name of a table, such as Hale & Querry 1973.
-            table_name = re.sub(
+            printed = re.sub(
                 r"^([a-z]+)_([a-z]+)_(\d{4})", r"\1 & \2 \3", str(name).partition(",")[0]
             )
-            label = f"{material} ({table_name.replace('_', ' ').title()})"
-            nodes[label] = (float(largest_gap), rows)
-    order = sorted(nodes, key=lambda label: -nodes[label][0])
-    return {label: nodes[label][1] for label in order}
+            nodes[f"{material} ({printed.replace('_', ' ').title()})"] = (gap, rows)
+    return {label: rows for label, (_, rows) in sorted(nodes.items(), key=lambda n: -n[1][0])}
 
 
 def draw_node_ticks(axes: Axes, nodes: dict[str, np.ndarray]) -> None:
     """Draw a tick upwards from the wavelength axis at every row of the tables."""
-    for (name, rows), length in zip(nodes.items(), _TICK_LENGTHS_PT, strict=False):
+    # Ticks of successive tables have these lengths (points), half of which is above the axis.
+    for (name, rows), length in zip(nodes.items(), (8.0, 5.0, 3.0, 2.0), strict=False):
         axes.plot(
             rows, np.zeros(rows.size), "|", transform=axes.get_xaxis_transform(), ms=length,
             color=_get_tick_colour(name)[0], mew=0.7, zorder=1.0, label="_nodes",
@@ -374,21 +363,20 @@ def make_nodes_note(nodes: dict[str, np.ndarray]) -> str:
 
 def _get_tick_colour(name: str) -> tuple[str, str]:
     """Return the colour of a material's ticks, and the name of the colour."""
-    return _TICK_COLOURS.get(name.partition(" ")[0], ("#666666", "grey"))
+    colours = {
+        "water": ("#c8553d", "red"), "ice": ("#1f6fb4", "blue"), "hematite": ("#7b3294", "purple"),
+    }  # fmt: skip
+    return colours.get(name.partition(" ")[0], ("#666666", "grey"))
 
 
 # --------------------------------------------------------------------------------------------------
 # Panels of the shifts of curves from the one labelled ``default``.
 
-MAX_SHIFT_COLUMNS = 4
 SHIFT_COLOUR = "#1f6fb4"
 INDEPENDENCE_NOTE = (
     "errors of shifts assume independent runs, though they share some random numbers"
 )
 """Note on errors of shifts: points of a grid have the same seed, but not the same rays."""
-_PANEL_HEIGHT_INCHES = 1.2
-_MAX_TITLE_CHARS = 22
-"""Number of characters that fit above a panel."""
 
 
 def find_default_dim(dataset: xr.Dataset, dims: Sequence[str]) -> str | None:
@@ -410,7 +398,6 @@ def compute_shift(dataset: xr.Dataset, name: str, dim: str) -> tuple[xr.DataArra
     return dataset[name] - default[name], variance**0.5
 
 
-@use_style()
 def draw_shifts(
     dataset: xr.Dataset,
     quantity: Sequence[str],
@@ -442,7 +429,7 @@ def draw_shifts(
     dataset = dataset.squeeze([d for d, n in dataset.sizes.items() if n == 1 and d in
                                dataset[quantity[0]].dims and d not in (dim, axis_dim)])  # fmt: skip
     others = [v for v in dataset[dim].values if str(v) != DEFAULT_LABEL]
-    columns = min(MAX_SHIFT_COLUMNS, 1 + len(others))
+    columns = min(4, 1 + len(others))
     rows_per_quantity = -(-(1 + len(others)) // columns)
     nodes = find_coarse_nodes(dataset) if axis_dim == "wavelength" else {}
     figure, panels = make_subplots(
@@ -451,7 +438,7 @@ def draw_shifts(
         width=TWO_COLUMNS_INCHES,
         sharex=True,
         squeeze=False,
-        height=0.4 + _PANEL_HEIGHT_INCHES * rows_per_quantity * len(quantity),
+        height=0.4 + 1.2 * rows_per_quantity * len(quantity),
     )
     for number, (name, label) in enumerate(zip(quantity, labels[1], strict=True)):
         part = panels[number * rows_per_quantity : (number + 1) * rows_per_quantity].ravel()
@@ -467,25 +454,17 @@ def draw_shifts(
             draw_curve(axes, x, values, errors, color=SHIFT_COLOUR)
             axes.axhline(0.0, color="black", lw=0.6, zorder=1.5)
             axes.set_ylim(-limit, limit)
-            # A line break may separate a dollar sign from its escape.
             value = format_value(other, dim)
             text = value if dim in NOMINAL_PARAMETERS else f"{format_parameter(dim)}: {value}"
-            axes.set_title(fill(text, _MAX_TITLE_CHARS).replace("\\\n$", "\n\\$"))
+            # As many characters as fit; a line break may separate a dollar sign from its escape.
+            axes.set_title(fill(text, 22).replace("\\\n$", "\n\\$"))
         for axes in part[: 1 + len(others)]:
             axes.margins(x=0.01)
             draw_node_ticks(axes, nodes)
-        for axes in part[1 + len(others) :]:
-            axes.set_visible(False)
         part[0].set_ylabel(label)
         start_at_zero(part[0], name, ylim)
-        for row in (
-            part.reshape(rows_per_quantity, columns)[:, 0] if rows_per_quantity > 1 else part[1:2]
-        ):
-            if row is not part[0]:
-                row.set_ylabel("shift")
-    for column in panels.T:
-        shown = [axes for axes in column if axes.get_visible()]
-        shown[-1].tick_params(labelbottom=True)
-        shown[-1].set_xlabel(labels[0])
+        for row in part[columns::columns] if rows_per_quantity > 1 else part[1:2]:
+            row.set_ylabel("shift")
+    hide_empty_panels(panels, labels[0])
     shift_note = f"Shifts: value minus that of the default in panel (a); {INDEPENDENCE_NOTE}."
     return annotate_figure(figure, panels.flat, note, shift_note, make_nodes_note(nodes))

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from splits.analysis.directions import merge_angular_bins, select_principal_plane
 from splits.core.inputs import get_incident_stokes
@@ -21,6 +17,7 @@ from splits.plotting.directions import (
     QUANTITY_LABELS,
     SHORT_ANGLE_LABEL,
     VIEWING_ANGLE_LABEL,
+    choose_directional,
     describe_bins,
     draw_dataset_maps,
     draw_maps,
@@ -28,45 +25,55 @@ from splits.plotting.directions import (
     format_half_circle,
     get_incidence_deg,
     insert_zenith_gap,
+    keep_incidence,
     make_lines,
     make_maps_note,
     select_line,
-    select_point,
     to_plot_angle,
 )
-from splits.plotting.lines import MAX_INSET_ENTRIES, PlotLines, draw_shifts, find_default_dim
-from splits.plotting.panels import can_map_hemisphere
-from splits.plotting.style import (
+from splits.plotting.grammar import (
     BAND_SIGMA,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
+    Axes,
     Colour,
-    OffscreenFigure,
+    Figure,
     annotate_figure,
+    declare_figure,
     describe_conditions,
     draw_band,
     draw_curve,
     format_value,
+    make_figure,
     make_panel_title,
     make_subplots,
     pick_colours,
     start_at_zero,
-    use_style,
+)
+from splits.plotting.lines import (
+    MAX_INSET_ENTRIES,
+    PlotLines,
+    draw_shifts,
+    find_default_dim,
+    make_handle,
+)
+from splits.plotting.settings import (
+    Legend,
+    Limits,
+    Quantities,
+    Selection,
+    can_map_hemisphere,
+    select_one_point,
 )
 
-MAX_MAPS = 4
-"""Largest number of points of a grid with additional hemisphere maps."""
-MAX_PLANE_ROWS = 4
-"""Largest number of rows of panels for the values of a parameter."""
 
-
-@use_style()
+@declare_figure
 def draw_principal_planes(
     dataset: xr.Dataset,
-    quantity: Sequence[str] = ("brdf",),
-    select: Mapping[str, float | str] | None = None,
-    legend: str | None = None,
-    ylim: tuple[float, float] | None = None,
+    quantity: Quantities | None = None,
+    select: Selection = None,
+    legend: Legend = None,
+    ylim: Limits = None,
 ) -> Figure:
     """Draw the principal plane as a polar plot and over the viewing angle, with error bands.
 
@@ -79,8 +86,9 @@ def draw_principal_planes(
     Parameters
     ----------
     dataset : xarray.Dataset
-        Output of `splits.goniophotometer`, or of an experiment with it.
-    quantity : sequence of str
+        Output of `splits.goniophotometer`, of `splits.select_principal_plane`, or of an
+        experiment.
+    quantity : sequence of str, optional
         Keys of `splits.plotting.directions.QUANTITY_LABELS`, each with a row of panels.
     select : mapping, optional
         Grid labels to select.
@@ -90,7 +98,8 @@ def draw_principal_planes(
         Limits of the second panel and outer radius of the first; for shifts, limits of the panel
         of the default.
     """
-    dataset = select_point(dataset, select)
+    dataset = keep_incidence(select_points(dataset, select or {}), select)
+    quantity = choose_directional(dataset, quantity)
     plane = extract_plane(dataset)
     note = describe_conditions(dataset, select)
     lines = make_lines(plane, quantity[0])
@@ -101,22 +110,19 @@ def draw_principal_planes(
     # The parameter with a row of panels for every value, "" if one row shows all lines.
     varying, panel_dim = [one for one in lines.dims if plane.sizes[one] > 1], ""
     if len(varying) >= 2 and len(lines.lines) > MAX_INSET_ENTRIES:
-        few = (one for one in reversed(varying) if plane.sizes[one] <= MAX_PLANE_ROWS)
-        panel_dim = next(few, "")
+        panel_dim = next((one for one in reversed(varying) if plane.sizes[one] <= 4), "")
+    parts = [(plane, "")]
     if panel_dim:
-        panel_values = plane[panel_dim].values
         lines = make_lines(plane.isel({panel_dim: 0}, drop=True), quantity[0])
-        parts = [plane.sel({panel_dim: value}) for value in panel_values]
-        titles = [make_panel_title({panel_dim: value}) for value in panel_values]
-    else:
-        parts, titles = [plane], [""]
-    has_all_azimuths = can_map_hemisphere(dataset.polar_deg.values, dataset.azimuth_deg.values)
-    is_mapped = has_all_azimuths and len(lines.lines) <= MAX_MAPS and not panel_dim
+        points = [{panel_dim: value} for value in plane[panel_dim].values]
+        parts = [(plane.sel(point), make_panel_title(point)) for point in points]
+    has_all_azimuths = "azimuth_deg" in dataset.dims and can_map_hemisphere(
+        dataset.polar_deg.values, dataset.azimuth_deg.values
+    )
+    is_mapped = has_all_azimuths and len(lines.lines) <= 4 and not panel_dim
     n_maps = len(lines.lines) if is_mapped else 0
-    blocks = [
-        (name, part, title) for name in quantity for part, title in zip(parts, titles, strict=True)
-    ]
-    figure = OffscreenFigure(TWO_COLUMNS_INCHES, (2.2 + (1.8 if n_maps > 1 else 0.0)) * len(blocks))
+    blocks = [(name, *part) for name in quantity for part in parts]
+    figure = make_figure(TWO_COLUMNS_INCHES, (2.2 + (1.8 if n_maps > 1 else 0.0)) * len(blocks))
     rows_per_quantity = 2 if n_maps > 1 else 1
     grid = figure.add_gridspec(len(blocks) * rows_per_quantity, 1)
     planes = []
@@ -142,12 +148,7 @@ def draw_principal_planes(
 
 
 def _draw_plane(
-    plane: xr.Dataset,
-    name: str,
-    polar: Axes,
-    flat: Axes,
-    lines: PlotLines,
-    ylim: tuple[float, float] | None,
+    plane: xr.Dataset, name: str, polar: Axes, flat: Axes, lines: PlotLines, ylim: Limits
 ) -> None:
     """Draw the principal plane of one quantity."""
     is_downward = name == "btdf"
@@ -169,13 +170,9 @@ def _draw_plane(
         _draw_beams(polar, plane, lines, is_downward)
     # Outside the half circle, at the labels of the radii.
     polar.text(
-        0.5,
-        0.86 if is_downward else 0.14,
-        QUANTITY_LABELS[name],
-        transform=polar.transAxes,
-        ha="center",
-        va="bottom" if is_downward else "top",
-    )
+        0.5, 0.86 if is_downward else 0.14, QUANTITY_LABELS[name], transform=polar.transAxes,
+        ha="center", va="bottom" if is_downward else "top",
+    )  # fmt: skip
     flat.set(xlabel=VIEWING_ANGLE_LABEL, ylabel=QUANTITY_LABELS[name])
     flat.set_xticks(np.arange(-90, 91, 30))
 
@@ -192,8 +189,8 @@ def _annotate_no_light(plane: xr.Dataset, name: str, *panels: Axes) -> None:
         axes.set_yticks([])
 
 
-@use_style()
-def draw_bin_sizes(dataset: xr.Dataset, select: Mapping[str, float | str] | None = None) -> Figure:
+@declare_figure
+def draw_bin_sizes(dataset: xr.Dataset, select: Selection = None) -> Figure:
     """Draw the principal plane for angular bins of several sizes.
 
     Parameters
@@ -203,20 +200,16 @@ def draw_bin_sizes(dataset: xr.Dataset, select: Mapping[str, float | str] | None
     select : mapping, optional
         Grid labels to select.
     """
-    dataset = select_point(dataset, select)
+    dataset = keep_incidence(select_one_point(dataset, select, "bins"), select)
     note = describe_conditions(dataset, select)
     if dataset.attrs.get("estimator") != "bins":
         raise invalid("estimator", dataset.attrs.get("estimator"), "bins for figure.kind = 'bins'")
     dataset = dataset.isel(wavelength=0)
     n_bins = dataset.sizes["polar_deg"], dataset.sizes["azimuth_deg"]
-    factors = [
-        divisor
-        for divisor in (9, 5, 3, 1)
-        if not (n_bins[0] % divisor or n_bins[1] % (2 * divisor))
-    ]
+    factors = [n for n in (9, 5, 3, 1) if n_bins[0] % n == 0 and n_bins[1] % (2 * n) == 0]
     merged = [merge_angular_bins(dataset, factor).assign_attrs(dataset.attrs) for factor in factors]
     labels = [f"{n_bins[0] // factor} × {n_bins[1] // factor}" for factor in factors]
-    figure = OffscreenFigure(TWO_COLUMNS_INCHES, 4.2)
+    figure = make_figure(TWO_COLUMNS_INCHES, 4.2)
     grid = figure.add_gridspec(2, len(factors), height_ratios=(1.2, 1.0))
     axes = figure.add_subplot(grid[0, :])
     colours = pick_colours(len(factors))
@@ -260,32 +253,20 @@ def _draw_beams(axes: Axes, plane: xr.Dataset, lines: PlotLines, downward: bool)
         # Several beams have the colours of their lines.
         use_own_colour = len(colours_by_incidence) > 1 and used.count(used[0]) == len(used)
         plot_angle = to_plot_angle(np.full(2, incidence if downward else -incidence), downward)
-        axes.plot(
-            plot_angle,
-            [0.0, top],
-            color=used[0] if use_own_colour else "black",
-            **style,
-        )
+        axes.plot(plot_angle, [0.0, top], color=used[0] if use_own_colour else "black", **style)
     axes.set_ylim(0.0, top)
-    legend_line = Line2D(
-        [],
-        [],
-        color="black" if len(colours_by_incidence) == 1 else "0.5",
-        **style,
-    )
-    legend_line.set_label("straight on" if downward else "towards the source")
+    label = "straight on" if downward else "towards the source"
+    colour = "black" if len(colours_by_incidence) == 1 else "0.5"
     axes.legend(
-        handles=[legend_line], frameon=False, fontsize=SMALL_FONT_PT,
+        handles=[make_handle(label, color=colour, **style)], frameon=False, fontsize=SMALL_FONT_PT,
         loc="lower center" if downward else "upper center",
         bbox_to_anchor=(0.5, 0.92) if downward else (0.5, 0.08),
     )  # fmt: skip
 
 
-@use_style()
+@declare_figure
 def draw_polarization(
-    dataset: xr.Dataset,
-    select: Mapping[str, float | str] | None = None,
-    legend: str | None = None,
+    dataset: xr.Dataset, select: Selection = None, legend: Legend = None
 ) -> Figure:
     """Draw the BRDF and its degree of linear polarization in the principal plane.
 

@@ -1,38 +1,41 @@
-"""Figure of retrievals: fitted spectrum or return, posterior, averaging kernel, references."""
+"""Figures of retrievals: fits, posterior, averaging kernel, reference values, and maps."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.gridspec import SubplotSpec
-from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from splits.analysis.measured import fit_proportional
 from splits.core.escaping import escape_mathtext
-from splits.plotting.style import (
+from splits.core.validation import invalid
+from splits.io.netcdf import select_points
+from splits.plotting.grammar import (
     BAND_SIGMA,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
-    OffscreenFigure,
+    Axes,
+    Figure,
     annotate_figure,
+    declare_figure,
+    describe_conditions,
     draw_band,
     draw_curve,
     format_parameter,
     format_value,
+    make_figure,
+    make_subplots,
     pick_colours,
-    use_style,
+    select_evenly,
+    start_at_zero,
 )
+from splits.plotting.settings import Selection
 
-GAP_STEP_RATIO = 2.0
-"""Ratio of a gap in the wavelengths to the median step above which lines are interrupted."""
-N_HISTOGRAM_BINS = 30
-MAX_DRAWS_SHOWN = 400
-"""Largest number of draws shown as dots, for all models together."""
+if TYPE_CHECKING:
+    from matplotlib.gridspec import SubplotSpec
+
 SHORT_LABELS = {
     "optical_radius_um": "radius (µm)",
     "specific_surface_area_m2_kg": "area (m²/kg)",
@@ -44,22 +47,19 @@ SHORT_LABELS = {
     "magnetite": "magnetite",
 }
 """Short labels of parameters for corner plots and kernels."""
-ENGINEERING_TICKS_FROM = 1e4
-"""Values from which ticks of corner plots use k for a thousand."""
 SPECTRUM_NOTE = (
     "Bands: two standard errors, of the measurement (grey) and of the table (in colour). "
     "Dots: draws from the posterior"
 )
-"""Note on the figure of retrievals from spectra."""
-MAX_ROWS = 3
-"""Largest number of rows: evenly selected samples, and reference values."""
-MAX_KERNEL_PARAMETERS = 4
-"""Largest number of parameters of an averaging kernel with text of normal size."""
-_SAMPLE_HEIGHT_INCHES, _REFERENCE_HEIGHT_INCHES = 3.3, 2.4
-"""Heights of the rows of samples and of reference values."""
+RETURN_NOTE = (
+    "Return: two standard errors of the measurement (bars) and of the table (bands); below, "
+    "the difference from the fit in standard errors of the measurement. Dots: draws from the "
+    "posterior; crosses and dotted lines: reference values"
+)
+"""Notes on the figures of retrievals from spectra and from returns."""
 
 
-@use_style()
+@declare_figure
 def draw_retrievals(
     dataset: xr.Dataset,
     reference: Mapping[str, Mapping[str, float]] | None = None,
@@ -70,12 +70,19 @@ def draw_retrievals(
     Parameters
     ----------
     dataset : xarray.Dataset
-        Output of `splits.experiments.run_retrieve.combine_samples`.
+        Result of `splits.retrieve` or `splits.retrieve_return`, or of
+        `splits.experiments.run_retrieve.combine_samples`.
     reference : mapping, optional
         Independent values by parameter and sample.
     prefixes : sequence of str
         Prefixes of the names of samples that have a common panel of reference values.
     """
+    state = ""
+    if "sample" not in dataset.dims:
+        state = describe_state(dataset)
+        names = ("chi2", "chi2_expected", "degrees_of_freedom")
+        single = {name: dataset.attrs[name] for name in names} | {"chi2_at_reference": np.nan}
+        dataset = dataset.assign(single).expand_dims(model=[""], sample=[""])
     all_samples = dataset.sample.values
     is_return = "delay_s" in dataset.dims
     known = reference or {}
@@ -85,15 +92,11 @@ def draw_retrievals(
         for name, values in ({} if is_return else known).items()
         if select_referenced_samples(dataset, values, "")
     }
-    max_samples = min(len(all_samples), MAX_ROWS - bool(reference))
-    indices = np.unique(np.linspace(0, len(all_samples) - 1, max_samples).round().astype(int))
-    samples = all_samples[indices]
-    rows = len(samples) + bool(reference)
-    heights = [_SAMPLE_HEIGHT_INCHES] * len(samples) + [_REFERENCE_HEIGHT_INCHES] * bool(reference)
-    figure = OffscreenFigure(TWO_COLUMNS_INCHES, sum(heights))
-    grid = figure.add_gridspec(
-        rows, 3, width_ratios=[1.3, 1.6, 0.6], height_ratios=heights
-    )  # fmt: skip
+    # Up to three rows: evenly selected samples, and reference values.
+    samples = all_samples[select_evenly(len(all_samples), 3 - bool(reference))]
+    heights = [3.3] * len(samples) + [2.4] * bool(reference)
+    figure = make_figure(TWO_COLUMNS_INCHES, sum(heights))
+    grid = figure.add_gridspec(len(heights), 3, width_ratios=[1.3, 1.6, 0.6], height_ratios=heights)
     title_axes = []
     for row, sample in enumerate(samples):
         part = dataset.sel(sample=sample)
@@ -109,7 +112,7 @@ def draw_retrievals(
             (name, group) for name, values in reference.items() for group in prefixes
             if select_referenced_samples(dataset, values, group)
         ]  # fmt: skip
-        reference_cells = grid[rows - 1, :].subgridspec(1, max(2, len(panels)))
+        reference_cells = grid[len(heights) - 1, :].subgridspec(1, max(2, len(panels)))
         has_slopes = any(
             len(select_referenced_samples(dataset, reference[name], prefix)) >= MIN_SLOPE_SAMPLES
             for name, prefix in panels
@@ -117,13 +120,80 @@ def draw_retrievals(
         for column, (name, group) in enumerate(panels):
             axes = figure.add_subplot(reference_cells[column])
             title_axes.append(draw_against_reference(axes, dataset, name, reference[name], group))
-    note = _make_note(dataset, len(samples), has_slopes)
-    return annotate_figure(figure, title_axes, note)
+    return annotate_figure(figure, title_axes, state, _make_note(dataset, len(samples), has_slopes))
+
+
+def describe_state(dataset: xr.Dataset) -> str:
+    """Return the medians of the retrieved parameters, with the other conditions, as one line."""
+    medians = dataset.quantiles.sel(quantile=0.5).to_series()
+    state: dict[str, Any] = {str(name): float(f"{value:.4g}") for name, value in medians.items()}
+    state |= {
+        key.removeprefix("fixed_"): value
+        for key, value in dataset.attrs.items() if key.startswith("fixed_")
+    }  # fmt: skip
+    text = describe_conditions(dataset, state, "") or ", ".join(
+        f"{format_parameter(name)}: {format_value(value, name)}" for name, value in state.items()
+    )
+    return f"Retrieved: {text[:1].lower()}{text[1:]}"
+
+
+@declare_figure
+def draw_retrieval_map(dataset: xr.Dataset, select: Selection = None) -> Figure:
+    """Draw each retrieved parameter over the pixels of an image, and the misfit.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Result of `splits.retrieve_map` over one dimension, whose values are lines with bands of
+        errors, or over two, whose values are maps.
+    select : mapping, optional
+        Values at which other dimensions are fixed.
+    """
+    dataset = select_points(dataset, select or {})
+    dims = [str(d) for d in dataset.chi2.dims]
+    if not 1 <= len(dims) <= 2:
+        allowed = "with values of enough dimensions to leave one or two"
+        raise invalid("figure.select", dict(select or {}), f"{allowed} of {', '.join(dims)}")
+    names = [*(str(name) for name in dataset if f"{name}_stderr" in dataset), "chi2"]
+    is_map = len(dims) == 2
+    figure, panels = make_subplots(
+        -(-len(names) // 2), 2, width=TWO_COLUMNS_INCHES, height=0.3 + 2.3 * -(-len(names) // 2),
+        squeeze=False,
+    )  # fmt: skip
+    for axes in panels.flat[len(names) :]:
+        axes.set_visible(False)
+    for axes, name in zip(panels.flat, names, strict=False):
+        label = "χ²" if name == "chi2" else format_parameter(name)
+        x, values = dataset[dims[-1]].values, dataset[name].values
+        axes.set_xlabel(format_parameter(dims[-1]))
+        if is_map:
+            image = axes.pcolormesh(x, dataset[dims[0]].values, values, rasterized=True)
+            figure.colorbar(image, ax=axes, label=label)
+            axes.set_ylabel(format_parameter(dims[0]))
+        else:
+            error = dataset[f"{name}_stderr"].values if name != "chi2" else np.zeros(x.size)
+            draw_curve(axes, x, values, error, 0.0, color=pick_colours(1)[0])
+            axes.set_ylabel(label)
+            start_at_zero(axes)
+    flags, known = dataset.quality_flag.values, dataset.quality_flag.attrs
+    counts = {
+        name: int(np.count_nonzero(flags & mask))
+        for name, mask in zip(known["flag_meanings"].split(), known["flag_masks"], strict=True)
+    }
+    marked = [f"{name.replace('_', ' ')} {count}" for name, count in counts.items() if count]
+    notes = (
+        "" if is_map else "Bands: two standard errors",
+        f"expected χ²: {float(dataset.chi2.attrs['expected']):.0f}",
+        f"of {flags.size} pixels: {', '.join(marked)}" if marked else "",
+    )
+    return annotate_figure(figure, panels.flat, "; ".join(filter(None, notes)))
 
 
 def _make_note(dataset: xr.Dataset, rows: int, several: bool) -> str:
     """Return the note at the foot of the figure."""
     note = RETURN_NOTE if "delay_s" in dataset.dims else SPECTRUM_NOTE
+    if "medium" in dataset.attrs:
+        note = note.replace("the table", "the model")
     if rows < dataset.sizes["sample"]:
         note = f"{rows} of {dataset.sizes['sample']} samples, evenly among all. " + note
     if dataset.sizes["model"] == 1:
@@ -137,8 +207,7 @@ def _make_note(dataset: xr.Dataset, rows: int, several: bool) -> str:
 def _insert_gaps(x: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
     """Return rows with NaN inserted at gaps of the wavelengths."""
     steps = np.diff(x)
-    median_step = np.median(steps) if steps.size else 0.0
-    gaps = np.flatnonzero(steps > GAP_STEP_RATIO * median_step) + 1
+    gaps = np.flatnonzero(steps > 2.0 * (np.median(steps) if steps.size else 0.0)) + 1
     return [np.insert(row.astype(float), gaps, np.nan) for row in (x, *rows)]
 
 
@@ -150,19 +219,17 @@ def _draw_spectrum(figure: Figure, cell: SubplotSpec, part: xr.Dataset, title: s
     highest = 0.0
     for number, (model, colour) in enumerate(get_model_colours(part)):
         part_of_model = part.sel(model=model)
+        names = ("wavelength", "measured", "measured_stderr", "fitted", "fitted_stderr")
         x, measured, noise, fitted, error = _insert_gaps(
-            part_of_model.wavelength.values,
-            part_of_model.measured.values,
-            part_of_model.measured_stderr.values,
-            part_of_model.fitted.values,
-            part_of_model.fitted_stderr.values,
+            *(part_of_model[name].values for name in names)
         )
         if number == 0:
             top.plot(x, measured, color="black", lw=1.0, label="measured")
             draw_band(top, x, measured, noise, color="0.8")
             draw_band(bottom, x, np.zeros_like(measured), noise, color="0.8")
         chi2 = float(part_of_model.chi2)
-        label = f"{format_value(model, 'model') if model else 'table'}, χ² {chi2:.0f}"
+        unnamed = "model" if "medium" in part.attrs else "table"
+        label = f"{format_value(model, 'model') if model else unnamed}, χ² {chi2:.0f}"
         if part.sizes["model"] == 1:
             label += f" of {float(part_of_model.chi2_expected):.0f}"
         top.plot(x, fitted, color=colour, lw=1.0, ls="--", label=label)
@@ -186,68 +253,56 @@ def _draw_corner(
     figure: Figure, cell: SubplotSpec, part: xr.Dataset, known: Mapping[str, float | None]
 ) -> None:
     """Draw the posterior draws: histograms, and all pairs of parameters, with known values."""
+    from matplotlib.ticker import EngFormatter
+
     names = list(map(str, part.parameter.values))
     inner = cell.subgridspec(len(names), len(names), wspace=0.04, hspace=0.04)
     draws = part.draws.transpose("model", "draw", "parameter").values
-    shown_draws = draws[:, :: max(1, len(draws) * draws.shape[1] // MAX_DRAWS_SHOWN)]
-    probabilities = [0.16, 0.5, 0.84]
-    quantiles = (
-        part.quantiles.sel(quantile=probabilities)
-        .transpose("model", "quantile", "parameter")
-        .values
-    )
+    # Up to 400 draws are dots, for all models together.
+    shown_draws = draws[:, :: max(1, len(draws) * draws.shape[1] // 400)]
+    quantiles = part.quantiles.sel(quantile=[0.16, 0.5, 0.84])
+    quantiles = quantiles.transpose("model", "quantile", "parameter").values
     colours = [colour for _, colour in get_model_colours(part)]
     # A law has no draws of parameters that it does not contain.
     low, high = np.nanquantile(draws, [0.002, 0.998], axis=(0, 1))
-    for i in range(len(names)):
-        for j in range(i + 1):
-            axes = figure.add_subplot(inner[i, j])
+    pairs = [(row, column) for row in range(len(names)) for column in range(row + 1)]
+    for i, j in pairs:
+        axes = figure.add_subplot(inner[i, j])
+        axes.set_xlim(low[j], high[j])
+        axes.tick_params(labelsize=SMALL_FONT_PT, labelbottom=i == len(names) - 1)
+        x, y = known.get(names[j]), known.get(names[i])
+        if i == j:
             for number, colour in enumerate(colours):
-                if i == j:
-                    finite_draws = draws[number, np.isfinite(draws[number, :, i]), i]
-                    axes.hist(finite_draws, bins=N_HISTOGRAM_BINS, color=colour, alpha=0.6)
-                    for quantile in quantiles[number, :, i] if len(colours) == 1 else ():
-                        axes.axvline(quantile, color="black", lw=0.6)
-                else:
-                    axes.plot(
-                        shown_draws[number, :, j],
-                        shown_draws[number, :, i],
-                        ".",
-                        ms=1.0,
-                        color=colour,
-                        alpha=0.4,
-                        rasterized=True,
-                    )
-            if i == j:
-                axes.set_yticks([])
-                axes.spines["left"].set_visible(False)
-            else:
-                axes.spines[:].set_visible(True)
-            axes.set_xlim(low[j], high[j])
-            # Known values, if they are inside the panel.
-            x, y = known.get(names[j]), known.get(names[i]) if i != j else None
-            if x is not None and y is not None:
-                axes.plot([x], [y], "x", color=KNOWN_COLOUR, ms=5, mew=1.2)
-            elif x is not None and axes.get_xlim()[0] <= x <= axes.get_xlim()[1]:
-                axes.axvline(x, color=KNOWN_COLOUR, lw=1.2, ls=":")
-            axes.locator_params(nbins=3, axis="x")
-            if i != j:
-                axes.locator_params(nbins=3, axis="y")
-                axes.ticklabel_format(axis="y", style="plain")
-            for axis in (axes.xaxis, axes.yaxis):
-                if max(axis.get_view_interval()) >= ENGINEERING_TICKS_FROM:
-                    axis.set_major_formatter(EngFormatter(sep=""))
-            axes.tick_params(labelsize=SMALL_FONT_PT)
-            # Labels at the outer edges only.
-            if i == len(names) - 1:
-                axes.set_xlabel(_get_short_label(names[j]), fontsize=SMALL_FONT_PT)
-                axes.tick_params(axis="x", labelrotation=45)
-            else:
-                axes.tick_params(labelbottom=False)
-            if j == 0 and i > 0:
+                finite_draws = draws[number, np.isfinite(draws[number, :, i]), i]
+                axes.hist(finite_draws, bins=30, color=colour, alpha=0.6)
+            for quantile in quantiles[0, :, i] if len(colours) == 1 else ():
+                axes.axvline(quantile, color="black", lw=0.6)
+            axes.set_yticks([])
+            axes.spines["left"].set_visible(False)
+        else:
+            for points, colour in zip(shown_draws, colours, strict=True):
+                axes.plot(
+                    points[:, j], points[:, i], ".", ms=1.0, color=colour, alpha=0.4,
+                    rasterized=True,
+                )  # fmt: skip
+            axes.spines[:].set_visible(True)
+            axes.locator_params(nbins=3, axis="y")
+            axes.ticklabel_format(axis="y", style="plain")
+            axes.tick_params(labelleft=j == 0)
+            if j == 0:
                 axes.set_ylabel(_get_short_label(names[i]), fontsize=SMALL_FONT_PT)
-            elif i != j:
-                axes.tick_params(labelleft=False)
+        # Known values, if they are inside the panel.
+        if i != j and x is not None and y is not None:
+            axes.plot([x], [y], "x", color=KNOWN_COLOUR, ms=5, mew=1.2)
+        elif x is not None and low[j] <= x <= high[j]:
+            axes.axvline(x, color=KNOWN_COLOUR, lw=1.2, ls=":")
+        axes.locator_params(nbins=3, axis="x")
+        for axis in (axes.xaxis, axes.yaxis):
+            if max(axis.get_view_interval()) >= 1e4:
+                axis.set_major_formatter(EngFormatter(sep=""))
+        if i == len(names) - 1:
+            axes.set_xlabel(_get_short_label(names[j]), fontsize=SMALL_FONT_PT)
+            axes.tick_params(axis="x", labelrotation=45)
 
 
 def _get_short_label(name: str) -> str:
@@ -264,7 +319,7 @@ def _draw_averaging_kernel(axes: Axes, part: xr.Dataset) -> None:
     for i, j in np.ndindex(kernel.shape):
         text = f"{kernel[i, j]:.2f}".replace("-0.00", "0.00").replace("-", "−")
         colour = "white" if abs(kernel[i, j]) > 1.05 else "black"
-        size = SMALL_FONT_PT * min(1.0, MAX_KERNEL_PARAMETERS / len(names))
+        size = SMALL_FONT_PT * min(1.0, 4.0 / len(names))
         axes.text(j, i, text, ha="center", va="center", fontsize=size, color=colour)
     axes.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=SMALL_FONT_PT)
     axes.set_yticks(range(len(names)), names, fontsize=SMALL_FONT_PT)
@@ -278,23 +333,22 @@ def _draw_averaging_kernel(axes: Axes, part: xr.Dataset) -> None:
 
 MIN_SLOPE_SAMPLES = 3
 """Smallest number of samples for a fitted slope."""
-MODEL_MARKERS = "os^D"
-"""Markers of models."""
-MODEL_OFFSET = 0.012
-"""Horizontal offset between the points of models, relative to the axis."""
 
 
 def draw_against_reference(
     axes: Axes, dataset: xr.Dataset, name: str, reference: Mapping[str, float], prefix: str
 ) -> Axes:
     """Draw retrieved values of a parameter against reference values, for all models."""
+    from matplotlib.ticker import MaxNLocator
+
     samples = select_referenced_samples(dataset, reference, prefix)
     x = np.array([reference[s] for s in samples])
     top = highest = float(x.max())
     models = get_model_colours(dataset)
     for number, (model, colour) in enumerate(models):
         part_of_model = dataset.sel(model=model, sample=samples)
-        shifted = x + (number - 0.5 * (len(models) - 1)) * MODEL_OFFSET * top
+        # The points of models are beside each other.
+        shifted = x + (number - 0.5 * (len(models) - 1)) * 0.012 * top
         quantiles = part_of_model.quantiles.sel(parameter=name).transpose("quantile", "sample")
         lowest_value, low, y, high, highest_value = quantiles.values
         if not np.isfinite(y).all():
@@ -310,15 +364,18 @@ def draw_against_reference(
             if model and np.isfinite(misfit).all():
                 expected = float(part_of_model.chi2_expected.sum())
                 labels.append(f"χ² {misfit.sum():.0f} of {expected:.0f}")
-        marker = MODEL_MARKERS[number % len(MODEL_MARKERS)]
-        axes.plot(shifted, y, marker, color=colour, ms=3, label="\n".join(labels) or None)
+        axes.plot(
+            shifted, y, "os^D"[number % 4], color=colour, ms=3, label="\n".join(labels) or None
+        )
         highest = max(highest, float(highest_value.max()))
     top = 1.08 * highest
     axes.plot([0.0, top], [0.0, top], color="black", lw=0.6)
     axes.set_title(escape_mathtext(prefix.strip()) or "against reference values")
     label = format_parameter(name)
-    axes.set(xlabel=f"{label}, reference", ylabel=f"{label}, retrieved")
-    axes.set(xlim=(0.0, top), ylim=(0.0, top))
+    axes.set(
+        xlabel=f"{label}, reference", ylabel=f"{label}, retrieved", xlim=(0.0, top),
+        ylim=(0.0, top),
+    )  # fmt: skip
     axes.set_aspect("equal", anchor="W")
     axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.yaxis.set_major_locator(MaxNLocator(5))
@@ -343,18 +400,8 @@ def get_model_colours(dataset: xr.Dataset) -> list[tuple[str, Any]]:
     return list(zip(names, colours, strict=True))
 
 
-RETURN_NOTE = (
-    "Return: two standard errors of the measurement (bars) and of the table (bands); below, "
-    "the difference from the fit in standard errors of the measurement. Dots: draws from the "
-    "posterior; crosses and dotted lines: reference values"
-)
-"""Note on the figure of retrievals from returns."""
-MIN_SHOWN_FRACTION = 0.3
-"""Lower end of the axis, relative to the smallest measured or fitted value above 0."""
 KNOWN_COLOUR = "crimson"
 """Colour of known values of parameters."""
-MIN_SHOWN_SIGMA = 3.0
-"""Smallest end of the axis of differences, in standard errors."""
 
 
 def draw_return_fit(figure: Figure, cell: SubplotSpec, part: xr.Dataset, title: str) -> Axes:
@@ -387,9 +434,9 @@ def draw_return_fit(figure: Figure, cell: SubplotSpec, part: xr.Dataset, title: 
     top.plot([], [], color=fit_colour, lw=1.0, ls="--", label=fit_label)
     top.set(yscale="log", ylabel="returned light per time (ns⁻¹)", title=title)
     if np.isfinite(lowest):
-        top.set_ylim(bottom=MIN_SHOWN_FRACTION * lowest)
-    largest = float(np.abs(bottom.dataLim.intervaly).max())
-    bottom.set_ylim(-max(MIN_SHOWN_SIGMA, 1.1 * largest), max(MIN_SHOWN_SIGMA, 1.1 * largest))
+        top.set_ylim(bottom=0.3 * lowest)
+    limit = max(3.0, 1.1 * float(np.abs(bottom.dataLim.intervaly).max()))
+    bottom.set_ylim(-limit, limit)
     bottom.axhspan(-BAND_SIGMA, BAND_SIGMA, color="0.85", lw=0, zorder=0)
     bottom.axhline(0.0, color="black", lw=0.6)
     bottom.set(xlabel="delay (ns)", ylabel="difference / error")

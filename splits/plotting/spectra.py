@@ -3,22 +3,39 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import xarray as xr
-from matplotlib.axes import Axes
-from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from splits.analysis.measured import WAVELENGTH_COLUMN
-from splits.core.escaping import escape_mathtext
 from splits.core.validation import invalid
 from splits.io.netcdf import select_points
 from splits.media.snow_packs import count_missing_results
+from splits.plotting.grammar import (
+    BAND_SIGMA,
+    SMALL_FONT_PT,
+    TWO_COLUMNS_INCHES,
+    Axes,
+    Figure,
+    annotate_figure,
+    compute_axis_top,
+    declare_figure,
+    describe_conditions,
+    draw_band,
+    draw_curve,
+    format_parameter,
+    format_value,
+    hide_empty_panels,
+    make_axis_label,
+    make_panel_title,
+    make_subplots,
+    pick_colours,
+    select_evenly,
+    start_at_zero,
+)
 from splits.plotting.lines import (
     PlotLines,
     draw_node_ticks,
@@ -29,23 +46,16 @@ from splits.plotting.lines import (
     make_nodes_note,
     place_legend_above,
 )
-from splits.plotting.panels import MAX_LINES, choose_panel_parameters
-from splits.plotting.style import (
-    BAND_SIGMA,
-    SMALL_FONT_PT,
-    TWO_COLUMNS_INCHES,
-    annotate_figure,
-    compute_axis_top,
-    describe_conditions,
-    draw_band,
-    draw_curve,
-    format_parameter,
-    format_value,
-    make_panel_title,
-    make_subplots,
-    pick_colours,
-    start_at_zero,
-    use_style,
+from splits.plotting.settings import (
+    MAX_LINES,
+    Legend,
+    Limits,
+    Measured,
+    Quantities,
+    Selection,
+    SpectralRange,
+    choose_panel_parameters,
+    choose_quantities,
 )
 from splits.retrieval.measurement import MAX_REFLECTANCE
 
@@ -59,19 +69,27 @@ MATERIAL_COLOURS = {
     "kaolinite": "#7fb069",
 }
 """Colours of the materials in figures of refractive indices; mixtures are not shown."""
-_MAX_LABEL_CHARS = 30
-"""Number of characters that fit along an axis."""
 
 
-@use_style()
+def list_spectral_quantities(dataset: xr.Dataset) -> list[str]:
+    """Return the quantities with errors over wavelength, reflectance first."""
+    inner = {"side", "delay_s", "radius", "angle"}
+    names = [
+        str(name) for name, one in dataset.items()
+        if f"{name}_stderr" in dataset and "wavelength" in one.dims and not inner & {*one.dims}
+    ]  # fmt: skip
+    return sorted(names, key=lambda name: name != "reflectance")
+
+
+@declare_figure
 def draw_spectra(
     dataset: xr.Dataset,
-    quantity: Sequence[str] = ("reflectance",),
-    wavelength_nm: tuple[float, float] | None = None,
-    select: Mapping[str, float | str] | None = None,
-    measured: pd.DataFrame | None = None,
-    legend: str | None = None,
-    ylim: tuple[float, float] | None = None,
+    quantity: Quantities | None = None,
+    wavelength_nm: SpectralRange = None,
+    select: Selection = None,
+    measured: Measured = None,
+    legend: Legend = None,
+    ylim: Limits = None,
 ) -> Figure:
     """Draw spectra with bands of two standard errors, in several panels for many points.
 
@@ -82,8 +100,8 @@ def draw_spectra(
     ----------
     dataset : xarray.Dataset
         Output of an experiment.
-    quantity : sequence of str
-        Quantities, one panel each.
+    quantity : sequence of str, optional
+        Quantities, one panel each; by default the first one over wavelength.
     wavelength_nm : (low, high), optional
         Part of the spectrum to show.
     select : mapping, optional
@@ -101,14 +119,13 @@ def draw_spectra(
     Raises
     ------
     ValueError
-        For too many lines, see `splits.plotting.panels.choose_panel_parameters`.
+        For too many lines, see `splits.plotting.settings.choose_panel_parameters`.
     """
     dataset = select_points(dataset, select or {})
-    for name in quantity:
-        if "wavelength" not in dataset[name].dims:
-            raise invalid(
-                "figure.quantity", name, "one over wavelength for figure.kind = 'spectra'"
-            )
+    quantity = choose_quantities(dataset, quantity, list_spectral_quantities(dataset))
+    if dataset.sizes["wavelength"] == 1:
+        hint = "kind='points' shows single wavelengths over a grid"
+        raise invalid("wavelength", dataset.wavelength.values.tolist(), "at least two", hint)
     if wavelength_nm:
         x = dataset.wavelength.values
         dataset = dataset.sel(wavelength=slice(*wavelength_nm))
@@ -136,12 +153,12 @@ def draw_spectra(
         len(quantity), 1, height=2.2 * len(quantity), squeeze=False, sharex=True
     )
     measured_handles: list[Any] = []
+    x = dataset.wavelength.values
     for axes, name in zip(panels[:, 0], quantity, strict=True):
         for line in lines.lines:
             part = dataset.sel(line.labels)
-            x, y, error = (part[one].values for one in ("wavelength", name, f"{name}_stderr"))
-            style = line.to_plot_style() | {"label": line.label or "model"}
-            draw_curve(axes, x, y, error, 0.0, alpha=0.25, **style)
+            style = line.to_plot_style() | {"label": line.label or "model", "alpha": 0.25}
+            draw_curve(axes, x, part[name].values, part[f"{name}_stderr"].values, 0.0, **style)
         if measured is not None and name in measured:
             y, limits = measured[name], None
             if f"{name}_min" in measured:
@@ -181,14 +198,7 @@ def check_measured(measured: pd.DataFrame, quantity: Sequence[str]) -> None:
             raise invalid(key, name, f"with {low} <= {name} <= {high}")
 
 
-def make_axis_label(variable: xr.DataArray) -> str:
-    """Return the label of an axis, on two lines if it is long."""
-    label = escape_mathtext(str(variable.attrs.get("long_name", variable.name)))
-    first, _, last = label.rpartition(" ")
-    return f"{first}\n{last}" if first and len(label) > _MAX_LABEL_CHARS else label
-
-
-@use_style()
+@declare_figure
 def draw_refractive_indices(dataset: xr.Dataset) -> Figure:
     """Draw n (left axis) and k (right axis, logarithmic) of the materials of `MATERIAL_COLOURS`.
 
@@ -238,15 +248,6 @@ def _list_materials(dataset: xr.Dataset) -> list[tuple[str, str, str]]:
     return materials
 
 
-DEFAULT_COLUMNS = 4
-"""Default number of columns; a parameter of up to `MAX_ROW_VALUES` values fills a row."""
-MAX_ROW_VALUES = 6
-_PANEL_HEIGHT_INCHES, _TITLE_LINE_INCHES = 1.25, 0.11
-_RASTERIZED_ZORDER = -10.0
-"""Drawing order of lines and bands, which SVG files contain as one image per panel."""
-
-
-@use_style()
 def draw_small_multiples(
     dataset: xr.Dataset,
     quantity: Sequence[str],
@@ -265,7 +266,7 @@ def draw_small_multiples(
     quantity : sequence of str
         Quantities, each with a block of panels.
     panel_dims : sequence of str
-        One or two parameters, see `splits.plotting.panels.choose_panel_parameters`.
+        One or two parameters, see `splits.plotting.settings.choose_panel_parameters`.
     legend : str, optional
         Title of the legend or the colour bar; by default the first parameter.
     ylim : (low, high), optional
@@ -274,22 +275,19 @@ def draw_small_multiples(
     """
     dims = [str(d) for d in dataset[quantity[0]].dims if d not in ("wavelength", *panel_dims)]
     lines = PlotLines(dataset, dims)
+    # A parameter of up to 6 values fills a row.
     last = dataset.sizes[panel_dims[-1]]
-    columns = last if len(panel_dims) == 2 and last <= MAX_ROW_VALUES else DEFAULT_COLUMNS
+    columns = last if len(panel_dims) == 2 and last <= 6 else 4
     panel_points = list(itertools.product(*(dataset[d].values for d in panel_dims)))
     columns = min(columns, len(panel_points))
     titles = [make_panel_title(dict(zip(panel_dims, p, strict=True))) for p in panel_points]
-    n_title_lines = max(title.count("\n") for title in titles) + 1
+    panel_height = 1.25 + 0.11 * (max(title.count("\n") for title in titles) + 1)
     rows = -(-len(panel_points) // columns) * len(quantity)
     nodes = find_coarse_nodes(dataset)
     figure, panels = make_subplots(
-        rows,
-        columns,
-        width=TWO_COLUMNS_INCHES,
-        height=0.5 + (_PANEL_HEIGHT_INCHES + _TITLE_LINE_INCHES * n_title_lines) * rows,
-        sharex=True,
+        rows, columns, width=TWO_COLUMNS_INCHES, height=0.5 + panel_height * rows, sharex=True,
         squeeze=False,
-    )
+    )  # fmt: skip
     blocks = np.split(panels, len(quantity))
     for panels_of_quantity, name in zip(blocks, quantity, strict=True):
         highest = float((dataset[name] + BAND_SIGMA * dataset[f"{name}_stderr"]).max())
@@ -298,31 +296,24 @@ def draw_small_multiples(
             panels_of_quantity.flat, panel_points, titles, strict=False
         ):
             part = dataset.sel(dict(zip(panel_dims, panel_point, strict=True)))
+            # Lines and bands are below 0, and one image per panel in SVG files.
             axes.set_rasterization_zorder(0.0)
             x, points = part.wavelength.values, part.transpose(*lines.dims, "wavelength")
             values, errors = (
                 points[one].values.reshape(-1, x.size) for one in (name, f"{name}_stderr")
             )
             for line, y, error in zip(lines.lines, values, errors, strict=True):
-                zorder = _RASTERIZED_ZORDER + line.zorder
-                axes.plot(x, y, **line.to_plot_style() | {"lw": 0.7, "zorder": zorder})
-                draw_band(
-                    axes, x, y, error, 0.0, color=line.colour, alpha=0.25, zorder=_RASTERIZED_ZORDER
-                )
+                style = line.to_plot_style() | {"lw": 0.7, "zorder": line.zorder - 10.0}
+                axes.plot(x, y, **style)
+                draw_band(axes, x, y, error, 0.0, color=line.colour, alpha=0.25, zorder=-10.0)
             axes.margins(x=0.01)
             axes.tick_params(labelsize=SMALL_FONT_PT)
             draw_node_ticks(axes, nodes)
             axes.set(title=title, ylim=top)
             axes.label_outer()
-        for axes in panels_of_quantity.flat[len(panel_points) :]:
-            axes.set_visible(False)
         for axes in panels_of_quantity[:, 0]:
             axes.set_ylabel(name)
-    # The lowest panel of a column may be hidden.
-    for column in panels.T:
-        shown = [axes for axes in column if axes.get_visible()]
-        shown[-1].tick_params(labelbottom=True)
-        shown[-1].set_xlabel("wavelength (nm)")
+    hide_empty_panels(panels, "wavelength (nm)")
     lines.add_legend(figure, list(panels.flat), legend, max_inset_entries=0)
     return annotate_figure(figure, panels.flat, note, make_nodes_note(nodes))
 
@@ -330,15 +321,9 @@ def draw_small_multiples(
 # --------------------------------------------------------------------------------------------------
 # Spectra and albedos of snowpacks over time.
 
-MAX_WAVELENGTHS = 4
-"""Largest number of wavelengths, of which the first and the last are shown."""
-MAX_TEXT_TICKS = 24
-"""Largest number of labels along the axis; of more, evenly spaced ones are shown."""
-_DAYS = "days since 1970-01-01"
 
-
-@use_style()
-def draw_season(dataset: xr.Dataset, quantity: Sequence[str] = ("reflectance",)) -> Figure:
+@declare_figure
+def draw_season(dataset: xr.Dataset, quantity: Quantities | None = None) -> Figure:
     """Draw band albedos, or spectra at some wavelengths, over time or another label of snowpacks.
 
     Lines join snowpacks that have an order: times, in any calendar, and numbers.  Snowpacks with
@@ -355,7 +340,10 @@ def draw_season(dataset: xr.Dataset, quantity: Sequence[str] = ("reflectance",))
     -------
     matplotlib.figure.Figure
     """
-    names = ["band_albedo"] if "band_albedo" in dataset else list(quantity)
+    names = (
+        ("band_albedo",) if "band_albedo" in dataset
+        else choose_quantities(dataset, quantity, list_spectral_quantities(dataset))
+    )  # fmt: skip
     (label,) = dataset.quality_flag.dims
     figure, panels = make_subplots(
         len(names), 1, width=TWO_COLUMNS_INCHES, height=2.4 * len(names), squeeze=False,
@@ -364,9 +352,9 @@ def draw_season(dataset: xr.Dataset, quantity: Sequence[str] = ("reflectance",))
     x, has_order = _set_label_axis(panels[-1, 0], dataset.get_index(label))
     for axes, name in zip(panels[:, 0], names, strict=True):
         line_dim = str(dataset[name].dims[-1])
+        # All bands, or up to 4 wavelengths with the first and the last.
         n_lines = dataset.sizes[line_dim]
-        rows = np.linspace(0, n_lines - 1, min(n_lines, MAX_WAVELENGTHS)).round().astype(int)
-        rows = np.arange(n_lines) if line_dim == "band" else np.unique(rows)
+        rows = select_evenly(n_lines, n_lines if line_dim == "band" else 4)
         for row, colour in zip(rows, pick_colours(len(rows), line_dim), strict=True):
             part = dataset.isel({line_dim: row})
             y, error = part[name].values, part[f"{name}_stderr"].values
@@ -398,6 +386,9 @@ def _set_label_axis(axes: Axes, index: pd.Index) -> tuple[np.ndarray, bool]:
 
     Dates of calendars that NumPy lacks, such as those without leap days, are at their days.
     """
+    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+    from matplotlib.ticker import MaxNLocator
+
     is_simple = not isinstance(index, pd.MultiIndex)
     if is_simple and index.dtype.kind in "fiu":
         return index.to_numpy(), True
@@ -409,15 +400,14 @@ def _set_label_axis(axes: Axes, index: pd.Index) -> tuple[np.ndarray, bool]:
     if isinstance(index, xr.CFTimeIndex):
         import cftime  # xarray has this index only where cftime is installed
 
-        calendar = index.calendar
+        calendar, days = index.calendar, "days since 1970-01-01"
         axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
         axes.xaxis.set_major_formatter(
-            lambda day, _: cftime.num2date(day, _DAYS, calendar).strftime("%Y-%m-%d")
+            lambda day, _: cftime.num2date(day, days, calendar).strftime("%Y-%m-%d")
         )
-        return np.asarray(cftime.date2num(index.to_numpy(), _DAYS, calendar), dtype=float), True
-    shown = np.unique(
-        np.linspace(0, index.size - 1, min(index.size, MAX_TEXT_TICKS)).round().astype(int)
-    )
+        return np.asarray(cftime.date2num(index.to_numpy(), days, calendar), dtype=float), True
+    # Of many labels, evenly spaced ones are shown.
+    shown = select_evenly(index.size, 24)
     texts = [
         " · ".join(map(format_value, item if isinstance(item, tuple) else (item,)))
         for item in index[shown]

@@ -25,7 +25,7 @@ from calibrated import CASES, CalibrationCase, ValuesAndErrors
 from calibration_figure import ALL_LABEL, draw_calibration
 
 from splits.core.atomic import atomic_write
-from splits.plotting.style import use_style
+from splits.plotting.grammar import use_style
 
 MIN_SIGNAL_SIGMA = 4.0
 """Quantities whose mean is a smaller multiple of their stated error are excluded: few rays

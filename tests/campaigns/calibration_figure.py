@@ -3,7 +3,7 @@
 import pandas as pd
 from matplotlib.figure import Figure
 
-from splits.plotting.style import (
+from splits.plotting.grammar import (
     BAND_SIGMA,
     TWO_COLUMNS_INCHES,
     make_subplots,

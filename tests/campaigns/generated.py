@@ -10,10 +10,9 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from splits.experiments.config.experiment import INSTRUMENT_FIGURES
+from splits.core.declarations import list_inputs
 from splits.experiments.config.media import make_label
-from splits.plotting.figure import POINT_KINDS
-from splits.plotting.panels import FIGURE_SETTINGS
+from splits.plotting.figure import FIGURES, list_instrument_figures
 
 
 class RawText(str):
@@ -323,19 +322,21 @@ def grids(draw, kind: str) -> dict[str, Any]:
 @st.composite
 def figures(draw, kind: str, grid: dict[str, Any]) -> dict[str, Any]:
     figure = {}
+    kinds = [one for one in list_instrument_figures(kind) if one != "season"]
     if draw(st.booleans()):
-        figure["kind"] = draw(st.sampled_from(INSTRUMENT_FIGURES[kind]))
-    shown = figure.get("kind", INSTRUMENT_FIGURES[kind][0])
+        figure["kind"] = draw(st.sampled_from(kinds))
+    shown = figure.get("kind", kinds[0])
+    settings = list_inputs(FIGURES[shown].draw)
     if kind in QUANTITIES and shown in ("spectra", "points", "principal_plane") and draw(OFTEN):
         several = st.lists(st.sampled_from(QUANTITIES[kind]), min_size=1, max_size=3, unique=True)
         figure["quantity"] = draw(several | several.map(lambda names: names[0]))
     for parameter, given in grid.items():
-        if shown in POINT_KINDS or draw(RARELY):
+        if shown in ("lobes", "bins", "spread", "surface", "lens") or draw(RARELY):
             labels = [make_label(parameter, v) for v in given] if isinstance(given, list) else given
             figure.setdefault("select", {})[parameter] = draw(st.sampled_from(list(labels)))
-    if "legend" in FIGURE_SETTINGS[shown] and grid and draw(RARELY):
+    if "legend" in settings and grid and draw(RARELY):
         figure["legend"] = draw(LABELS)
-    if "ylim" in FIGURE_SETTINGS[shown] and draw(RARELY):
+    if "ylim" in settings and draw(RARELY):
         figure["ylim"] = draw(increasing_numbers(0.0, 2.0))
     if shown == "spectra" and draw(RARELY):
         figure["wavelength_nm"] = draw(increasing_numbers(300.0, 2500.0))

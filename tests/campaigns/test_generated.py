@@ -213,7 +213,7 @@ def make_running_judge(folder: Path) -> Callable[[str], str]:
         try:
             dataset = run(limit_rays(experiment), TINY_ACCURACY, threads=1)
             with matplotlib.rc_context({"figure.max_open_warning": 0}):
-                figure = draw(dataset, experiment.resolve_figure())
+                figure = draw(dataset, **experiment.resolve_figure())
                 figure.canvas.draw()
                 figure.clear()
         except InvalidValue as error:

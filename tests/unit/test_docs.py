@@ -17,7 +17,7 @@ from splits.core.declarations import list_inputs
 from splits.core.discovery import list_instrument_names
 from splits.core.yaml import read_yaml
 from splits.experiments import load_settings
-from splits.experiments.config.experiment import ExperimentConfig, FigureSection
+from splits.experiments.config.experiment import ExperimentConfig, list_figure_inputs
 from splits.experiments.config.instruments import KINDS, list_section_inputs
 from splits.experiments.config.retrieval import NoiseSection, PriorFromSample, RetrieveSection
 from splits.experiments.config.sections import Accuracy
@@ -55,7 +55,7 @@ def test_every_public_name_is_documented():
 
 
 MODELS = [
-    ExperimentConfig, FigureSection, RetrieveSection, NoiseSection, PriorFromSample,
+    ExperimentConfig, RetrieveSection, NoiseSection, PriorFromSample,
     Settings, Accuracy, ArchiveAuthor, Study, StudyOutput,
 ]  # fmt: skip
 
@@ -65,6 +65,12 @@ def test_every_configuration_key_is_described(model):
     fields = model.model_fields.items()
     assert all(field.description for key, field in fields if key != "kind")
     assert model.__doc__
+
+
+def test_every_key_of_figures_is_described():
+    rows = configuration.list_figure_keys()
+    assert [key for key, *_ in rows] == [f"`{key}`" for key in list_figure_inputs()]
+    assert all(meaning and allowed for _, meaning, _, allowed in rows)
 
 
 @pytest.mark.parametrize("kind", KINDS)

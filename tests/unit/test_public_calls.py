@@ -26,8 +26,8 @@ from splits.tables.conversions import convert_to_isofit
 ROOT = Path(__file__).parents[2]
 TAKES_OTHER_KEYWORDS = {f"Table.{name}" for name in (
     "derivatives", "deviations", "interp", "interpolation_errors", "to_eradiate", "to_isofit",
-)} | {"load_medium"}  # fmt: skip
-"""Callables whose keywords are the axes of a table, or the keywords of a medium."""
+)} | {"draw", "load_medium"}  # fmt: skip
+"""Callables whose keywords are axes of a table, keywords of a medium, or settings of a figure."""
 
 
 def list_public_callables():
@@ -101,7 +101,7 @@ INVALID_CALLS = {
     "Table": lambda: splits.Table(EMPTY),
     "albedo": lambda: splits.albedo(splits.Snow(ground="camborthid"), "midlatitude_winter"),
     "beam_spread": lambda: splits.beam_spread(SNOW, "x"),
-    "draw": lambda: splits.draw(EMPTY, {"kind": "spectrum"}),
+    "draw": lambda: splits.draw(EMPTY, "spectrum"),
     "make_colour_table": lambda: splits.make_colour_table(EMPTY),
     "select_principal_plane": lambda: splits.select_principal_plane(EMPTY),
     "compute_mie_matrix": lambda: splits.compute_mie_matrix([500], 1.33, 10.0, 2.0),

@@ -15,10 +15,10 @@ from compliance import collect_remarks
 import splits
 from splits.core.atomic import atomic_write
 from splits.experiments import ExperimentConfig, SimulationConfig, load_experiment, load_settings
-from splits.experiments.config.experiment import INSTRUMENT_FIGURES
 from splits.experiments.run import run
 from splits.plotting import draw
-from splits.plotting.style import FIGURE_SUFFIXES
+from splits.plotting.figure import FIGURES, list_instrument_figures
+from splits.plotting.grammar import FIGURE_SUFFIXES
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 
@@ -170,7 +170,7 @@ def run_in_process(project, name, results):
     dataset = run(SimulationConfig.model_validate(simulation), accuracy, settings.seed)
     path = results / "data" / f"{name}.nc"
     splits.save(dataset, path)
-    figure = draw(splits.load(path), figure)
+    figure = draw(splits.load(path), **figure)
     with atomic_write(results / "figures" / f"{name}.png") as aside:
         figure.savefig(aside)
 
@@ -192,10 +192,10 @@ def test_cases_cover_all_kinds(finished):
     project, _ = finished
     experiments = [read_experiment(project, name) for name in CASES]
     # Albedos of snowpacks of a file are in test_season.
-    kinds = INSTRUMENT_FIGURES.keys() - {"albedo"}
+    kinds = {name for one in FIGURES.values() for name in one.instruments} - {"albedo"}
     assert {experiment.instrument.kind for experiment in experiments} == kinds
     assert {experiment.resolve_figure()["kind"] for experiment in experiments} >= {
-        INSTRUMENT_FIGURES[kind][0] for kind in kinds
+        list_instrument_figures(kind)[0] for kind in kinds
     }
 
 

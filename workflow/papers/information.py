@@ -23,7 +23,7 @@ from splits.core.validation import (
 )
 from splits.illumination.bands import SENSORS, as_bands
 from splits.media.parameters import describe_parameter
-from splits.plotting.style import (
+from splits.plotting.grammar import (
     BAND_SIGMA,
     ONE_COLUMN_INCHES,
     SMALL_FONT_PT,

@@ -27,8 +27,7 @@ from scipy.special import ndtr
 from splits.core.validation import check_choice, invalid, unknown_key
 from splits.media import Interpretation
 from splits.media.interpretations import INTERPRETATION_CHOICES, INTERPRETATION_SETS
-from splits.plotting.lines import INDEPENDENCE_NOTE, SHIFT_COLOUR
-from splits.plotting.style import (
+from splits.plotting.grammar import (
     BAND_SIGMA,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
@@ -36,6 +35,7 @@ from splits.plotting.style import (
     make_subplots,
     use_style,
 )
+from splits.plotting.lines import INDEPENDENCE_NOTE, SHIFT_COLOUR
 from workflow.papers.interpretation_runs import (
     STAGES,
     STATED_NUMBERS,

@@ -21,7 +21,7 @@ from splits.core.uncertainty import make_variable
 from splits.core.validation import check_choice, invalid
 from splits.experiments.config.media import make_label
 from splits.io.netcdf import make_provenance, select_points, to_netcdf_attributes
-from splits.plotting.style import (
+from splits.plotting.grammar import (
     BAND_SIGMA,
     annotate_figure,
     make_subplots,

@@ -11,7 +11,7 @@ import pandas as pd
 import xarray as xr
 from matplotlib.figure import Figure
 
-from splits.plotting.style import (
+from splits.plotting.grammar import (
     BAND_SIGMA,
     TWO_COLUMNS_INCHES,
     annotate_figure,
@@ -517,7 +517,7 @@ def draw_albedo(table: pd.DataFrame, note: str = "") -> Figure:
     table : pandas.DataFrame
         See `compare_with_letcher`.
     note : str
-        Note for the foot, see `splits.plotting.style.describe_conditions`.
+        Note for the foot, see `splits.plotting.grammar.describe_conditions`.
     """
     depths = sorted(table.depth_m.unique(), reverse=True)
     with use_style():

@@ -21,7 +21,7 @@ from scipy.optimize import minimize_scalar
 from splits.core.escaping import escape_mathtext
 from splits.core.uncertainty import compute_remaining_error
 from splits.core.validation import invalid
-from splits.plotting.style import (
+from splits.plotting.grammar import (
     BAND_SIGMA,
     SMALL_FONT_PT,
     annotate_figure,
@@ -320,7 +320,7 @@ def draw_fitted_spectra(table: pd.DataFrame, note: str = "") -> Figure:
     table : pandas.DataFrame
         See `make_overlay_table`.
     note : str
-        Note for the foot, see `splits.plotting.style.describe_conditions`.
+        Note for the foot, see `splits.plotting.grammar.describe_conditions`.
     """
     groups = list(table.groupby("spectrum", sort=False))
     with use_style():
@@ -361,7 +361,7 @@ def draw_area_law(table: pd.DataFrame, note: str = "") -> Figure:
     table : pandas.DataFrame
         See `make_field_table`.
     note : str
-        Note for the foot, see `splits.plotting.style.describe_conditions`.
+        Note for the foot, see `splits.plotting.grammar.describe_conditions`.
     """
     ours = table[table.stderr.notna()]
     groups = list(ours.groupby("snow", sort=False))

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from splits.analysis.directions import select_principal_plane
 from splits.core.validation import check_range, invalid
-from splits.plotting.style import (
+from splits.plotting.grammar import (
     BAND_SIGMA,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,

@@ -1,7 +1,7 @@
 from splits.core.escaping import escape_json
 from splits.core import provenance
 from splits.core.provenance import hash_files, hash_physics_sources, hash_sources
-from splits.experiments.config.sections import FIGURE_SUFFIXES
+from splits.plotting.grammar import FIGURE_SUFFIXES
 from splits.experiments.config.settings import (
     describe_missing,
     find_incomplete_studies,
@@ -112,9 +112,9 @@ def list_explorer(experiments):
     return [f"{RESULTS}/explorer.html"] if complete else []
 
 
-def list_measured_files(section):
+def list_measured_files(experiment, section):
     """Return the measured table that a section of an experiment names, if any."""
-    measured = section and section.measured
+    measured = EXPERIMENTS[experiment].list_measured_names()[section]
     return [f"{SETTINGS.measured_folder}/{measured}"] if measured else []
 
 

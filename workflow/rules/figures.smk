@@ -1,9 +1,7 @@
 rule figure:
     input:
         data=f"{RESULTS}/data/{{experiment}}.nc",
-        measured=lambda wildcards: list_measured_files(
-            EXPERIMENTS[wildcards.experiment].figure
-        ),
+        measured=lambda wildcards: list_measured_files(wildcards.experiment, "figure"),
     output:
         multiext(f"{RESULTS}/figures/{{experiment}}", *FIGURE_SUFFIXES),
     log:

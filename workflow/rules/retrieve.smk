@@ -1,9 +1,7 @@
 rule retrieve:
     input:
         table=f"{RESULTS}/data/{{experiment}}.nc",
-        measured=lambda wildcards: list_measured_files(
-            EXPERIMENTS[wildcards.experiment].retrieve
-        ),
+        measured=lambda wildcards: list_measured_files(wildcards.experiment, "retrieve"),
     output:
         table=f"{RESULTS}/tables/{{experiment}}_retrieved.csv",
         figure=multiext(f"{RESULTS}/figures/{{experiment}}", *FIGURE_SUFFIXES),
@@ -31,7 +29,7 @@ rule retrieve_return:
     input:
         table=f"{RESULTS}/data/{{experiment}}.nc",
         measured=lambda wildcards: list_measured_files(
-            EXPERIMENTS[wildcards.experiment].retrieve_return
+            wildcards.experiment, "retrieve_return"
         ),
         media=lambda wildcards: EXPERIMENTS[wildcards.experiment].list_table_paths(),
     output:

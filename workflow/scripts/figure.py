@@ -15,6 +15,8 @@ with (
     open_progress_log(snakemake.log[0]),
     locate_job_errors(snakemake.config, snakemake.wildcards.experiment),
 ):
-    measured = [read_spectra(path) for path in snakemake.input.measured]
-    figure = draw(load(snakemake.input.data), json.loads(snakemake.params.figure), *measured)
+    settings = json.loads(snakemake.params.figure)
+    for path in snakemake.input.measured:
+        settings["measured"] = read_spectra(path)
+    figure = draw(load(snakemake.input.data), **settings)
     save_figure(figure, Path(snakemake.output[0]).with_suffix(""))

@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import (
-    AfterValidator,
-    BeforeValidator,
     Field,
+    PlainValidator,
+    TypeAdapter,
     ValidationInfo,
     WithJsonSchema,
     field_validator,
     model_validator,
 )
 
-from splits.core.validation import check_choice, check_relations, expand_path, invalid
+from splits.core.declarations import MAPPING, Input, Quantity, find_quantity, list_inputs
+from splits.core.validation import (
+    check_choice,
+    check_relations,
+    expand_path,
+    invalid,
+    unknown_key,
+)
 from splits.experiments.config.media import find_label, to_coordinate_values
 from splits.experiments.config.retrieval import (
     RetrieveReturnSection,
@@ -25,21 +34,15 @@ from splits.experiments.config.retrieval import (
     check_retrieval,
 )
 from splits.experiments.config.sections import (
-    FIGURE_SUFFIXES,
     Caption,
     ConfigSection,
-    FiniteSection,
-    Interval,
-    Label,
     MeasuredFile,
-    Number,
     Title,
-    accept_single,
-    check_different,
     match_pattern,
 )
 from splits.experiments.config.simulation import Name, SimulationConfig
-from splits.plotting.panels import INSTRUMENT_FIGURES, check_settings
+from splits.plotting.figure import FIGURES, check_settings, draw, list_instrument_figures
+from splits.plotting.grammar import FIGURE_SUFFIXES
 from splits.tables.axes import ALL_QUANTITIES
 
 # --------------------------------------------------------------------------------------------------
@@ -143,77 +146,61 @@ def parse_place(text: str) -> Place:
 # --------------------------------------------------------------------------------------------------
 # Section `figure`; the functions that draw check their data.
 
-QuantityName = Literal[
-    "reflectance", "transmittance", "absorptance", "mean_grain_distance",
-    "brdf", "btdf", "reflectance_factor", "anisotropy_factor", "brdf_dolp",
-]  # fmt: skip
-FigureKind = Literal[
-    "spectra", "points", "refractive_index", "swatches",
-    "principal_plane", "hemisphere", "lobes", "bins", "spread", "surface", "lens",
-    "polarization", "return", "range_bias", "summary", "season", "none",
-]  # fmt: skip
-
 INSTRUMENT_QUANTITIES: dict[str, tuple[str, ...]] = {
     "spectrophotometer": ("reflectance", "transmittance", "absorptance", "mean_grain_distance"),
     "goniophotometer": ("brdf", "btdf", "reflectance_factor", "anisotropy_factor", "brdf_dolp"),
     "table": ALL_QUANTITIES,
 }
 """Quantities that the figures of an instrument may show."""
+MeasuredName = Annotated[
+    MeasuredFile | None,
+    Quantity(
+        "name of a file of `config/measured/` that is drawn with spectra of one panel, with "
+        "`wavelength_nm`, the quantity, and optionally its `…_min` and `…_max`",
+    ),
+]
 
 
-def _check_mathematics(value: str) -> str:
-    """Return a text that may contain formulas between dollar signs; reject invalid formulas."""
-    # A single dollar sign starts no formula.
-    n_dollars = value.count("$") - value.count(r"\$")
-    if n_dollars < 2 or n_dollars % 2:
-        return value
-    from matplotlib.mathtext import MathTextParser  # a figure's job loads it anyway
-
-    try:
-        MathTextParser("path").parse(value)
-    except (ValueError, RuntimeError):
-        hint = r"write \$ for a dollar sign"
-        raise invalid("", value, "text that matplotlib can typeset", hint) from None
-    return value
+@cache
+def list_figure_inputs() -> dict[str, Input]:
+    """Return the inputs of a section `figure` by key: those of `splits.draw` and of all kinds."""
+    inputs = dict(list_inputs(draw))
+    for one in FIGURES.values():
+        inputs |= list_inputs(one.draw) if one.instruments else {}
+    meaning = find_quantity(MeasuredName)
+    assert meaning is not None
+    inputs["measured"] = Input(meaning, TypeAdapter(MeasuredName), None)
+    del inputs["dataset"]
+    return inputs
 
 
-Formula = AfterValidator(_check_mathematics)
+def check_figure(content: Any) -> dict[str, Any]:
+    """Return the settings of a section `figure` that are given, each in its final form."""
+    if content == "none":
+        return {"kind": "none"}
+    inputs = list_figure_inputs()
+    if not isinstance(content, Mapping):
+        hint = f"write figure: {{kind: {content}, …}}" if content in FIGURES else ""
+        raise invalid("figure", content, MAPPING, hint)
+    for key in content:
+        if key not in inputs:
+            raise unknown_key(f"figure.{key}", inputs)
+    figure = {
+        key: inputs[key].check(f"figure.{key}", value)
+        for key, value in content.items() if value is not None
+    }  # fmt: skip
+    if "kind" in figure:
+        check_choice("figure.kind", figure["kind"], (inputs["kind"].quantity.schema or {})["enum"])
+    return figure
 
 
-class FigureSection(FiniteSection):
-    """Settings of an experiment's figure."""
-
-    quantity: Annotated[
-        tuple[QuantityName, ...], accept_single(QuantityName), AfterValidator(check_different)
-    ] = ("reflectance",)
-    """one quantity, or several; `brdf` for a goniophotometer"""
-    kind: FigureKind | None = None
-    """kind of the figure, see the instruments above; by default the first one of the instrument, or
-    `points` for a grid at one wavelength; `none` for no figure"""
-    wavelength_nm: Interval | None = None
-    """limits of the wavelength axis of spectra (nm); by default all"""
-    select: dict[str, Number | str] = Field({})
-    """values at which parameters of the grid are fixed: a text is a label, a number is a value;
-    required for figures that show one point"""
-    measured: MeasuredFile | None = None
-    """name of a file of `config/measured/` that is drawn with spectra of one panel, with
-    `wavelength_nm`, the quantity, and optionally its `…_min` and `…_max`"""
-    legend: Annotated[Label, Formula] | None = None
-    """title of the legend, by default the parameters of the grid; may contain formulas between
-    dollar signs"""
-    ylim: Interval | None = None
-    """limits of the vertical axis of spectra and principal planes; in a figure of differences from
-    `default`, those of the panel of the default"""
-    note: Annotated[Title, Formula] | None = None
-    """a sentence below the figure; may contain formulas between dollar signs"""
-
-    @field_validator("select", mode="before")
-    @classmethod
-    def _label_booleans(cls, value: Any) -> Any:
-        # Labels of booleans on a grid are texts.
-        if not isinstance(value, dict):
-            return value
-        return {key: str(v) if isinstance(v, bool) else v for key, v in value.items()}
+def make_figure_schema() -> dict[str, Any]:
+    """Return the JSON schema of a section `figure`."""
+    properties = {key: one.make_schema() for key, one in list_figure_inputs().items()}
+    name = {"enum": list(dict.fromkeys(itertools.chain(*INSTRUMENT_QUANTITIES.values())))}
+    properties["quantity"] |= {"anyOf": [name, {"type": "array", "items": name}]}
+    section = {"type": "object", "properties": properties, "additionalProperties": False}
+    return {"anyOf": [{"const": "none"}, section]}
 
 
 # --------------------------------------------------------------------------------------------------
@@ -242,12 +229,8 @@ class ExperimentConfig(SimulationConfig):
     caption: Caption = ""
     """caption of the figure in the report; plain text, an empty line begins a paragraph"""
     figure: Annotated[
-        FigureSection,
-        BeforeValidator(
-            lambda value: {"kind": "none"} if value == "none" else value,
-            json_schema_input_type=Literal["none"] | FigureSection,
-        ),
-    ] = Field(default_factory=FigureSection)
+        dict[str, Any], PlainValidator(check_figure), WithJsonSchema(make_figure_schema())
+    ] = Field(default_factory=dict)
     """settings of the figure, or `none` for no figure"""
     retrieve: RetrieveSection | None = None
     """retrieves parameters from measured spectra with the table of the experiment"""
@@ -267,7 +250,7 @@ class ExperimentConfig(SimulationConfig):
     @model_validator(mode="after")
     def _check_sections(self) -> ExperimentConfig:
         """Reject a figure or a retrieval of what the experiment does not have."""
-        given, hint = self.figure.model_fields_set, "the figure shows the retrieved parameters"
+        given, hint = self.figure.keys(), "the figure shows the retrieved parameters"
         for name in ("retrieve", "retrieve_return"):
             if section := getattr(self, name):
                 check_retrieval(self, section, name)
@@ -285,6 +268,14 @@ class ExperimentConfig(SimulationConfig):
     def has_figure(self) -> bool:
         """Whether a figure shows the results; instruments without figures need no setting."""
         return self.resolve_figure()["kind"] != "none"
+
+    def list_measured_names(self) -> dict[str, str | None]:
+        """Return the names of measured files of the sections that may have one."""
+        return {
+            "figure": self.figure.get("measured"),
+            "retrieve": getattr(self.retrieve, "measured", None),
+            "retrieve_return": getattr(self.retrieve_return, "measured", None),
+        }
 
     def list_product_paths(self) -> list[str]:
         """Return the files of the experiment, relative to the results folder."""
@@ -324,27 +315,26 @@ class ExperimentConfig(SimulationConfig):
         that the experiment does not have are rejected.
         """
         instrument, grid = self.instrument, self.grid
-        kinds = [
-            kind for kind in INSTRUMENT_FIGURES.get(self.instrument.kind, ()) if kind != "season"
-        ] or ["none"]
-        if self.has_packs:
-            kinds = ["season"]
+        kinds = ["season"]
+        if not self.has_packs:
+            of_instrument = list_instrument_figures(instrument.kind)
+            kinds = [kind for kind in of_instrument if kind != "season"] or ["none"]
         is_single = kinds[0] == "spectra" and grid and instrument.get_wavelengths().size == 1
-        kind = self.figure.kind or ("points" if is_single else kinds[0])
+        figure = {"kind": "points" if is_single else kinds[0], **self.figure}
+        kind = figure.pop("kind")
         if kind not in (*kinds, "none"):
             allowed = f"one of {', '.join(kinds)} or none for instrument.kind = {instrument.kind!r}"
             raise invalid("figure.kind", kind, allowed)
-        given = self.figure.model_dump(mode="json", exclude_unset=True, exclude_none=True)
-        check_settings(kind, given)
+        check_settings(kind, {key: one for key, one in figure.items() if key != "note"})
         quantities = instrument.get("quantities") or INSTRUMENT_QUANTITIES.get(instrument.kind, ())
-        for quantity in given.get("quantity", ()):
+        for quantity in figure.get("quantity", ()):
             check_choice("figure.quantity", quantity, quantities)
         fixed = {}
-        for dimension, label in self.figure.select.items():
+        for dimension, label in figure.get("select", {}).items():
             if not grid:
                 raise invalid("figure.select", dimension, "left out where there is no grid")
             check_choice("figure.select", dimension, grid)
             values = grid[dimension]
             index = list(values).index(find_label(dimension, values, label))
             fixed[dimension] = to_coordinate_values(values)[index].item()
-        return {**given, "kind": kind, "select": fixed}
+        return {**figure, "kind": kind, **({"select": fixed} if fixed else {})}

@@ -26,7 +26,6 @@ from splits.media.kinds import (
     read_named_medium,
 )
 from splits.media.parameters import ALTERNATIVES, override_keywords
-from splits.plotting.panels import FIGURE_SETTINGS
 
 SectionType = TypeVar("SectionType", bound=BaseModel)
 MAX_MESSAGE_CHARS = 450
@@ -49,8 +48,8 @@ def suggest_mapping(key: str, value: Any) -> str:
     """Return a hint for a text in place of a section, or ""."""
     if key == "medium" and value in NAMED_MEDIA:
         return f"write {key}: {{base: {value}}}"
-    kinds = {"medium": [*MEDIUM_CLASSES], "figure": [*FIGURE_SETTINGS]}.get(key, [])
-    return f"write {key}: {{kind: {value}, …}}" if value in kinds else ""
+    is_kind = key == "medium" and value in MEDIUM_CLASSES
+    return f"write {key}: {{kind: {value}, …}}" if is_kind else ""
 
 
 def load_experiment(
@@ -88,8 +87,7 @@ def load_experiment(
         if isinstance(grid, dict):
             content["grid"] = _apply_grid_bases(grid, media)
         experiment = validate_content(ExperimentConfig, content)
-        for section in ("figure", "retrieve", "retrieve_return"):
-            name = getattr(getattr(experiment, section), "measured", None)
+        for section, name in experiment.list_measured_names().items():
             if name and not (measured / name).is_file():
                 available = [path.name for path in measured.glob("*.csv")]
                 check_choice(

@@ -13,7 +13,9 @@ import numpy as np
 
 from splits.core.spacing import GEOMSPACE_KEY, STEP_KEYS, expand_spacing
 from splits.core.validation import (
+    MAX_LABEL_CHARS,
     check_number,
+    check_text,
     expand_path,
     format_key,
     invalid,
@@ -21,7 +23,6 @@ from splits.core.validation import (
     key_prefix,
     unknown_key,
 )
-from splits.experiments.config.sections import MAX_LABEL_CHARS, check_text
 from splits.materials.csv_table import is_csv_path
 from splits.media.interpretations import merge_interpretations
 from splits.media.kinds import LAYERS_KEY, iter_layers

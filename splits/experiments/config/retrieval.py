@@ -12,11 +12,10 @@ import numpy as np
 from pydantic import Field, PlainSerializer, model_validator
 
 from splits.core.declarations import Quantity
-from splits.core.inputs import RayCount
+from splits.core.inputs import Interval, RayCount
 from splits.core.validation import check_choice, check_relations, invalid, snap_to_limits
 from splits.experiments.config.sections import (
     FiniteSection,
-    Interval,
     Label,
     MeasuredFile,
     Number,

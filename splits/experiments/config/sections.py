@@ -18,23 +18,15 @@ from pydantic import (
 )
 
 from splits.core.inputs import MaxRays, RelativeError, StandardError
-from splits.core.validation import check_relations, invalid, unknown_key
+from splits.core.validation import (
+    MAX_LABEL_CHARS,
+    MAX_TITLE_CHARS,
+    check_text,
+    invalid,
+    unknown_key,
+)
 
-MAX_LABEL_CHARS = 80
-MAX_TITLE_CHARS = 200
 MAX_CAPTION_CHARS = 5000
-FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
-"""File suffixes of figures."""
-
-
-def check_text(key: str, value: str, max_chars: int, multiline: bool = False) -> str:
-    """Return a printable text of one or several lines; reject others."""
-    joined = value.replace("\n", "").replace("\t", "") if multiline else value
-    check_relations(
-        (len(value) <= max_chars, key, value, f"at most {max_chars} characters"),
-        (joined.isprintable(), key, value, "text without control characters or line breaks"),
-    )
-    return value
 
 
 def match_pattern(pattern: re.Pattern[str], allowed: str) -> AfterValidator:
@@ -63,20 +55,6 @@ def check_measured_file(name: str) -> str:
     return check_path("", name)
 
 
-def check_different(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return names of a field; reject none at all and repeated ones."""
-    if not names or len(set(names)) < len(names):
-        raise invalid("", list(names), "at least one, without repetition")
-    return names
-
-
-def check_interval(limits: tuple[float, float]) -> tuple[float, float]:
-    """Return the limits of an interval; reject an empty one."""
-    if not limits[0] < limits[1]:
-        raise invalid("", list(limits), "low < high")
-    return limits
-
-
 def accept_single(kind: Any) -> BeforeValidator:
     """Return the validator of a list, in place of which a single text or mapping may be given."""
 
@@ -97,7 +75,6 @@ Title = Annotated[
 ]
 Caption = Annotated[str, AfterValidator(lambda text: check_text("", text, MAX_CAPTION_CHARS, True))]
 MeasuredFile = Annotated[str, AfterValidator(check_measured_file)]
-Interval = Annotated[tuple[Number, Number], AfterValidator(check_interval)]
 
 
 class ConfigSection(BaseModel):

@@ -34,7 +34,6 @@ from splits.experiments.config.experiment import (
     ReproducesSection,
 )
 from splits.experiments.config.sections import (
-    FIGURE_SUFFIXES,
     Accuracy,
     Caption,
     ConfigSection,
@@ -44,6 +43,7 @@ from splits.experiments.config.sections import (
 )
 from splits.experiments.config.simulation import NAME_PATTERN, NAME_RULE
 from splits.io.ro_crate import Author
+from splits.plotting.grammar import FIGURE_SUFFIXES
 
 # --------------------------------------------------------------------------------------------------
 # Studies: tables and figures that a function makes from the datasets of several experiments.

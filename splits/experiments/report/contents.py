@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 from splits.core.provenance import PACKAGE_FOLDER, hash_files
 from splits.experiments.config.experiment import OWN_GROUP, PAPERS, ExperimentConfig, parse_place
-from splits.experiments.config.sections import FIGURE_SUFFIXES
 from splits.experiments.config.settings import Settings
+from splits.plotting.grammar import FIGURE_SUFFIXES
 
 GROUP_TITLES = {
     OWN_GROUP: "Own experiments",

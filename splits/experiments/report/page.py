@@ -26,8 +26,8 @@ from splits.core.provenance import (
     get_package_version,
 )
 from splits.experiments.config.experiment import PAPERS, Place, parse_place
-from splits.experiments.config.sections import FIGURE_SUFFIXES
 from splits.experiments.report.contents import ReportContents, ReportItem, ReportSection
+from splits.plotting.grammar import FIGURE_SUFFIXES
 
 # --------------------------------------------------------------------------------------------------
 # Cells of tables.  A value and its standard error share a cell.  Numbers are rounded for reading;

@@ -58,7 +58,7 @@ def test_only_the_name_of_an_experiment_is_required():
         experiment.instrument.get_wavelengths(), np.arange(400.0, 2501, 10)
     )
     assert experiment.instrument.kind == "spectrophotometer"
-    assert experiment.figure.quantity == ("reflectance",)
+    assert experiment.figure == {}
     assert experiment.resolve_figure()["kind"] == "spectra"
 
 

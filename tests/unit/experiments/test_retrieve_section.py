@@ -21,8 +21,8 @@ from splits.experiments.run_retrieve import (
     run_retrieve,
     select_spectra,
 )
+from splits.plotting.grammar import save_figure
 from splits.plotting.retrieval import draw_retrievals
-from splits.plotting.style import save_figure
 
 SIZE, SOOT = "optical_radius_um", "impurities_ng_g.black_carbon"
 SECTION = {

@@ -14,7 +14,7 @@ from splits.experiments.config.media import make_grid_coordinates
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.run import run
 from splits.io.netcdf import save
-from splits.plotting.style import format_parameter
+from splits.plotting.grammar import format_parameter
 
 MEDIA = CONFIG / "media"
 STACK_TEXT = """

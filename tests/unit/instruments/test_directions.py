@@ -407,7 +407,7 @@ def test_experiments_with_layers_run_and_are_drawn(instrument, grid):
     accuracy = Accuracy(max_stderr=0.05, relative_stderr=0.3)
     dataset = run(experiment, accuracy, seed=1, threads=1)
     assert dataset.attrs["experiment"] == "made"
-    assert draw(dataset, experiment.resolve_figure()).axes
+    assert draw(dataset, **experiment.resolve_figure()).axes
 
 
 @pytest.mark.parametrize(
@@ -435,4 +435,4 @@ def test_experiments_with_layers_run_and_are_drawn(instrument, grid):
 def test_invalid_experiments_are_rejected(content, message):
     with pytest.raises((ValueError, TypeError), match=message):
         experiment = validate_content(ExperimentConfig, {"name": "made", **content})
-        draw(run(experiment, COARSE, threads=1), experiment.resolve_figure())
+        draw(run(experiment, COARSE, threads=1), **experiment.resolve_figure())

@@ -16,7 +16,7 @@ from splits.core.atomic import check_writable
 from splits.core.escaping import write_data_frame
 from splits.experiments.archive import pack_archive
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
-from splits.plotting.style import save_figure
+from splits.plotting.grammar import save_figure
 from splits.tables.assembly import write_table_blockwise
 
 VALUES = np.random.default_rng(1).random(300_000)

@@ -6,7 +6,7 @@ import pytest
 import xarray as xr
 
 from splits.core.validation import InvalidValue
-from splits.plotting.style import save_figure
+from splits.plotting.grammar import save_figure
 from workflow.papers.wet_sand import (
     ALL_DIRECTIONS,
     NADIR_RATIO,

@@ -13,7 +13,7 @@ from splits.plotting import (
     draw_polarization,
     draw_principal_planes,
 )
-from splits.plotting.style import ONE_COLUMN_INCHES, TWO_COLUMNS_INCHES
+from splits.plotting.grammar import ONE_COLUMN_INCHES, TWO_COLUMNS_INCHES
 
 POLAR = np.arange(0.0, 90.0, 5.0)
 AZIMUTH = np.arange(0.0, 360.0, 30.0)

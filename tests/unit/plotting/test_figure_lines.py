@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 from shipped import CONFIG
 
+from splits.core.declarations import list_inputs
 from splits.core.validation import ConfigError, InvalidValue
 from splits.experiments import ExperimentConfig, load_experiment
 from splits.plotting import (
@@ -18,17 +19,16 @@ from splits.plotting import (
     draw_spectra,
     save_figure,
 )
-from splits.plotting.figure import FUNCTIONS
+from splits.plotting.figure import FIGURES
+from splits.plotting.grammar import format_value, pick_colours
 from splits.plotting.lines import DASHES, PlotLines
-from splits.plotting.panels import (
-    FIGURE_SETTINGS,
+from splits.plotting.settings import (
     MAX_LINES,
     MAX_PANELS,
     MAX_ROWS,
     choose_panel_parameters,
 )
 from splits.plotting.spectra import draw_season
-from splits.plotting.style import format_value, pick_colours
 
 X = np.linspace(400.0, 1000.0, 13)
 
@@ -205,7 +205,7 @@ def test_points_show_every_quantity():
         quantities=("reflectance", "transmittance"),
     )  # fmt: skip
     dataset["transmittance"] = 0.1 * dataset.transmittance
-    figure = draw(dataset, {**SECTION, "quantity": ["reflectance", "transmittance"]})
+    figure = draw(dataset, **SECTION, quantity=["reflectance", "transmittance"])
     assert [axes.get_xlabel() for axes in figure.axes] == ["a reflectance", "a transmittance"]
     for axes, name in zip(figure.axes, ("reflectance", "transmittance"), strict=True):
         plotted = [container.lines[0].get_xdata() for container in axes.containers]
@@ -349,7 +349,7 @@ def test_too_large_figures_are_rejected_when_they_are_drawn(number):
     with pytest.raises(
         InvalidValue, match=rf"figure\.select = {{}}: must be .* of {count}"
     ) as error:
-        draw(dataset, section)
+        draw(dataset, **section)
     assert "\n" not in str(error.value) and "figure: none" in str(error.value)
 
 
@@ -357,7 +357,7 @@ def test_experiments_of_too_large_figures_are_read(tmp_path):
     """Without a figure, and with one: its job reports the limit, and the dataset is kept."""
     assert load_text(tmp_path, make_grid(20, 40)).resolve_figure()["kind"] == "spectra"
     experiment = load_text(tmp_path, "figure: none\n" + make_grid(20, 40))
-    assert experiment.figure.kind == "none"
+    assert experiment.figure == {"kind": "none"}
     text = "instrument: {kind: beam_spread, wavelength_nm: [500], half_width_m: 0.1}\n"
     experiment = load_text(tmp_path, "figure: none\n" + text + make_grid(2))
     reloaded = ExperimentConfig.model_validate({**experiment.dump_simulation(), "figure": "none"})
@@ -366,9 +366,9 @@ def test_experiments_of_too_large_figures_are_read(tmp_path):
 
 MEASURED = pd.DataFrame({"wavelength_nm": X, "reflectance": 0.5})
 ONE = make_large_dataset({"saturation": [0.0, 1.0]})
-OF_GRID = ONE.assign_attrs(configuration='{"grid": {"saturation": {}}}')
+OF_GRID = make_directions(2, configuration='{"grid": {"saturation": {}}}')
 WRONG_DATA = {
-    "several points": ({"kind": "lens"}, OF_GRID,
+    "several points": ({"kind": "bins"}, OF_GRID,
                        None, r"figure\.select = {}: must be with a value of saturation"),
     "wavelengths": ({"wavelength_nm": [1100, 1200]}, ONE, None,
                     r"figure\.wavelength_nm = .*wavelengths from 400 to 1000 nm"),
@@ -376,7 +376,7 @@ WRONG_DATA = {
     "no spectrum": ({"quantity": "length"}, ONE.assign(length=0.1), None,
                     r"figure\.quantity = 'length': must be one of"),
     "unused setting": ({"kind": "points", "ylim": [0, 1]}, ONE, None,
-                       r"figure\.ylim = .*left out for kind points .it belongs to spectra"),
+                       r"figure\.ylim = .*left out for kind points .it belongs to principal_plane"),
     "unknown setting": ({"colour": "red"}, ONE, None, r"figure\.colour: unknown key"),
     "other columns": ({}, ONE, MEASURED.rename(columns={"reflectance": "albedo"}),
                       r"figure\.measured = .*with columns wavelength_nm and reflectance"),
@@ -402,21 +402,20 @@ WRONG_DATA = {
 def test_figures_check_their_data(name):
     section, dataset, measured, message = WRONG_DATA[name]
     with pytest.raises(InvalidValue, match=message) as error:
-        draw(dataset, section, measured)
+        draw(dataset, **section, measured=measured)
     assert "\n" not in str(error.value)
 
 
-def test_settings_of_kinds_are_arguments_of_their_functions():
-    for kind, function in FUNCTIONS.items():
-        _, *arguments = signature(function).parameters
-        assert {*arguments} == {*FIGURE_SETTINGS[kind]}, kind
-    assert FUNCTIONS.keys() == FIGURE_SETTINGS.keys()
+def test_settings_of_kinds_are_declared_arguments_of_their_functions():
+    for kind, one in FIGURES.items():
+        _, *arguments = signature(one.draw).parameters
+        assert {*arguments} - {"reference", "prefixes"} == {*list_inputs(one.draw)}, kind
 
 
 def test_grids_within_the_limits_are_accepted(tmp_path):
     assert load_text(tmp_path, make_grid(40, 4, 5)).resolve_figure()["kind"] == "spectra"
     selected = "figure: {select: {depth_m: 0.1}}\n" + make_grid(20, 4, 50)
-    assert load_text(tmp_path, selected).figure.select == {"depth_m": 0.1}
+    assert load_text(tmp_path, selected).figure["select"] == {"depth_m": 0.1}
     rows = "instrument: {wavelength_nm: [500]}\n" + make_grid(MAX_ROWS)
     assert load_text(tmp_path, rows).resolve_figure()["kind"] == "points"
 
@@ -433,7 +432,7 @@ def test_figure_none_is_the_only_spelling(tmp_path):
         with pytest.raises(ConfigError, match=message):
             load_text(tmp_path, text)
     with pytest.raises(ValueError, match=r"figure\.kind = 'none'"):
-        draw(make_large_dataset({}), load_text(tmp_path, "figure: none").resolve_figure())
+        draw(make_large_dataset({}), **load_text(tmp_path, "figure: none").resolve_figure())
 
 
 @pytest.mark.long

@@ -1,31 +1,40 @@
-"""What all figures share: style, labels, conditions, panel letters, notes, and writing of files."""
+"""Grammar of figures: panels of lines with bands of errors, their labels, notes and files.
+
+Matplotlib is optional and its import slow, so that functions import it: experiments read the
+settings of figures from the signatures of the functions that draw.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial, wraps
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, ParamSpec
 
-import matplotlib.style
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.font_manager import fontManager
-from matplotlib.text import Text
 
 from splits.core.atomic import atomic_write
 from splits.core.declarations import AXIS_UNITS
 from splits.core.escaping import escape_mathtext
 from splits.core.inputs import UNPOLARIZED_LIGHT, get_incident_stokes
+from splits.core.keywords import ERROR_NAMES, declare_function
 from splits.core.validation import expand_path
 from splits.media.formatting import count_digits
 from splits.media.parameters import find_whole, get_quantity, parse_impurity_parameter
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes as Axes
+    from matplotlib.figure import Figure as Figure
+    from matplotlib.text import Text
+else:
+    # Signatures are read without matplotlib.
+    Axes = Figure = Any
+
+Given = ParamSpec("Given")
 Colour = tuple[float, float, float] | str
 Dash = str | tuple[int, tuple[int, ...]]
 
@@ -65,10 +74,6 @@ NOMINAL_PARAMETERS = (
 """Parameters with unordered values."""
 FRACTIONS = ("reflectance", "transmittance", "absorptance", "albedo", "band_albedo")
 """Quantities from 0 to 1."""
-NEARLY_ONE = 0.85
-"""Value of a fraction above which its axis shows the limit 1."""
-_HEADROOM = 1.05
-"""Upper end of an axis from zero, relative to the largest value."""
 _NUMBER_PATTERN = r"\d+(?:\.\d+)?(?:e[+-]?\d+)?"
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -125,8 +130,9 @@ def format_value(value: object, parameter: str | None = None) -> str:
     return escape_mathtext(text.replace("_", " "))
 
 
-_MAX_TITLE_CHARS = 24
-"""Number of characters that fit above a small panel."""
+def format_point(labels: Mapping[str, Any]) -> str:
+    """Return the values of a point of a grid."""
+    return " · ".join(format_value(value, name) for name, value in labels.items())
 
 
 def make_panel_title(labels: Mapping[str, float | str], legend: str | None = None) -> str:
@@ -143,7 +149,8 @@ def make_panel_title(labels: Mapping[str, float | str], legend: str | None = Non
     for parameter, label in labels.items():
         name = legend if legend and len(labels) == 1 else format_parameter(parameter)
         value = format_value(label, parameter)
-        lines.append(f"{name}:{chr(10) if len(name + value) > _MAX_TITLE_CHARS else ' '}{value}")
+        # 24 characters fit above a small panel.
+        lines.append(f"{name}:{chr(10) if len(name + value) > 24 else ' '}{value}")
     return "\n".join(lines)
 
 
@@ -158,11 +165,11 @@ def _format_number(number: str) -> str:
     return tens if float(mantissa) == 1.0 else f"{float(mantissa):g} × {tens}"
 
 
-FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 FIGURE_METADATA: dict[str, dict[str, Any]] = {
     ".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None},
 }  # fmt: skip
-"""Metadata of figure files, without dates and program versions, for reproducible files."""
+"""Metadata of figure files by suffix, without dates and program versions, which would differ."""
+FIGURE_SUFFIXES = tuple(FIGURE_METADATA)
 FALLBACK_FONTS = (
     "Noto Sans CJK SC", "Noto Sans CJK JP", "Source Han Sans SC", "WenQuanYi Micro Hei",
     "Microsoft YaHei", "Yu Gothic", "Malgun Gothic", "PingFang SC", "Hiragino Sans",
@@ -174,6 +181,9 @@ FALLBACK_FONTS = (
 @contextmanager
 def use_style() -> Iterator[None]:
     """Use the style of the project, with installed fonts for other scripts."""
+    import matplotlib.style
+    from matplotlib.font_manager import fontManager
+
     installed = {font.name for font in fontManager.ttflist}
     fonts = ["sans-serif", *(name for name in FALLBACK_FONTS if name in installed)]
     with matplotlib.style.context(
@@ -182,8 +192,19 @@ def use_style() -> Iterator[None]:
         yield
 
 
-class OffscreenFigure(Figure):
-    """Figure without pyplot, which needs no display and selects no backend for the process.
+def declare_figure(function: Callable[Given, Figure]) -> Callable[Given, Figure]:
+    """Decorate a function that draws: check its declared settings, and use the style."""
+
+    @wraps(function)
+    def styled(*values: Given.args, **keywords: Given.kwargs) -> Figure:
+        with use_style():
+            return function(*values, **keywords)
+
+    return declare_function(styled)
+
+
+def make_figure(width: float, height: float) -> Figure:
+    """Return a figure without pyplot, which needs no display and selects no backend.
 
     A notebook displays it as the value of a cell.
 
@@ -192,19 +213,23 @@ class OffscreenFigure(Figure):
     width : float
         `ONE_COLUMN_INCHES` or `TWO_COLUMNS_INCHES`.
     height : float
-        Inches.
+        Height (inches), to which notes and legends may add.
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
-    def __init__(self, width: float, height: float) -> None:
-        super().__init__(figsize=(width, height), layout="constrained")
-        # The canvas measures text before the figure is written.
-        FigureCanvasAgg(self)
+    figure = Figure(figsize=(width, height), layout="constrained")
+    # The canvas measures text before the figure is written.
+    FigureCanvasAgg(figure)
+    figure._repr_png_ = partial(_render_png, figure)  # type: ignore[attr-defined]
+    return figure
 
-    def _repr_png_(self) -> bytes:
-        buffer = BytesIO()
-        with use_style():
-            self.savefig(buffer, format="png", dpi=DPI // 2)
-        return buffer.getvalue()
+
+def _render_png(figure: Figure) -> bytes:
+    buffer = BytesIO()
+    with use_style():
+        figure.savefig(buffer, format="png", dpi=DPI // 2)
+    return buffer.getvalue()
 
 
 def make_subplots(
@@ -215,7 +240,7 @@ def make_subplots(
     width: float = ONE_COLUMN_INCHES,
     **settings: Any,
 ) -> tuple[Figure, Any]:
-    """Return an `OffscreenFigure` and its axes, as `matplotlib.pyplot.subplots` does.
+    """Return a figure and its axes, as `matplotlib.pyplot.subplots` does, see `make_figure`.
 
     Parameters
     ----------
@@ -225,15 +250,44 @@ def make_subplots(
     width : float
         `ONE_COLUMN_INCHES` or `TWO_COLUMNS_INCHES`.
     """
-    figure = OffscreenFigure(width, height)
+    figure = make_figure(width, height)
     return figure, figure.subplots(rows, columns, **settings)
+
+
+def hide_empty_panels(panels: np.ndarray, xlabel: str) -> None:
+    """Hide the panels of a grid without data, and label the axis of the lowest one of each column.
+
+    Parameters
+    ----------
+    panels : array of matplotlib.axes.Axes, shape (rows, columns)
+    xlabel : str
+    """
+    for axes in panels.flat:
+        axes.set_visible(axes.has_data())
+    for column in panels.T:
+        lowest = [axes for axes in column if axes.get_visible()][-1]
+        lowest.tick_params(labelbottom=True)
+        lowest.set_xlabel(xlabel)
+
+
+def select_evenly(size: int, max_count: int) -> np.ndarray:
+    """Return evenly spaced indices of an axis, including both ends."""
+    return np.unique(np.linspace(0, size - 1, min(size, max_count)).round().astype(int))
+
+
+def make_axis_label(variable: xr.DataArray) -> str:
+    """Return the label of an axis, on two lines if it is long."""
+    label = escape_mathtext(str(variable.attrs.get("long_name", variable.name)))
+    first, _, last = label.rpartition(" ")
+    # 30 characters fit along an axis.
+    return f"{first}\n{last}" if first and len(label) > 30 else label
 
 
 def compute_axis_top(highest: float, quantity: str = "") -> float:
     """Return the upper end of an axis from zero, above 1 for fractions near 1."""
-    if quantity in FRACTIONS and highest > NEARLY_ONE:
+    if quantity in FRACTIONS and highest > 0.85:
         highest = max(highest, 1.0)
-    return _HEADROOM * highest if highest > 0.0 else 1.0
+    return 1.05 * highest if highest > 0.0 else 1.0
 
 
 def start_at_zero(axes: Axes, quantity: str = "", ylim: tuple[float, float] | None = None) -> None:
@@ -284,6 +338,8 @@ def draw_curve(
 def pick_colours(count: int, parameter: str | None = None) -> list[Colour]:
     """Return distinct colours: a scale for ordered values, a palette for nominal ones."""
     if parameter not in NOMINAL_PARAMETERS:
+        import matplotlib
+
         positions = np.linspace(0.05, 0.74, count) if count > 1 else np.array([0.3])
         colours = matplotlib.colormaps["viridis"](positions)
         return [(r, g, b) for r, g, b, _ in colours.tolist()]
@@ -309,21 +365,16 @@ def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
     paths = []
     layout = figure.get_layout_engine()
     try:
-        for suffix in FIGURE_SUFFIXES:
+        for suffix, metadata in FIGURE_METADATA.items():
             path = stem.with_name(stem.name + suffix)
             with use_style(), atomic_write(path) as temporary_path:
-                figure.savefig(
-                    temporary_path, format=suffix[1:], dpi=DPI, metadata=FIGURE_METADATA[suffix]
-                )
+                figure.savefig(temporary_path, format=suffix[1:], dpi=DPI, metadata=metadata)
             paths.append(path)
             # The layout is fixed now; computing it again takes as long as drawing.
             figure.set_layout_engine("none")
     finally:
         figure.set_layout_engine(layout)
     return paths
-
-
-Attributes = Mapping[str, Any]
 
 
 _COMMON_CONDITIONS = {"depth_m": "depth", "ground": "ground:"}
@@ -348,34 +399,19 @@ CONDITIONS: dict[str, dict[str, str]] = {
     "stack": _COMMON_CONDITIONS,
 }
 """Labels of the keywords that figures show, by kind of medium."""
-_CONDITION_WORDS = {
-    "saturation": {"0": "dry", "0.0": "dry"},
-    "ground": {"open": "", "none": ""},
-    "surface_rms_slope": {"inf": "slopes without finite rms"},
-}
-"""Texts in place of a label and a value."""
 
 
 def _format_condition(key: str, label: str, value: Any) -> str:
     """Return the value of a keyword with its label and its unit."""
+    words = {
+        "saturation": {"0": "dry", "0.0": "dry"}, "ground": {"open": "", "none": ""},
+        "surface_rms_slope": {"inf": "slopes without finite rms"},
+    }  # fmt: skip
     values, unit = np.atleast_1d(value), get_quantity(key).unit
-    if values.dtype.kind in "if":
-        text = "–".join(format_value(float(f"{x:.4g}")) for x in values)
-    else:
-        text = format_value(str(value))
-    shown = f"{label} {text} {'' if text == '∞' else AXIS_UNITS.get(unit, unit)}".strip()
-    return _CONDITION_WORDS.get(key, {}).get(str(value), shown)
-
-
-_EQUIVALENT_KEYS = (
-    ("specific_surface_area_m2_kg", "optical_radius_um", "grain_size_um"),
-    ("saturation", "liquid_water_content"),
-)
-"""Keywords that state the same quantity."""
-_INTERIOR_KEYS = ("optical_thickness", "single_scattering_albedo", "ground")
-"""Keywords of a layer without effect below an opaque surface."""
-_SURFACE_INSTRUMENTS = ("surface_map", "lens")
-"""Instruments that measure a rough surface only."""
+    is_number = values.dtype.kind in "if"
+    texts = [format_value(float(f"{x:.4g}") if is_number else str(x)) for x in values]
+    unit = "" if texts == ["∞"] else AXIS_UNITS.get(unit, unit)
+    return words.get(key, {}).get(str(value), f"{label} {'–'.join(texts)} {unit}".strip())
 
 
 def describe_conditions(
@@ -409,7 +445,7 @@ def describe_conditions(
     return text[:1].upper() + text[1:]
 
 
-def _describe_medium(attributes: Attributes, select: dict[str, Any]) -> list[str]:
+def _describe_medium(attributes: Mapping[str, Any], select: dict[str, Any]) -> list[str]:
     """Return the descriptions of the medium and of the fixed labels."""
     kind = str(attributes.get("medium", ""))
     if kind not in CONDITIONS:
@@ -419,7 +455,9 @@ def _describe_medium(attributes: Attributes, select: dict[str, Any]) -> list[str
         for key in CONDITIONS[kind]
         if f"{kind}_{key}" in attributes
     } | select
-    for keys in _EQUIVALENT_KEYS:
+    # Keywords that state the same quantity.
+    sizes = ("specific_surface_area_m2_kg", "optical_radius_um", "grain_size_um")
+    for keys in (sizes, ("saturation", "liquid_water_content")):
         # The selected one, or the one with the fewest digits, which is the one that was written.
         given = [key for key in keys if key in values]
         shown = [key for key in given if key in select] or sorted(
@@ -427,17 +465,21 @@ def _describe_medium(attributes: Attributes, select: dict[str, Any]) -> list[str
         )
         values = {key: v for key, v in values.items() if key not in given or key == shown[0]}
     opaque = attributes.get(f"{kind}_opaque") == "true"
-    has_no_interior = opaque or attributes.get("instrument") in _SURFACE_INSTRUMENTS
+    # What is below has no effect.
+    hidden: tuple[str, ...] = ()
+    if opaque or attributes.get("instrument") in ("surface_map", "lens"):
+        hidden = ("optical_thickness", "single_scattering_albedo", "ground")
     items = [kind.replace("_", " ")]
     for key, label in CONDITIONS[kind].items():
-        if key in values and not (has_no_interior and key in _INTERIOR_KEYS):
+        if key in values and key not in hidden:
             items.append(_format_condition(key, label, values.pop(key)))
     if opaque:
         items.append("nothing below the surface")
     for unit, symbol in (("_ng_g", "ng/g"), ("_cells_ml", "cells/ml")):
         for key, amount in attributes.items():
             name = str(key).removeprefix(f"{kind}_").removesuffix(unit)
-            if key == f"{kind}_{name}{unit}" and float(amount) > 0.0:
+            is_selected = any(str(one).endswith(f".{name}") for one in select)
+            if key == f"{kind}_{name}{unit}" and float(amount) > 0.0 and not is_selected:
                 items.append(f"{name.replace('_', ' ')} {format_value(amount)} {symbol}")
     return items + [
         f"{format_parameter(key)}: {format_value(value, key)}"
@@ -454,27 +496,24 @@ def _describe_light(dataset: xr.Dataset, select: Mapping[str, Any]) -> str:
         return "diffuse light"
     text = f"incidence {format_value(incidence)}" + ("" if isinstance(incidence, str) else "°")
     stokes = get_incident_stokes(dataset.attrs)
-    if stokes == UNPOLARIZED_LIGHT:
-        return text
-    return f"{text}, Stokes vector ({', '.join(f'{value:g}' for value in stokes)})"
+    if stokes != UNPOLARIZED_LIGHT:
+        text += f", Stokes vector ({', '.join(f'{value:g}' for value in stokes)})"
+    return text
 
 
 def _describe_error(dataset: xr.Dataset, band: str) -> str:
     """Return the meaning of the bands, and the error reached."""
-    for key, description in (
-        ("max_stderr_reached", "standard error"),
-        ("relative_stderr_reached", "relative standard error"),
-    ):
-        reached = dataset[key].max() if key in dataset else dataset.attrs.get(key)
+    texts = [f"{band}: {BAND_SIGMA:g} standard errors"] if band else []
+    for key, description in ERROR_NAMES.items():
+        name = f"{key}_reached"
+        reached = dataset[name].max() if name in dataset else dataset.attrs.get(name)
         if reached is not None:
-            text = f"{description} ≤ {format_value(float(f'{float(reached):.1g}'))}"
-            return f"{band}: {BAND_SIGMA:g} standard errors; {text}" if band else text
-    return f"{band}: {BAND_SIGMA:g} standard errors" if band else ""
+            texts.append(f"{description} ≤ {format_value(float(f'{float(reached):.1g}'))}")
+            break
+    return "; ".join(texts)
 
 
 _MARGIN_INCHES = 0.05
-_LINE_SPACING = 1.25
-"""Line spacing of notes."""
 NOTES_GID = "foot"
 """Identifier of the text of notes in a figure."""
 
@@ -521,7 +560,7 @@ def add_notes(figure: Figure, *notes: str) -> None:
     if text is None:
         text = figure.text(
             _MARGIN_INCHES / inches, 0.0, "", va="bottom", ha="left", fontsize=SMALL_FONT_PT,
-            color="0.3", linespacing=_LINE_SPACING, gid=NOTES_GID,
+            color="0.3", linespacing=1.25, gid=NOTES_GID,
         )  # fmt: skip
         # The layout would otherwise reserve room inside the axes.
         text.set_in_layout(False)

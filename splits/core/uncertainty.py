@@ -42,7 +42,7 @@ def make_variable(
     stderr : float, optional
         Standard error ``…_stderr``.
     deviations : float, shape (batches, ...), optional
-        Deviations ``…_batches``, stored in single precision.
+        Deviations ``…_batches``, stored in single precision; a solution without noise has none.
     """
     attrs = {"long_name": long_name, "units": units}
     variables: dict[str, Variable] = {name: (dims, values, attrs)}
@@ -50,7 +50,7 @@ def make_variable(
         error_attrs = {**attrs, "long_name": f"standard error of {long_name}"}
         attrs["ancillary_variables"] = f"{name}_stderr"
         variables[f"{name}_stderr"] = (dims, stderr, error_attrs)
-    if deviations is not None:
+    if deviations is not None and len(deviations):
         by_batch = ("batch", dims) if isinstance(dims, str) else ("batch", *dims)
         batch_attrs = {
             "long_name": f"deviation of {long_name} by batch of rays",

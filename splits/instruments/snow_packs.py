@@ -202,7 +202,7 @@ def make_pack_estimate(solution: SpectraSolution, column: int) -> SpectralEstima
     # A quantity from 0 to 1 is not wrong by more than itself.
     stderr = np.minimum(solution.error.ravel(), np.maximum(mean, np.finfo(float).eps))
     attributes = describe_solution(solution)
-    return SpectralEstimate.from_solution(mean, stderr, attributes, n_batches=0)
+    return SpectralEstimate.from_solution(mean, stderr, attributes)
 
 
 def describe_solution(solution: SpectraSolution) -> dict[str, Any]:

@@ -46,7 +46,6 @@ from splits.instruments.solver import (
     solve_estimate,
     solve_parameter_derivatives,
 )
-from splits.kernels.records import N_BATCHES
 from splits.kernels.scene import NO_GROUND
 from splits.media.kinds import check_medium
 from splits.media.medium import Medium
@@ -489,8 +488,9 @@ def make_spectrum(
         long_name = label if name == "absorptance" else f"{illumination}-{label}"
         mean, stderr = estimate.mean[row].reshape(shape), estimate.stderr[row].reshape(shape)
         deviations = None
-        if name in SIDE_QUANTITIES and len(estimate.batch_deviations):
-            deviations = estimate.batch_deviations[:, row].reshape(N_BATCHES, *shape)
+        if name in SIDE_QUANTITIES:
+            by_batch = estimate.batch_deviations[:, row]
+            deviations = by_batch.reshape(len(by_batch), *mean.shape)
         variables |= make_variable(name, dims, mean, stderr, long_name, deviations=deviations)
     attributes = {
         **request.run.make_attributes("Virtual spectrophotometer", "spectrophotometer", medium),

@@ -61,8 +61,9 @@ class Derivatives(NamedTuple):
     Attributes
     ----------
     mean : float, shape (2, parameters, rows)
-    batch_deviations : float, shape (N_BATCHES, 2, parameters, rows)
+    batch_deviations : float, shape (batches, 2, parameters, rows)
         Contributions of batches to the deviations of the means: sums of products are covariances.
+        There are `N_BATCHES` of rays, and none of a solution without noise.
     bias_bound : float, shape (2, parameters, rows)
         Bound on the systematic error.
     """
@@ -92,7 +93,7 @@ class Derivatives(NamedTuple):
     @classmethod
     def from_solution(cls, mean: np.ndarray, bias_bound: np.ndarray) -> Derivatives:
         """Return derivatives without noise."""
-        return cls(mean, np.zeros((N_BATCHES, *mean.shape)), bias_bound)
+        return cls(mean, np.zeros((0, *mean.shape)), bias_bound)
 
     @property
     def stderr(self) -> np.ndarray:
@@ -112,7 +113,7 @@ class SpectralEstimate:
     ----------
     interpolation_error : float, shape (3, rows)
         Part of the standard error due to interpolation between refractive indices.
-    batch_deviations : float, shape (N_BATCHES, 2, rows)
+    batch_deviations : float, shape (batches, 2, rows)
         Contributions of batches to the deviations of the reflected and transmitted means: sums over
         them of squares are unbiased variances, sums of products covariances.
     derivatives : Derivatives
@@ -133,13 +134,12 @@ class SpectralEstimate:
 
     @classmethod
     def from_solution(
-        cls, mean: np.ndarray, stderr: np.ndarray, attributes: dict[str, Any],
-        n_batches: int = N_BATCHES,
-    ) -> SpectralEstimate:  # fmt: skip
+        cls, mean: np.ndarray, stderr: np.ndarray, attributes: dict[str, Any]
+    ) -> SpectralEstimate:
         """Return a solution of the equation of transfer: no rays, no noise, no interpolation."""
         sides, none = mean[:2], mean[:2, np.newaxis][:, :0]
         return cls(
-            mean, stderr, np.broadcast_to(0.0, stderr.shape), np.zeros((n_batches, *sides.shape)),
+            mean, stderr, np.broadcast_to(0.0, stderr.shape), np.zeros((0, *sides.shape)),
             Derivatives.from_solution(none, none), np.zeros(mean.shape[1]),
             {"rays": 0, **attributes},
         )  # fmt: skip

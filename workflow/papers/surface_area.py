@@ -186,14 +186,13 @@ def retrieve_surface_areas(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.Da
     for column in measured.columns[1:]:
         snow, values = _match_spectrum(dataset, measured, column)
         areas = snow[AREA].values.astype(float)
-        batches = snow.reflectance_batches.transpose("batch", AREA, "wavelength").values
+        # Discrete ordinates have no batches.
+        none = snow.reflectance.expand_dims(batch=0)
+        deviations = snow.get("reflectance_batches", none).astype(float)
+        batches = deviations.transpose("batch", AREA, "wavelength").values
         modelled = snow.reflectance.transpose(AREA, "wavelength").values
-        # Discrete ordinates have no other errors.
-        remaining = (
-            compute_remaining_error(snow.reflectance_stderr, snow.reflectance_batches.astype(float))
-            .transpose(AREA, "wavelength")
-            .values
-        )
+        remaining = compute_remaining_error(snow.reflectance_stderr, deviations)
+        bounds = remaining.transpose(AREA, "wavelength").values
         nodes = [modelled, *(modelled + batch for batch in batches)]
         scales: list[float | None] = [None] * len(nodes)
         scale_bound: float | None = None
@@ -205,12 +204,12 @@ def retrieve_surface_areas(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.Da
             ]
             scales = [fit.scale for fit in fits]
             # Batch deviations, whose squares add up to the variance.
-            deviations = np.subtract([fit[:2] for fit in fits[1:]], fits[0][:2])
+            changes = np.array([fit[:2] for fit in fits])[1:] - fits[0][:2]
             area_bound, scale_bound = bound_fit_errors(
-                areas, modelled[:, is_fitted], remaining[:, is_fitted], fits[0], scale_bound
+                areas, modelled[:, is_fitted], bounds[:, is_fitted], fits[0], scale_bound
             )
             area_error, scale_error = np.sqrt(
-                (deviations**2).sum(axis=0) + np.square([area_bound, scale_bound])
+                (changes**2).sum(axis=0) + np.square([area_bound, scale_bound])
             )
             area, scale, rmse = fits[0]
             is_at_end = bool(np.isclose(area, areas[[0, -1]], rtol=1e-6).any())

@@ -28,8 +28,8 @@ from splits.tables.interpolation import (
     make_weight_matrix,
     transform_axis,
 )
+from splits.tables.located_quantity import LocatedQuantity, scale_axis_errors
 from splits.tables.table import Table
-from splits.tables.table_interpolation import LocatedQuantity, scale_axis_errors
 
 FIXED_ATTRIBUTES = (INCIDENCE, *VIEW_AXES, "field_of_view_deg", "diffuse_fraction")
 """Attributes of a table that are conditions of a measurement."""
@@ -336,6 +336,8 @@ def drop_priors(model: Model) -> Model:
 
 def choose_quantity(table: Table, quantity: str | None) -> str:
     """Return the measured quantity; it must be given for a table of several in a direction."""
+    if table.has_delays:
+        raise invalid("model", "a table of returns", "a table of spectra", "see retrieve_return")
     if quantity is not None or not table.has_direction:
         return quantity or "reflectance"
     names = [name for name in table.quantities if not name.startswith(DIFFUSE_PREFIX)]
@@ -370,11 +372,11 @@ def _resample_table(
     """
     free = {name: table.dataset[name].values[0] for name in axes}
     with key_prefix("fixed"):
-        complete = table.interpolation.complete_point({**free, **fixed})
+        complete = table.complete_point({**free, **fixed})
     point = {name: value for name, value in complete.items() if name not in free}
-    located = LocatedQuantity(table.interpolation, quantity, point)
+    located = LocatedQuantity(table, quantity, point)
     values = located.combine(located.read(quantity))
-    prepared = table.interpolation.prepare(quantity)
+    prepared = table.prepare(quantity)
     coordinates = {
         name: COORDINATES[state_vector.transforms[state_vector.names.index(name)]]
         for name in located.kept

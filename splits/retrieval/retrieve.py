@@ -360,7 +360,7 @@ def retrieve(
         with `bands`.  Labels may be in any order.  Other coordinates, such as ``incidence_deg``,
         and the name of the quantity must agree with the model.
     model : Table or medium
-        A table, see `splits.build_table` and `splits.open_table`; or a snow, sand, layer or stack,
+        A table, see `splits.build_table`; or a snow, sand, layer or stack,
         which is solved by discrete ordinates (a fraction of a second) or simulated as often as
         necessary (some minutes).
     free : sequence of str or mapping
@@ -432,7 +432,7 @@ def retrieve(
     ...     max_stderr=0.01,
     ... )
     >>> found = splits.retrieve(
-    ...     ([860, 1030, 1240], [0.86, 0.68, 0.51]), splits.Table(snow), ["optical_radius_um"], 0.02
+    ...     ([860, 1030, 1240], [0.86, 0.68, 0.51]), snow, ["optical_radius_um"], 0.02
     ... )
     >>> found.constrained
     {'optical_radius_um': True}
@@ -457,12 +457,10 @@ def retrieve(
     else:
         if isinstance(model, str | Mapping) or not hasattr(model, "kind"):
             shown = model if isinstance(model, str) or callable(model) else type(model).__name__
-            hint = (
-                "splits.Table(splits.build_table(…)), open_table, or a snow, sand, layer or stack"
-            )
+            hint = "splits.build_table(…), splits.Table(path), or a snow, sand, layer or stack"
             suggestion = suggest_medium(model, list_media_names())
             if hasattr(model, "data_vars"):
-                suggestion = "splits.Table(dataset) of what splits.build_table returned"
+                suggestion = "splits.Table(dataset) of the dataset of a table"
             raise invalid("model", shown, "a Table, or a medium", suggestion or hint)
         check_choice("quantity", quantity or "reflectance", ["reflectance"])
         measurement = Measurement.from_input(measured, noise, bands)

@@ -44,7 +44,6 @@ from splits.retrieval.retrieve import (
 )
 from splits.retrieval.state_vector import SCALE, StateVector
 from splits.tables.axes import INCIDENCE
-from splits.tables.return_table import TITLE
 from splits.tables.table import Table
 
 QUANTITY = "return_rate"
@@ -97,12 +96,12 @@ def make_channel_table(table: Any) -> Table:
     Raises
     ------
     ValueError
-        If the dataset is not from `splits.build_return_table`, or incomplete.
+        If it is not a table of returns, or incomplete.
     """
-    allowed = "what splits.build_return_table returned"
-    if not isinstance(table, xr.Dataset) or table.attrs.get("title") != TITLE:
-        found = table.attrs.get("title") if isinstance(table, xr.Dataset) else None
-        raise invalid("table", found or type(table).__name__, allowed)
+    allowed = "what splits.build_table(…, delay_s=…) returned"
+    attributes = table.attrs if isinstance(table, xr.Dataset) else {}
+    if "path_sharing_axes" not in attributes or QUANTITY not in table:
+        raise invalid("table", attributes.get("title", type(table).__name__), allowed)
     names = [QUANTITY, f"{QUANTITY}_stderr"]
     for name in (*names, "delay_bounds"):
         if name not in table:
@@ -117,7 +116,7 @@ def make_channel_table(table: Any) -> Table:
     channels = stacked.drop_vars(["wavelength", "delay_s", "range"], errors="ignore")
     channels = channels.rename(channel="wavelength")
     channels = channels.assign_coords(wavelength=np.arange(channels.sizes["wavelength"]) + 1.0)
-    return Table(channels.assign_attrs(path_sharing_axes="none"))
+    return Table(channels)
 
 
 def read_return(measured: Any, wavelengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -355,7 +354,7 @@ NO_PULSE = "no pulse is given, so that an instantaneous one is assumed"
 @declare_function
 def retrieve_return(
     measured: Any,
-    table: xr.Dataset,
+    table: Any,
     free: Any,
     noise: Any,
     *,
@@ -377,8 +376,8 @@ def retrieve_return(
         wavelengths of the table if it has several.  Or a result of `splits.time_of_flight` on
         the side ``reflected``.  Wavelengths, delays, the incidence, the receiver and the pulse that
         it states must be those of the table and of the other arguments.
-    table : xarray.Dataset
-        Result of `splits.build_return_table`, or a part of it.
+    table : Table or xarray.Dataset
+        Result of `splits.build_table` with `delay_s`, or a part of its dataset.
     free : sequence of str or mapping
         Free axes of the table, or their (low, high) by name.  ``scale`` is a factor of the
         modelled return, for light or a receiver of unknown power, from 0.2 to 5.
@@ -411,21 +410,21 @@ def retrieve_return(
     >>> import numpy as np
     >>> import splits
     >>> delays = np.array([0, 2e-11, 5e-11, 1e-10, 2e-10, 5e-10])
-    >>> table = splits.build_return_table(
+    >>> table = splits.build_table(
     ...     splits.Snow.natural,
     ...     {"specific_surface_area_m2_kg": [5, 10, 20, 40]},
     ...     1064,
     ...     rays=2000,
     ...     delay_s=delays,
     ... )
-    >>> light = table.return_rate.sel(specific_surface_area_m2_kg=10).squeeze()
+    >>> light = table.dataset.return_rate.sel(specific_surface_area_m2_kg=10).squeeze()
     >>> found = splits.retrieve_return(
     ...     (delays, light), table, ["specific_surface_area_m2_kg"], 0.02 * light
     ... )
     >>> found.constrained
     {'specific_surface_area_m2_kg': True}
     """
-    table = sort_returns(table)
+    table = sort_returns(getattr(table, "dataset", table))
     channels = make_channel_table(table)
     edges, rates = read_return(measured, table.wavelength.values)
     noise_rate, is_counted = check_return_noise(noise, edges, table.wavelength.values)

@@ -15,8 +15,13 @@ from direction_tables import (
 
 from splits.core.validation import InvalidValue
 from splits.illumination.bands import SpectralBand, compute_response_weights
-from splits.tables.conversions import ISOFIT_DIMS, convert_to_eradiate, convert_to_isofit
-from splits.tables.table import Table, write_csv
+from splits.tables.conversions import (
+    ISOFIT_DIMS,
+    convert_to_eradiate,
+    convert_to_isofit,
+    write_csv,
+)
+from splits.tables.table import Table
 
 NODES = {
     "optical_radius_um": np.array([50.0, 100.0, 200.0, 400.0]),

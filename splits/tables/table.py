@@ -422,7 +422,7 @@ class Table:
         axes = [n for n in self.axes[:-1] if self.dataset[n].dtype.kind == "f"]
         is_list = isinstance(names, Sequence) and not isinstance(names, str)
         if not is_list or not 0 < len(names) == len(set(names)):
-            raise invalid("names", names, f"a list of different {', '.join(axes)}")
+            raise invalid("names", names, f"a list of different names: {', '.join(axes)}")
         for name in names:
             if name not in axes:
                 raise unknown_key(f"names.{name}", axes)

@@ -332,7 +332,7 @@ def test_unsuitable_tables_are_rejected(name, conversion):
             lambda ds: convert_to_eradiate(ds, wavelength=500.0),
             "optical_radius_um = None: must be given",
         ),
-        (lambda ds: convert_to_eradiate(ds, **COARSE), "wavelength = None: must be one of"),
+        (lambda ds: convert_to_eradiate(ds, **COARSE), "wavelength = None: must be given"),
         (
             lambda ds: convert_to_eradiate(ds, wavelength=700.0, **COARSE),
             "wavelength = 700.0: must be one of the table's 2 wavelengths, from 500 to 900 nm",

@@ -12,7 +12,7 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 import xarray as xr
 
-from splits.core.arrays import as_1d_array, check_axis, check_no_gaps
+from splits.core.arrays import as_1d_array, check_axis, check_increasing, check_no_gaps
 from splits.core.declarations import Quantity
 from splits.core.inputs import (
     AZIMUTH_ANGLE,
@@ -188,26 +188,22 @@ def check_axis_values(
 
 def _check_grid_axis(name: str, values_given: Any) -> tuple[Any, ...]:
     """Return the validated values of an axis."""
-    key = f"grid.{format_key(name)}"
-    allowed = "a list of different values, numbers or text"
-    values_given = as_scalar(values_given)
-    if isinstance(values_given, str | Mapping | Set) or not isinstance(values_given, Iterable):
-        hint = f"write [{values_given!r}]" if isinstance(values_given, str | Real) else ""
-        if hint and name == INCIDENCE:
-            hint += f", or give the argument {name}={values_given!r} and leave it out of the grid"
-        raise invalid(key, values_given, allowed, hint)
-    values = [as_scalar(value) for value in values_given]
-    are_texts = {isinstance(value, str) for value in values}
-    if len(are_texts) != 1 or (are_texts == {True} and len(set(values)) < len(values)):
-        hint = "not both in one axis: only numbers are interpolated" if len(are_texts) > 1 else ""
-        raise invalid(key, values, allowed, hint)
+    key, values = f"grid.{format_key(name)}", as_scalar(values_given)
+    is_list = isinstance(values, Iterable) and not isinstance(values, str | Mapping | Set)
+    hint = f"write [{values!r}]" if isinstance(values, str | Real) else ""
+    if hint and name == INCIDENCE:
+        hint += f", or give the argument {name}={values!r} and leave it out of the grid"
+    values = [as_scalar(value) for value in values] if is_list else values
+    are_texts = {isinstance(value, str) for value in values} if is_list else set()
+    if len(are_texts) > 1:
+        hint = "not both in one axis: only numbers are interpolated"
+    is_repeated = are_texts == {True} and len(set(values)) < len(values)
+    if len(are_texts) != 1 or is_repeated:
+        raise invalid(key, values, "a list of different values, numbers or text", hint)
     if are_texts == {True}:
         return tuple(values)
-    allowed = "different, increasing numbers"
-    numbers = as_1d_array(key, values, allowed)
-    if (np.diff(numbers) <= 0.0).any():
-        raise invalid(key, numbers.tolist(), allowed)
-    return tuple(numbers.tolist())
+    numbers = as_1d_array(key, values, "different, increasing numbers")
+    return tuple(check_increasing(key, numbers).tolist())
 
 
 POLAR, AZIMUTH = "polar_deg", "azimuth_deg"

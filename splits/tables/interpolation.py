@@ -157,14 +157,15 @@ def check_within_axis(name: str, nodes: np.ndarray, value: object) -> float:
     ValueError
         For a value outside the axis.
     """
-    allowed = f"from {nodes[0]:g} to {nodes[-1]:g}, as far as the table goes"
+    allowed, hint = f"from {nodes[0]:g} to {nodes[-1]:g}, as far as the table goes", ""
     if np.ndim(as_scalar(value)):
+        allowed = f"one number {allowed}"
         hint = "repeat the call for each, such as for the parts of an image with one sun"
-        raise invalid(name, value, f"one number {allowed}", hint)
-    x = float(snap_to_limits(check_number(name, value), nodes[0], nodes[-1]))
-    if not nodes[0] <= x <= nodes[-1]:
-        raise invalid(name, value, allowed)
-    return x
+    else:
+        x = float(snap_to_limits(check_number(name, value), nodes[0], nodes[-1]))
+        if nodes[0] <= x <= nodes[-1]:
+            return x
+    raise invalid(name, value, allowed, hint)
 
 
 class InterpolationWeights(NamedTuple):

@@ -28,7 +28,7 @@ from splits.tables.interpolation import (
     make_weight_matrix,
     transform_axis,
 )
-from splits.tables.located_quantity import LocatedQuantity, scale_axis_errors
+from splits.tables.located_quantity import scale_axis_errors
 from splits.tables.table import Table
 
 FIXED_ATTRIBUTES = (INCIDENCE, *VIEW_AXES, "field_of_view_deg", "diffuse_fraction")
@@ -374,7 +374,7 @@ def _resample_table(
     with key_prefix("fixed"):
         complete = table.complete_point({**free, **fixed})
     point = {name: value for name, value in complete.items() if name not in free}
-    located = LocatedQuantity(table, quantity, point)
+    located = table.locate(quantity, point)
     values = located.combine(located.read(quantity))
     prepared = table.prepare(quantity)
     coordinates = {

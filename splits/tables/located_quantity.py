@@ -7,11 +7,12 @@ Derivatives with respect to the parameters of the axes are those of the interpol
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
-from splits.tables.axes import load_selection
+from splits.tables.axes import DELAY, load_selection
 from splits.tables.interpolation import (
     AxisError,
     AxisInterpolation,
@@ -22,9 +23,6 @@ from splits.tables.interpolation import (
     estimate_error_weights,
 )
 
-if TYPE_CHECKING:
-    from splits.tables.table import Table
-
 ERROR_STEP = 1e-3
 """Step of the derivative of an error, relative to the length of the axis."""
 
@@ -34,7 +32,10 @@ class LocatedQuantity:
 
     Parameters
     ----------
-    table : Table
+    dataset : xarray.Dataset
+        Dataset of a table.
+    axes : mapping of str to AxisInterpolation
+        Interpolation of the quantity along numeric axes.
     quantity : str
     point : mapping
         Position on some axes; the others are kept.
@@ -53,19 +54,19 @@ class LocatedQuantity:
 
     def __init__(
         self,
-        table: Table,
+        dataset: xr.Dataset,
+        axes: Mapping[str, AxisInterpolation],
         quantity: str,
         point: Mapping[str, Any],
         slopes_of: Sequence[str] = (),
     ) -> None:
-        dataset, prepared = table.dataset, table.prepare(quantity)
-        dims = [name for name in table.axes[:-1] if name in dataset[quantity].dims]
+        trailing = ("wavelength", DELAY)
+        dims = [str(name) for name in dataset[quantity].dims if name not in trailing]
         self.names = [name for name in dims if name in point]
         self.kept = [name for name in dims if name not in point]
-        others = [str(d) for d in dataset[quantity].dims if d not in (*dims, "wavelength")]
-        self.trailing_dims = (*others, "wavelength")
+        self.trailing_dims = tuple(n for n in (DELAY, "wavelength") if n in dataset[quantity].dims)
         self.quantity, self.point, self._dataset = quantity, point, dataset
-        self._axes = {name: prepared[name] for name in self.names if name in prepared}
+        self._axes = {name: axes[name] for name in self.names if name in axes}
         self.weights: dict[str, AxisWeights] = {}
         self._rows, self._estimates, self._needed = {}, {}, {}
         for name in self.names:

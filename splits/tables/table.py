@@ -12,24 +12,36 @@ import xarray as xr
 
 from splits.core.arrays import as_1d_array
 from splits.core.keywords import declare_function
-from splits.core.validation import check_choice, expand_path, invalid, key_prefix, unknown_key
+from splits.core.uncertainty import make_variable
+from splits.core.validation import (
+    check_choice,
+    expand_path,
+    invalid,
+    key_prefix,
+    snap_to_limits,
+    unknown_key,
+)
 from splits.illumination.bands import Bands, SpectralOperator, check_bands
 from splits.io.netcdf import load, open_lazily, to_netcdf_attributes
 from splits.media.parameters import get_derivative_unit
 from splits.tables.axes import (
     AZIMUTH,
     DELAY,
+    DIFFUSE_PREFIX,
     MIXED_QUANTITIES,
     POLAR,
     VIEW_AXES,
     VIEW_QUANTITIES,
     check_axis_values,
     check_complete,
+    find_variables,
     list_axes,
     list_quantities,
+    list_view_axes,
+    load_selection,
     sort_axes,
 )
-from splits.tables.comparison import extract_comparisons
+from splits.tables.comparison import extract_comparisons, rename_comparison
 from splits.tables.conversions import convert_to_eradiate, convert_to_isofit, write_csv
 from splits.tables.interpolation import AxisInterpolation, check_within_axis, transform_axis
 from splits.tables.located_quantity import (
@@ -41,13 +53,15 @@ from splits.tables.located_quantity import (
 )
 from splits.tables.views import (
     VIEW_POLAR,
+    Estimate,
     FieldOfView,
     ViewAzimuth,
     ViewPolar,
     check_diffuse_fraction,
     check_view_azimuth,
     choose_direction,
-    select_view,
+    list_directions,
+    mix_light,
 )
 
 MAX_BYTES_IN_MEMORY = 2**28
@@ -177,6 +191,13 @@ class Table:
             self._prepared[quantity] = prepared
         return self._prepared[quantity]
 
+    def locate(
+        self, quantity: str, point: Mapping[str, Any], slopes_of: Sequence[str] = ()
+    ) -> LocatedQuantity:
+        """Return a quantity at a validated point on some or all axes."""
+        prepared = self.prepare(quantity)
+        return LocatedQuantity(self.dataset, prepared, quantity, point, slopes_of)
+
     def complete_point(self, at: Mapping[str, Any]) -> dict[str, Any]:
         """Return the validated position on every axis; axes of one node may be left out."""
         at = check_axis_values(at, self.axes[:-1])
@@ -253,9 +274,81 @@ class Table:
         ----------
         Schaepman-Strub et al. (2006), Remote Sensing of Environment 103, 27-42.
         """
-        direction = choose_direction(self.dataset, polar_deg, azimuth_deg)
-        fraction = check_diffuse_fraction(self.dataset, diffuse_fraction)
-        return Table(select_view(self, direction, field_of_view_deg, fraction))
+        dataset, center = self.dataset, choose_direction(self.dataset, polar_deg, azimuth_deg)
+        fraction = check_diffuse_fraction(dataset, diffuse_fraction)
+        allowed = f"with {' or '.join(MIXED_QUANTITIES)}"
+        hint = "quantities under isotropic light alone have no beam"
+        names = find_variables(dataset, MIXED_QUANTITIES, allowed, hint)
+        directions = list_directions(center, field_of_view_deg)
+        for axis in dict.fromkeys(axis for name in names for axis in list_view_axes(name)):
+            nodes = dataset[axis].values
+            check_within_axis(axis, nodes, center[axis])
+            inside = snap_to_limits([angles[axis] for angles, _ in directions], nodes[0], nodes[-1])
+            if inside.min() < nodes[0] or inside.max() > nodes[-1]:
+                allowed = f"within the {axis} of the table, {nodes[0]:g} to {nodes[-1]:g}"
+                hint = f"around polar_deg = {polar_deg:g}, azimuth_deg = {center[AZIMUTH]:g}"
+                raise invalid("field_of_view_deg", field_of_view_deg, allowed, hint)
+        variables: dict[str, Any] = {}
+        for name, (value, error) in self._average_views(names, directions, fraction).items():
+            dims = tuple(str(dim) for dim in dataset[name].dims if dim not in VIEW_AXES)
+            values, errors = (one.transpose(*dims).values for one in (value, error))
+            variables |= make_variable(name, dims, values, errors, name.replace("_", " "))
+        attributes = {
+            **center, "field_of_view_deg": field_of_view_deg, "diffuse_fraction": fraction
+        }  # fmt: skip
+        coordinates = {name: dataset[name] for name in self.axes if name not in VIEW_AXES}
+        selected = xr.Dataset(variables, coordinates, dataset.attrs | attributes)
+        for axis, part in self.comparisons.items():
+            if axis not in VIEW_AXES and all(name in part for name in names):
+                # Positions between nodes of other axes, in the same direction and under the same
+                # sky.  Quantities under isotropic light do not depend on the incidence of beams.
+                for name in names if fraction.any() else ():
+                    diffuse = dataset[DIFFUSE_PREFIX + name]
+                    if diffuse.name not in part:
+                        at = {d: part[d] for d in diffuse.dims if d != "wavelength"}
+                        part = part.assign({diffuse.name: load_selection(diffuse.sel(at))})
+                exact = part.assign({f"{name}_stderr": 0.0 * part[name] for name in part.data_vars})
+                found = Table(exact)._average_views(names, directions, fraction)
+                compared = xr.Dataset({
+                    name: value.assign_attrs(long_name=name.replace("_", " "))
+                    for name, (value, _) in found.items()
+                })  # fmt: skip
+                selected = selected.merge(rename_comparison(compared, axis))
+        return Table(selected)
+
+    def _average_views(
+        self,
+        names: Sequence[str],
+        directions: Sequence[tuple[Mapping[str, float], float]],
+        diffuse_fraction: np.ndarray,
+    ) -> dict[str, Estimate]:
+        """Return quantities averaged over directions, under a beam and isotropic light."""
+
+        def average(name: str) -> Estimate:
+            axes = list_view_axes(name)
+            if not axes:
+                mean, mean_error = self.dataset[name], self.dataset[f"{name}_stderr"]
+                return load_selection(mean), load_selection(mean_error)
+            total: Any = 0.0
+            # Errors of neighbouring directions are treated as fully correlated.
+            for angles, weight in directions:
+                located = self.locate(name, {axis: angles[axis] for axis in axes})
+                values = located.read(name)
+                value, stderr = located.combine(values), located.read(f"{name}_stderr")
+                error = combine_axis_errors(located.estimate_errors(values), value)
+                estimate = np.stack([value, np.hypot(located.combine_errors(stderr), error)])
+                total = total + weight * estimate
+            dims = [*located.kept, "wavelength"]
+            coordinates = {dim: self.dataset[dim] for dim in dims}
+            mean, mean_error = (xr.DataArray(one, coordinates, dims) for one in total)
+            return mean, mean_error
+
+        direct = {name: average(name) for name in names}
+        if not diffuse_fraction.any():
+            return direct
+        diffuse = {name: average(DIFFUSE_PREFIX + name) for name in names}
+        dims = ("wavelength",) * diffuse_fraction.ndim
+        return mix_light(direct, diffuse, xr.DataArray(diffuse_fraction, dims=dims))
 
     def fix_view(self, at: Mapping[str, Any], prefix: str = "") -> tuple[Table, dict[str, Any]]:
         """Return the table for the direction among positions on axes, and the other positions.
@@ -316,7 +409,7 @@ class Table:
         variables: dict[str, Any] = {}
         means: dict[str, Any] = {}
         for quantity in self.point_quantities:
-            located = LocatedQuantity(self, quantity, point)
+            located = self.locate(quantity, point)
             values, node_stderr = located.read(quantity), located.read(f"{quantity}_stderr")
             value, stderr = located.combine(values), located.combine_errors(node_stderr)
             errors = located.estimate_errors(values)
@@ -362,7 +455,7 @@ class Table:
         float, shape (axes, wavelengths)
             Error estimates, with relative signs along the spectrum.
         """
-        located = LocatedQuantity(self, quantity, self.complete_point(self._complete_view(at)))
+        located = self.locate(quantity, self.complete_point(self._complete_view(at)))
         values = located.read(quantity)
         return stack_axis_errors(
             located.estimate_errors(values), values.shape[len(located.names) :]
@@ -391,7 +484,7 @@ class Table:
         name = f"{quantity}_batches"
         if name not in self.dataset:
             raise invalid("table", quantity, "a table made with covariance=True")
-        located = LocatedQuantity(self, quantity, self.complete_point(at))
+        located = self.locate(quantity, self.complete_point(at))
         return located.combine(located.read(name))
 
     @declare_function
@@ -432,7 +525,7 @@ class Table:
         point = self.complete_point(at)
         variables: dict[str, Any] = {}
         for quantity in self.point_quantities:
-            located = LocatedQuantity(self, quantity, point, names)
+            located = self.locate(quantity, point, names)
             values, errors = np.stack([located.differentiate(name) for name in names], axis=1)
             label = f"derivative of {quantity} with respect to the parameter, per unit of it"
             for suffix, rows, long_name in (

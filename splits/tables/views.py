@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import xarray as xr
@@ -17,37 +17,19 @@ import xarray as xr
 from splits.core.arrays import align_to_labels, check_array_range
 from splits.core.declarations import Quantity
 from splits.core.inputs import AZIMUTH_ANGLE, POLAR_ANGLE, check_azimuths
-from splits.core.uncertainty import make_variable
-from splits.core.validation import check_number, invalid, snap_to_limits
+from splits.core.validation import check_number, invalid
 from splits.tables.axes import (
     AZIMUTH,
     DIFFUSE_PREFIX,
     INCIDENCE,
     MIXED_QUANTITIES,
     POLAR,
-    VIEW_AXES,
-    find_variables,
     fold_azimuths,
     list_axes,
-    list_view_axes,
-    load_selection,
 )
-from splits.tables.comparison import rename_comparison
-from splits.tables.interpolation import check_within_axis
-from splits.tables.located_quantity import LocatedQuantity, combine_axis_errors
-
-if TYPE_CHECKING:
-    from splits.tables.table import Table
 
 N_RINGS, N_RING_DIRECTIONS = 3, 8
 """Numbers of rings of a field of view, and of directions in each."""
-LABELS = {
-    "reflectance": "reflectance",
-    "reflectance_factor": "reflectance factor",
-    "anisotropy_factor": "anisotropy factor",
-}
-
-
 VIEW_POLAR = replace(POLAR_ANGLE, low=0.0, high=90.0, open_high=True, check=None, schema=None)
 
 
@@ -143,105 +125,7 @@ def list_directions(
     ]
 
 
-def select_view(
-    table: Table,
-    center: Mapping[str, float],
-    field_of_view_deg: float,
-    diffuse_fraction: np.ndarray,
-) -> xr.Dataset:
-    """Return the table of spectra in one direction, with the interpolation error in its errors.
-
-    Parameters
-    ----------
-    table : Table
-        Table with directions of observation.
-    center : mapping
-        Direction, see `choose_direction`.
-    field_of_view_deg : float
-        Full angle of the cone.
-    diffuse_fraction : float, shape () or (wavelengths,)
-        See `check_diffuse_fraction`.
-
-    Raises
-    ------
-    ValueError
-        For directions outside the table.
-    """
-    dataset = table.dataset
-    allowed = f"with {' or '.join(MIXED_QUANTITIES)}"
-    hint = "quantities under isotropic light alone have no beam"
-    names = find_variables(dataset, MIXED_QUANTITIES, allowed, hint)
-    directions = list_directions(center, field_of_view_deg)
-    for axis in dict.fromkeys(axis for name in names for axis in list_view_axes(name)):
-        nodes = dataset[axis].values
-        check_within_axis(axis, nodes, center[axis])
-        inside = snap_to_limits([angles[axis] for angles, _ in directions], nodes[0], nodes[-1])
-        if inside.min() < nodes[0] or inside.max() > nodes[-1]:
-            allowed = f"within the {axis} of the table, {nodes[0]:g} to {nodes[-1]:g}"
-            hint = f"around polar_deg = {center[POLAR]:g}, azimuth_deg = {center[AZIMUTH]:g}"
-            raise invalid("field_of_view_deg", field_of_view_deg, allowed, hint)
-
-    def estimate(source: Table) -> dict[str, Estimate]:
-        direct = {name: _average(source, name, directions) for name in names}
-        if not diffuse_fraction.any():
-            return direct
-        diffuse = {name: _average(source, DIFFUSE_PREFIX + name, directions) for name in names}
-        dims = ("wavelength",) * diffuse_fraction.ndim
-        return _mix(direct, diffuse, xr.DataArray(diffuse_fraction, dims=dims))
-
-    variables: dict[str, Any] = {}
-    for name, (value, error) in estimate(table).items():
-        dims = tuple(str(dim) for dim in dataset[name].dims if dim not in VIEW_AXES)
-        values, errors = (one.transpose(*dims).values for one in (value, error))
-        variables |= make_variable(name, dims, values, errors, LABELS[name])
-    attributes = {
-        **center,
-        "field_of_view_deg": field_of_view_deg,
-        "diffuse_fraction": diffuse_fraction,
-    }
-    coordinates = {name: dataset[name] for name in table.axes if name not in VIEW_AXES}
-    selected = xr.Dataset(variables, coordinates, dataset.attrs | attributes)
-    for axis, part in table.comparisons.items():
-        if axis not in VIEW_AXES and all(name in part for name in names):
-            # Positions between nodes of other axes, in the same direction and under the same sky.
-            # Quantities under isotropic light do not depend on the incidence of beams.
-            for name in names if diffuse_fraction.any() else ():
-                diffuse = dataset[DIFFUSE_PREFIX + name]
-                if diffuse.name not in part:
-                    at = {d: part[d] for d in diffuse.dims if d != "wavelength"}
-                    part = part.assign({diffuse.name: load_selection(diffuse.sel(at))})
-            exact = part.assign({f"{name}_stderr": 0.0 * part[name] for name in part.data_vars})
-            compared = xr.Dataset({
-                name: value.assign_attrs(long_name=LABELS[name])
-                for name, (value, _) in estimate(type(table)(exact)).items()
-            })  # fmt: skip
-            selected = selected.merge(rename_comparison(compared, axis))
-    return selected
-
-
-def _average(
-    table: Table, name: str, directions: list[tuple[Mapping[str, float], float]]
-) -> Estimate:
-    """Return a quantity of a table, averaged over directions where it depends on these."""
-    dataset, axes = table.dataset, list_view_axes(name)
-    if not axes:
-        return load_selection(dataset[name]), load_selection(dataset[f"{name}_stderr"])
-    total: Any = 0.0
-    # Errors of neighbouring directions are treated as fully correlated.
-    for angles, weight in directions:
-        located = LocatedQuantity(table, name, {axis: angles[axis] for axis in axes})
-        values = located.read(name)
-        value, stderr = located.combine(values), located.read(f"{name}_stderr")
-        error = combine_axis_errors(located.estimate_errors(values), value)
-        estimate = np.stack([value, np.hypot(located.combine_errors(stderr), error)])
-        total = total + weight * estimate
-    dims = [*located.kept, "wavelength"]
-    coordinates = {dim: dataset[dim] for dim in dims}
-    mean, mean_error = (xr.DataArray(one, coordinates, dims) for one in total)
-    return mean, mean_error
-
-
-def _mix(
+def mix_light(
     direct: dict[str, Estimate], diffuse: dict[str, Estimate], fraction: xr.DataArray
 ) -> dict[str, Estimate]:
     """Return quantities under a mixture of a beam and isotropic light.

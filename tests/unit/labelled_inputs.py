@@ -349,6 +349,7 @@ def make_cases(folder: Path) -> dict[str, Any]:
         "Table.at_view": ({"polar_deg": 20.0, "azimuth_deg": 30.0}, {
             "diffuse_fraction": [named([0.25, 0.5], [500.0, 900.0])]}),
         "Table.fix_view": ({}, {"at": [names(polar_deg=20.0, azimuth_deg=30.0)]}),
+        "Table.locate": ({}, {"point": []}),
         "Table.complete_point": ({}, {"at": [names(**place)]}),
         "Table.interp": (place, {"at": [names(**place)], "bands": [
             columns(wavelength_nm=[500.0, 900.0], response=[0.25, 0.5]).map(

@@ -212,7 +212,7 @@ def build_table(
       incidence_deg: 2 from 0.0 to 60.0
       wavelength: 2 from 500.0 to 1030.0
     >>> float(table.interp(optical_radius_um=70, incidence_deg=30).reflectance[1].round(1))
-    0.8
+    0.7
     >>> returns = splits.build_table(
     ...     splits.Snow.natural,
     ...     {"specific_surface_area_m2_kg": [10, 20, 40], "density_kg_m3": [200, 400]},

@@ -90,15 +90,6 @@ class Table:
     ------
     ValueError
         If the dataset is not a table, values or coordinates are missing, or a file is damaged.
-
-    Examples
-    --------
-    >>> import splits
-    >>> table = splits.build_table(
-    ...     splits.Snow.natural, {"optical_radius_um": [50, 100, 200]}, [500, 1030], max_stderr=0.02
-    ... )
-    >>> splits.save(table, "table.nc")
-    >>> splits.Table("table.nc").interp(optical_radius_um=70).reflectance.round(2).values
     """
 
     @declare_function
@@ -527,13 +518,14 @@ class Table:
         for quantity in self.point_quantities:
             located = self.locate(quantity, point, names)
             values, errors = np.stack([located.differentiate(name) for name in names], axis=1)
+            unit = self.dataset[quantity].attrs.get("units", "1")
             label = f"derivative of {quantity} with respect to the parameter, per unit of it"
             for suffix, rows, long_name in (
                 ("", values, label), ("_stderr", errors, f"standard error of the {label}"),
             ):  # fmt: skip
                 variables[f"{quantity}_jacobian{suffix}"] = (
                     ("parameter", *located.trailing_dims), rows,
-                    {"long_name": long_name, "units": "1"},
+                    {"long_name": long_name, "units": unit},
                 )  # fmt: skip
         units = [get_derivative_unit(name) for name in names]
         coordinates = {
@@ -543,6 +535,8 @@ class Table:
                 "wavelength", self.dataset.wavelength.values, self.dataset.wavelength.attrs
             ),
         }  # fmt: skip
+        if self.has_delays:
+            coordinates[DELAY] = (DELAY, self.dataset[DELAY].values, self.dataset[DELAY].attrs)
         return xr.Dataset(variables, coordinates, to_netcdf_attributes(at))
 
     @declare_function

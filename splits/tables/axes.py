@@ -12,7 +12,7 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 import xarray as xr
 
-from splits.core.arrays import as_1d_array, check_axis, check_increasing, check_no_gaps
+from splits.core.arrays import as_1d_array, check_axis, check_no_gaps
 from splits.core.declarations import Quantity
 from splits.core.inputs import (
     AZIMUTH_ANGLE,
@@ -202,8 +202,11 @@ def _check_grid_axis(name: str, values_given: Any) -> tuple[Any, ...]:
         raise invalid(key, values, "a list of different values, numbers or text", hint)
     if are_texts == {True}:
         return tuple(values)
-    numbers = as_1d_array(key, values, "different, increasing numbers")
-    return tuple(check_increasing(key, numbers).tolist())
+    allowed = "different, increasing numbers"
+    numbers = as_1d_array(key, values, allowed)
+    if (np.diff(numbers) <= 0.0).any():
+        raise invalid(key, numbers.tolist(), allowed)
+    return tuple(numbers.tolist())
 
 
 POLAR, AZIMUTH = "polar_deg", "azimuth_deg"

@@ -61,10 +61,11 @@ class LocatedQuantity:
         slopes_of: Sequence[str] = (),
     ) -> None:
         trailing = ("wavelength", DELAY)
-        dims = [str(name) for name in dataset[quantity].dims if name not in trailing]
+        own_dims = dataset.variables[quantity].dims
+        dims = [str(name) for name in own_dims if name not in trailing]
         self.names = [name for name in dims if name in point]
         self.kept = [name for name in dims if name not in point]
-        self.trailing_dims = tuple(n for n in (DELAY, "wavelength") if n in dataset[quantity].dims)
+        self.trailing_dims = tuple(name for name in (DELAY, "wavelength") if name in own_dims)
         self.quantity, self.point, self._dataset = quantity, point, dataset
         self._axes = {name: axes[name] for name in self.names if name in axes}
         self.weights: dict[str, AxisWeights] = {}

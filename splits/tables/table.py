@@ -154,7 +154,7 @@ class Table:
             and not (self.has_delays and self.dataset[name].isnull().any())
         ]  # fmt: skip
 
-    @property
+    @cached_property
     def has_delays(self) -> bool:
         """Whether the table holds returns of a pulse."""
         return DELAY in self.dataset.dims
@@ -194,7 +194,7 @@ class Table:
         at = check_axis_values(at, self.axes[:-1])
         point: dict[str, Any] = {}
         for name in self.axes[:-1]:
-            nodes = self.dataset[name].values
+            nodes = self.dataset.variables[name].values
             value = self._get_position(at, name)
             if nodes.dtype.kind == "f":
                 point[name] = check_within_axis(name, nodes, value)
@@ -204,7 +204,7 @@ class Table:
 
     def _get_position(self, at: Mapping[str, Any], name: str, prefix: str = "") -> Any:
         """Return the position on an axis; it may be omitted on an axis of a single node."""
-        nodes, value = self.dataset[name].values, at.get(name)
+        nodes, value = self.dataset.variables[name].values, at.get(name)
         if value is None and nodes.size > 1:
             hint = "an axis of the table" + (" that is not retrieved" if prefix else "")
             raise invalid(f"{prefix}{name}", None, "given", hint)

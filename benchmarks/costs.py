@@ -301,7 +301,7 @@ def view_table() -> Iterator[dict[str, Any]]:
     table = splits.build_table(
         splits.Snow.natural, VIEW_GRID, np.linspace(400.0, 2500.0, 211), max_stderr=0.005,
         solver="discrete_ordinates",
-    )  # fmt: skip
+    ).dataset  # fmt: skip
     seconds, cpu_s = time.perf_counter() - start, time.process_time() - cpu_start
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "table.nc"

@@ -77,10 +77,10 @@ def load_or_build_table(
         start = time.process_time()
         table = splits.build_table(
             make, grid, wavelengths_nm, incidence, max_stderr=error, covariance=True
-        )
+        ).dataset
         splits.save(table, path)
         print(f"{path.name}: {time.process_time() - start:.0f} s of CPU", flush=True)
-    return splits.open_table(path)
+    return splits.Table(path)
 
 
 def sample_truths(

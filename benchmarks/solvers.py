@@ -120,12 +120,10 @@ def list_ways(medium: splits.Stack) -> Iterator[tuple[str, str, Callable[[], Any
 def make_table_look_up() -> Callable[[], xr.Dataset]:
     """Return a function that interpolates the spectrum of the half-space in a table."""
     grid = {"optical_radius_um": TABLE_RADII_UM}
-    table = splits.Table(
-        splits.build_table(
+    table = splits.build_table(
             splits.Snow.natural, grid, WAVELENGTHS_NM, INCIDENCE_DEG, threads=1,
             solver="discrete_ordinates",
-        )
-    )  # fmt: skip
+        )  # fmt: skip
     (snow,) = SNOWPACKS["half-space"].layers
     return lambda: table.interp(optical_radius_um=snow.optical_radius_um)
 

@@ -230,7 +230,7 @@ def main() -> None:
         lambda: splits.build_table(
             make_snow, grid, WAVELENGTHS_NM, max_stderr=MAX_STDERR, folder=arguments.folder,
             progress=True, solver=arguments.solver,
-        )
+        ).dataset
     )  # fmt: skip
     count = ParameterGrid.from_mapping(grid).size
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6

@@ -40,6 +40,4 @@ from .retrieval.maps import retrieve_map as retrieve_map
 from .retrieval.retrieve import retrieve as retrieve
 from .retrieval.retrieve_return import retrieve_return as retrieve_return
 from .tables.build import build_table as build_table
-from .tables.return_table import build_return_table as build_return_table
 from .tables.table import Table as Table
-from .tables.table import open_table as open_table

@@ -21,15 +21,15 @@ SIMULATION_SOURCES = (
     "kernels", "materials", "illumination", "media", "simulation", "discrete_ordinates",
     "instruments", "core/uncertainty.py", "core/declarations.py", "core/inputs.py",
     "core/spacing.py",
-    "tables/axes.py", "tables/block.py", "tables/plan.py", "tables/return_table.py",
+    "tables/axes.py", "tables/blocks.py", "tables/build.py",
     "experiments/config/instruments.py", "experiments/config/media.py",
     "experiments/config/simulation.py", "experiments/run.py", "experiments/run_table.py",
 )  # fmt: skip
 """Folders and files, relative to the package, that determine every simulation."""
 RETRIEVAL_SOURCES = (
     "analysis/theory/kokhanovsky_zege.py", "experiments/config/retrieval.py",
-    "experiments/run_retrieve.py", "tables/interpolation.py", "tables/axis_interpolation.py",
-    "tables/comparison.py", "tables/axes.py", "tables/table.py", "tables/table_interpolation.py",
+    "experiments/run_retrieve.py", "tables/interpolation.py", "tables/comparison.py",
+    "tables/axes.py", "tables/table.py", "tables/located_quantity.py", "tables/views.py",
     "materials/impurities.csv", "materials/impurities.py", "media/snow.py",
     "retrieval/state_vector.py", "retrieval/optimal_estimation.py", "retrieval/forward_model.py",
     "retrieval/linearization.py", "retrieval/measurement.py", "retrieval/retrieve.py",
@@ -40,8 +40,7 @@ RETRIEVAL_SOURCES = (
 RETURN_SOURCES = (*RETRIEVAL_SOURCES, "retrieval/retrieve_return.py")
 """Files that determine retrievals from a table of returns."""
 TABLE_SOURCES = (
-    "tables/assembly.py", "tables/build.py", "tables/comparison.py",
-    "tables/axis_interpolation.py", "tables/interpolation.py", "tables/table_interpolation.py",
+    "tables/blocks.py", "tables/build.py", "tables/comparison.py", "tables/interpolation.py",
 )  # fmt: skip
 """Files that determine how a table is made from its simulated parts."""
 FIGURE_SOURCES = (

@@ -42,7 +42,7 @@ from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import check_stokes
 from splits.simulation.shared_paths import MediaGroup, group_by_shared_paths
 from splits.simulation.strata import STOP_REASONS
-from splits.tables.return_table import TITLE
+from splits.tables.build import RETURN_TITLE
 
 N_BEAM_RAYS = 200_000
 """Number of rays of a beam at a relative standard error of 0.02."""
@@ -161,7 +161,7 @@ def _stack_points(
     }
     attributes = {
         **constant,
-        "title": TITLE
+        "title": RETURN_TITLE
         if experiment.instrument.kind == "return_table"
         else f"Experiment {experiment.name}",
         "experiment": experiment.name,

@@ -41,7 +41,7 @@ from splits.retrieval.retrieve import RetrievalResult, retrieve
 from splits.retrieval.retrieve_return import retrieve_return
 from splits.retrieval.state_vector import SCALE
 from splits.tables.axes import INCIDENCE
-from splits.tables.table import Table, open_table
+from splits.tables.table import Table
 
 BIN_COLUMNS = (WAVELENGTH_COLUMN, "delay_start_s", "delay_end_s")
 """Columns of a measured return that describe its bins."""
@@ -238,7 +238,7 @@ def write_retrieval(
     table and the figure, which is written in all formats.  `log` receives lines for each sample.
     """
     spectra = read_spectra(Path(measured), "retrieve.measured")
-    results = run_retrieve(section, open_table(table), spectra, seed, log)
+    results = run_retrieve(section, Table(table), spectra, seed, log)
     # Figures show together the samples of a prefix.
     prefixes = [first.applies_to for first in section.prior_from] or [""]
     write_samples(results, Path(table).stem, section.reference_values, prefixes, outputs)

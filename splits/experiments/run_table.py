@@ -27,23 +27,20 @@ from splits.media.snow_pack_input import FLAG_NAME
 from splits.media.snow_packs import SnowPacks, count_missing_results
 from splits.simulation.run_options import RunOptions
 from splits.simulation.strata import STOP_REASONS
-from splits.tables.assembly import (
-    MAX_BYTES_IN_MEMORY,
+from splits.tables.blocks import (
+    PathGroup,
+    TablePlan,
     assemble_blocks,
     compute_table_bytes,
     write_table_blockwise,
 )
-from splits.tables.axes import VIEW_AXES, ViewGrid, check_quantities, has_diffuse
-from splits.tables.block import TableRequest
 from splits.tables.build import (
     BLOCK_PREFIX,
-    compute_table,
+    add_comparisons,
     iterate_blocks,
     list_block_inputs,
-    warn_of_wide_intervals,
 )
-from splits.tables.comparison import add_comparisons
-from splits.tables.plan import PathGroup, TablePlan
+from splits.tables.table import MAX_BYTES_IN_MEMORY
 
 MAX_RAYS = 20_000_000
 """Largest number of rays of a spectrum, or of a set of spectra that share paths."""
@@ -62,31 +59,26 @@ def prepare_table(
     seed: int,
     threads: int | None = None,
     log: LogCallback = lambda line: None,
-) -> tuple[TablePlan, TableRequest]:
-    """Return the plan of a table, which is logged, and the settings of its simulation.
+) -> TablePlan:
+    """Return the plan of a table, which is logged.
 
     Raises
     ------
     ValueError
         For points that cannot be simulated, or to which a required solver does not apply.
     """
-    instrument, axes = experiment.instrument, experiment.make_axes()
-    wavelengths, incidence = instrument.get_wavelengths(), instrument.get_incidence()
-    has_covariance = instrument.get("covariance") == "keep"
-    views = ViewGrid.from_grid(axes)
-    quantities = check_quantities(instrument.get("quantities"), views, has_covariance)
-    with experiment.locate_errors({}):
-        plan = TablePlan.from_grid(
-            experiment.make_medium, axes.drop(*VIEW_AXES), wavelengths, incidence,
-            has_views=views is not None, with_diffuse=has_diffuse(quantities),
-        )  # fmt: skip
+    instrument = experiment.instrument
     error, rays = instrument.scale_stderr(accuracy.max_stderr), accuracy.max_rays or MAX_RAYS
     run = RunOptions.start(instrument.get_seed(seed), threads)
-    request = SpectralRequest(wavelengths, 0.0, error, rays, run)
+    request = SpectralRequest(instrument.get_wavelengths(), 0.0, error, rays, run)
     with experiment.locate_errors({}):
-        solver = instrument.choose_solver(plan.list_media(), error)
+        plan = TablePlan.from_grid(
+            experiment.make_medium, experiment.make_axes(), request, instrument.get_incidence(),
+            instrument.get("quantities"), covariance=instrument.get("covariance") == "keep",
+        )  # fmt: skip
+        plan = plan._replace(solver=instrument.choose_solver(plan.list_media(), error))
     log(f"{experiment.name}: {plan}")
-    return plan, TableRequest(request, quantities, has_covariance, solver, views)
+    return plan
 
 
 def run_part(
@@ -110,10 +102,10 @@ def run_part(
         blocks = _iterate_blocks(experiment, accuracy, parts, folder, threads, log)
         keys = [_list_inputs(experiment, accuracy, one) for one in parts]
     else:
-        plan, request = prepare_table(experiment, accuracy, seed, threads, log)
-        groups = plan.select_part(part, count_parts(experiment), request.solver)
-        blocks = _simulate_blocks(experiment, request, groups, folder, log)
-        keys = [list_block_inputs(one, request) for one in groups]
+        plan = prepare_table(experiment, accuracy, seed, threads, log)
+        groups = plan.select_part(part, count_parts(experiment))
+        blocks = _simulate_blocks(experiment, plan, groups, folder, log)
+        keys = [list_block_inputs(one, plan) for one in groups]
     for _ in blocks:
         pass
     cache = Cache(folder, BLOCK_PREFIX)
@@ -134,10 +126,9 @@ def run_table(
     """
     if experiment.has_packs:
         return run_packs(experiment, accuracy, folder, threads, log)
-    plan, request = prepare_table(experiment, accuracy, seed, threads, log)
-    blocks = _simulate_blocks(experiment, request, plan.path_groups, folder, log)
-    table = assemble_blocks(plan, request, blocks)
-    return _complete_table(experiment, plan, request, folder, log, table)
+    plan = prepare_table(experiment, accuracy, seed, threads, log)
+    blocks = _simulate_blocks(experiment, plan, plan.path_groups, folder, log)
+    return _complete_table(experiment, plan, folder, log, assemble_blocks(plan, blocks))
 
 
 def write_table(
@@ -153,19 +144,18 @@ def write_table(
     if experiment.has_packs:
         save(run_packs(experiment, accuracy, folder, threads, log), path)
         return
-    plan, request = prepare_table(experiment, accuracy, seed, threads, log)
-    simulate = partial(_simulate_blocks, experiment, request, plan.path_groups, folder, log)
-    complete = partial(_complete_table, experiment, plan, request, folder, log)
-    if compute_table_bytes(plan, request) <= MAX_BYTES_IN_MEMORY:
-        save(complete(assemble_blocks(plan, request, simulate())), path)
+    plan = prepare_table(experiment, accuracy, seed, threads, log)
+    simulate = partial(_simulate_blocks, experiment, plan, plan.path_groups, folder, log)
+    complete = partial(_complete_table, experiment, plan, folder, log)
+    if compute_table_bytes(plan) <= MAX_BYTES_IN_MEMORY:
+        save(complete(assemble_blocks(plan, simulate())), path)
     else:
-        write_table_blockwise(path, plan, request, simulate, complete)
+        write_table_blockwise(path, plan, simulate, complete)
 
 
 def _complete_table(
     experiment: SimulationConfig,
     plan: TablePlan,
-    request: TableRequest,
     folder: Path | None,
     log: LogCallback,
     table: xr.Dataset,
@@ -175,10 +165,9 @@ def _complete_table(
     A missed error is logged.
     """
     log_missed_error(log, experiment.name, table)
-    compute, grid = partial(compute_table, folder=folder), experiment.make_axes()
-    compared = add_comparisons(table, experiment.make_medium, grid, plan, request, compute)
-    warn_of_wide_intervals(compared)
-    return compared.assign_attrs(
+    grid = experiment.make_axes()
+    table = add_comparisons(table, experiment.make_medium, grid, plan, folder)
+    return table.assign_attrs(
         title=f"Experiment {experiment.name}",
         experiment=experiment.name,
         instrument="table",
@@ -188,7 +177,7 @@ def _complete_table(
 
 def _simulate_blocks(
     experiment: SimulationConfig,
-    request: TableRequest,
+    plan: TablePlan,
     groups: Sequence[PathGroup],
     folder: Path | None,
     log: LogCallback,
@@ -199,7 +188,7 @@ def _simulate_blocks(
     def show(progress: Progress) -> None:
         log(f"{prefix}, {progress}")
 
-    for number, block in enumerate(iterate_blocks(request, groups, folder, show), start=1):
+    for number, block in enumerate(iterate_blocks(plan, groups, folder, show), start=1):
         rays, error = block.attrs["rays"], float(block.attrs["max_stderr_reached"])
         log(f"{prefix}: {number} of {len(groups)} done, {rays} rays, error {error:.4f}")
         yield block

@@ -160,7 +160,7 @@ def to_netcdf_attributes(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 @declare_function
-def save(dataset: xr.Dataset, path: str | Path) -> None:
+def save(dataset: Any, path: str | Path) -> None:
     """Write a dataset to a netCDF file atomically.
 
     Every array has a checksum (fletcher32), and the file has one of all its bytes; `load` verifies
@@ -173,9 +173,10 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
 
     Parameters
     ----------
-    dataset : xarray.Dataset
-        Dataset returned by this package or derived from one.  Values are finite, or NaN where a
-        flag variable named in ``ancillary_variables`` is not 0.
+    dataset : xarray.Dataset or object with one
+        Dataset returned by this package or derived from one; or the result of a retrieval or a
+        `splits.Table`, of which the dataset is written.  Values are finite, or NaN where a flag
+        variable named in ``ancillary_variables`` is not 0.
     path : path
         File with one of `NETCDF_SUFFIXES`.
 
@@ -190,10 +191,11 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
     if path.suffix not in NETCDF_SUFFIXES:
         hint = "this writes netCDF; use dataset.to_dataframe().to_csv(…) for CSV"
         raise invalid("path", str(path), "a name that ends in " + ", ".join(NETCDF_SUFFIXES), hint)
+    dataset = getattr(dataset, "dataset", dataset)
     if not isinstance(dataset, xr.Dataset):
-        hint = "write its dataset: save(….dataset, path)" if hasattr(dataset, "dataset") else ""
-        if isinstance(dataset, xr.DataArray):
-            hint = f"write array.to_dataset(name={str(dataset.name or 'reflectance')!r})"
+        is_array = isinstance(dataset, xr.DataArray)
+        name = str(dataset.name or "reflectance") if is_array else ""
+        hint = f"write array.to_dataset(name={name!r})" if is_array else ""
         raise invalid("dataset", type(dataset).__name__, "an xarray.Dataset", hint)
     # Lazy arrays would otherwise be computed several times.
     dataset = dataset.compute()

@@ -32,8 +32,8 @@ from splits.tables.interpolation import (
     make_weight_matrix,
     transform_axis,
 )
+from splits.tables.located_quantity import scale_axis_errors
 from splits.tables.table import Table
-from splits.tables.table_interpolation import LocatedQuantity, scale_axis_errors
 
 FIXED_ATTRIBUTES = (INCIDENCE, *VIEW_AXES, "field_of_view_deg", "diffuse_fraction")
 """Attributes of a table that are conditions of a measurement."""
@@ -329,8 +329,10 @@ def select_quantity(
 
     The quantity must be given for a table of several in a direction.
     """
-    hint = "splits.Table(splits.build_table(…)), or splits.open_table(…)"
+    hint = "splits.build_table(…), or splits.Table(path)"
     check_relations((isinstance(table, Table), "table", type(table).__name__, "a Table", hint))
+    spectra = "a table of spectra", "see retrieve_return"
+    check_relations((not table.has_delays, "table", "a table of returns", *spectra))
     if quantity is None and table.has_direction:
         names = [name for name in table.quantities if not name.startswith(DIFFUSE_PREFIX)]
         allowed = f"given: {' or '.join(names)}"
@@ -368,11 +370,11 @@ def _resample_table(
     """
     free = {name: table.dataset[name].values[0] for name in axes}
     with key_prefix("fixed"):
-        complete = table.interpolation.complete_point({**free, **fixed})
+        complete = table.complete_point({**free, **fixed})
     point = {name: value for name, value in complete.items() if name not in free}
-    located = LocatedQuantity(table.interpolation, quantity, point)
+    located = table.locate(quantity, point)
     values = located.combine(located.read(quantity))
-    prepared = table.interpolation.prepare(quantity)
+    prepared = table.prepare(quantity)
     coordinates = {
         name: COORDINATES[state_vector.transforms[state_vector.names.index(name)]]
         for name in located.kept

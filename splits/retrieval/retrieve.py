@@ -358,7 +358,7 @@ def retrieve(
         with `bands`.  Labels may be in any order.  Other coordinates, such as ``incidence_deg``,
         and the name of the quantity must agree with the model.
     model : Table or medium
-        A table, see `splits.build_table` and `splits.open_table`; or a snow, sand, layer or stack,
+        A table, see `splits.build_table`; or a snow, sand, layer or stack,
         which is solved by discrete ordinates (a fraction of a second) or simulated as often as
         necessary (some minutes).
     free : sequence of str or mapping
@@ -430,7 +430,7 @@ def retrieve(
     ...     max_stderr=0.01,
     ... )
     >>> found = splits.retrieve(
-    ...     ([860, 1030, 1240], [0.86, 0.68, 0.51]), splits.Table(snow), ["optical_radius_um"], 0.02
+    ...     ([860, 1030, 1240], [0.86, 0.68, 0.51]), snow, ["optical_radius_um"], 0.02
     ... )
     >>> found.constrained
     {'optical_radius_um': True}
@@ -481,10 +481,10 @@ def retrieve(
 def _refuse_model(model: Any) -> InvalidValue:
     """Return the error for what is neither a table nor a medium."""
     shown = model if isinstance(model, str) or callable(model) else type(model).__name__
-    hint = "splits.Table(splits.build_table(…)), open_table, or a snow, sand, layer or stack"
+    hint = "splits.build_table(…), splits.Table(path), or a snow, sand, layer or stack"
     hint = suggest_medium(model, list_media_names()) or hint
     if hasattr(model, "data_vars"):
-        hint = "splits.Table(dataset) of what splits.build_table returned"
+        hint = "splits.Table(dataset) of the dataset of a table"
     return invalid("model", shown, "a Table, or a medium", hint)
 
 

@@ -44,7 +44,6 @@ from splits.retrieval.retrieve import (
 )
 from splits.retrieval.state_vector import SCALE, Prior, StateVector
 from splits.tables.axes import INCIDENCE
-from splits.tables.return_table import TITLE
 from splits.tables.table import Table
 
 QUANTITY = "return_rate"
@@ -73,26 +72,20 @@ def sort_returns(key: str, dataset: xr.Dataset) -> tuple[xr.Dataset, np.ndarray]
 
 
 def check_return_table(table: Any) -> None:
-    """Reject what is not a complete dataset of `splits.build_return_table`."""
-    allowed, names = "what splits.build_return_table returned", [QUANTITY, f"{QUANTITY}_stderr"]
-    title = table.attrs.get("title") if isinstance(table, xr.Dataset) else None
-    check_relations((title == TITLE, "table", title or type(table).__name__, allowed))
-    check_relations(
-        *(
-            (name in table, f"table.{name}", None, "given", allowed)
-            for name in (*names, "delay_bounds")
-        )
+    """Reject what is not the complete dataset of a table of returns."""
+    allowed, names = (
+        "what splits.build_table(…, delay_s=…) returned",
+        [QUANTITY, f"{QUANTITY}_stderr"],
     )
-    check_relations(
-        *(
-            (
-                one in table[QUANTITY].dims and one in table.coords, "table",
-                f"without an axis {one}", allowed,
-                f"select a list: isel({one}=[0]), which keeps the axis",
-            )
-            for one in ("wavelength", "delay_s")
-        )
-    )  # fmt: skip
+    attributes = table.attrs if isinstance(table, xr.Dataset) else {}
+    is_table = "path_sharing_axes" in attributes and QUANTITY in table
+    check_relations((is_table, "table", attributes.get("title", type(table).__name__), allowed))
+    for name in (*names, "delay_bounds"):
+        check_relations((name in table, f"table.{name}", None, "given", allowed))
+    for one in ("wavelength", "delay_s"):
+        has_axis = one in table[QUANTITY].dims and one in table.coords
+        hint = f"select a list: isel({one}=[0]), which keeps the axis"
+        check_relations((has_axis, "table", f"without an axis {one}", allowed, hint))
     check_no_gaps("table", table[names])
 
 
@@ -104,7 +97,7 @@ def make_channel_table(table: xr.Dataset) -> Table:
     channels = stacked.drop_vars(["wavelength", "delay_s", "range"], errors="ignore")
     channels = channels.rename(channel="wavelength")
     channels = channels.assign_coords(wavelength=np.arange(channels.sizes["wavelength"]) + 1.0)
-    return Table(channels.assign_attrs(path_sharing_axes="none"))
+    return Table(channels)
 
 
 def read_return(measured: Any, wavelengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -353,7 +346,7 @@ NO_PULSE = "no pulse is given, so that an instantaneous one is assumed"
 @declare_function
 def retrieve_return(
     measured: Any,
-    table: xr.Dataset,
+    table: Any,
     free: Any,
     noise: Any,
     *,
@@ -375,8 +368,8 @@ def retrieve_return(
         wavelengths of the table if it has several.  Or a result of `splits.time_of_flight` on
         the side ``reflected``.  Wavelengths, delays, the incidence, the receiver and the pulse that
         it states must be those of the table and of the other arguments.
-    table : xarray.Dataset
-        Result of `splits.build_return_table`, or a part of it.
+    table : Table or xarray.Dataset
+        Result of `splits.build_table` with `delay_s`, or a part of its dataset.
     free : sequence of str or mapping
         Free axes of the table, or their (low, high) by name.  ``scale`` is a factor of the
         modelled return, for light or a receiver of unknown power, from 0.2 to 5.
@@ -409,20 +402,21 @@ def retrieve_return(
     >>> import numpy as np
     >>> import splits
     >>> delays = np.array([0, 2e-11, 5e-11, 1e-10, 2e-10, 5e-10])
-    >>> table = splits.build_return_table(
+    >>> table = splits.build_table(
     ...     splits.Snow.natural,
     ...     {"specific_surface_area_m2_kg": [5, 10, 20, 40]},
     ...     1064,
     ...     rays=2000,
     ...     delay_s=delays,
     ... )
-    >>> light = table.return_rate.sel(specific_surface_area_m2_kg=10).squeeze()
+    >>> light = table.dataset.return_rate.sel(specific_surface_area_m2_kg=10).squeeze()
     >>> found = splits.retrieve_return(
     ...     (delays, light), table, ["specific_surface_area_m2_kg"], 0.02 * light
     ... )
     >>> found.constrained
     {'specific_surface_area_m2_kg': True}
     """
+    table = getattr(table, "dataset", table)
     check_return_table(table)
     table, _ = sort_returns("table", table)
     channels = make_channel_table(table)

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from dataclasses import replace
 from numbers import Real
-from typing import Annotated, Any, NamedTuple, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -28,9 +28,14 @@ from splits.media.parameters import describe_parameter
 from splits.simulation.spectral_tally import SIDE_QUANTITIES
 
 INCIDENCE = "incidence_deg"
+DELAY = "delay_s"
+TRAILING_DIMS = ("wavelength", DELAY, "band", "bounds")
+"""Dimensions of tables after their axes."""
+RETURN_QUANTITIES = ("return_rate", "fraction", "mean_delay")
+"""Quantities of a table of returns."""
 RESULT_NAMES = (
-    "wavelength", "batch", "delay_s", "bounds", "reflectance", "transmittance", "absorptance",
-    "reflectance_factor", "anisotropy_factor", "return_rate", "fraction", "mean_delay",
+    "batch", *TRAILING_DIMS, "reflectance", "transmittance", "absorptance",
+    "reflectance_factor", "anisotropy_factor", *RETURN_QUANTITIES,
 )  # fmt: skip
 """Dimensions and quantities of tables, which no parameter may be named after."""
 AXIS_ALIASES = {"sza": INCIDENCE}
@@ -183,19 +188,18 @@ def check_axis_values(
 
 def _check_grid_axis(name: str, values_given: Any) -> tuple[Any, ...]:
     """Return the validated values of an axis."""
-    key = f"grid.{format_key(name)}"
-    allowed = "a list of different values, numbers or text"
-    values_given = as_scalar(values_given)
-    if isinstance(values_given, str | Mapping | Set) or not isinstance(values_given, Iterable):
-        hint = f"write [{values_given!r}]" if isinstance(values_given, str | Real) else ""
-        if hint and name == INCIDENCE:
-            hint += f", or give the argument {name}={values_given!r} and leave it out of the grid"
-        raise invalid(key, values_given, allowed, hint)
-    values = [as_scalar(value) for value in values_given]
-    are_texts = {isinstance(value, str) for value in values}
-    if len(are_texts) != 1 or (are_texts == {True} and len(set(values)) < len(values)):
-        hint = "not both in one axis: only numbers are interpolated" if len(are_texts) > 1 else ""
-        raise invalid(key, values, allowed, hint)
+    key, values = f"grid.{format_key(name)}", as_scalar(values_given)
+    is_list = isinstance(values, Iterable) and not isinstance(values, str | Mapping | Set)
+    hint = f"write [{values!r}]" if isinstance(values, str | Real) else ""
+    if hint and name == INCIDENCE:
+        hint += f", or give the argument {name}={values!r} and leave it out of the grid"
+    values = [as_scalar(value) for value in values] if is_list else values
+    are_texts = {isinstance(value, str) for value in values} if is_list else set()
+    if len(are_texts) > 1:
+        hint = "not both in one axis: only numbers are interpolated"
+    is_repeated = are_texts == {True} and len(set(values)) < len(values)
+    if len(are_texts) != 1 or is_repeated:
+        raise invalid(key, values, "a list of different values, numbers or text", hint)
     if are_texts == {True}:
         return tuple(values)
     allowed = "different, increasing numbers"
@@ -217,54 +221,39 @@ DIFFUSE_QUANTITIES = tuple(DIFFUSE_PREFIX + name for name in MIXED_QUANTITIES)
 ALL_QUANTITIES = (*SIDE_QUANTITIES, *VIEW_QUANTITIES, *DIFFUSE_QUANTITIES)
 
 
-class ViewGrid(NamedTuple):
-    """Directions of observation.
+Views = tuple[np.ndarray, np.ndarray]
+"""Polar angles (degrees, 0 to below 90) and azimuths (0 to 180) of observation."""
 
-    Attributes
-    ----------
-    polar : float, shape (polar,)
-        Angles from the normal (degrees), 0 to below 90.
-    azimuth : float, shape (azimuth,)
-        Angles from the direction in which the beam travels (degrees), 0 to 180.
+
+def read_views(grid: ParameterGrid, prefix: str = "grid.") -> Views | None:
+    """Return the directions among the axes of a grid, None without them.
+
+    Names in messages begin with the prefix.
+
+    Raises
+    ------
+    ValueError
+        For one axis without the other, or angles outside their range.
     """
+    given = [name for name in VIEW_AXES if name in grid]
+    if not given:
+        return None
+    for name in VIEW_AXES:
+        if name not in given:
+            raise invalid(f"{prefix}{name}", None, "given", f"{given[0]} needs it")
+    polar = check_polar_angles(f"{prefix}{POLAR}", grid[POLAR])
+    key, hint = f"{prefix}{AZIMUTH}", "both sides of the plane of incidence are the same"
+    azimuth = as_1d_array(key, grid[AZIMUTH], "numbers")
+    return polar, check_axis(key, azimuth, 0.0, 180.0, "degrees", hint=hint)
 
-    polar: np.ndarray
-    azimuth: np.ndarray
 
-    @classmethod
-    def from_grid(cls, grid: ParameterGrid, prefix: str = "grid.") -> ViewGrid | None:
-        """Return the directions among the axes of a grid, None without them.
-
-        Names in messages begin with the prefix.
-
-        Raises
-        ------
-        ValueError
-            For one axis without the other, or angles outside their range.
-        """
-        given = [name for name in VIEW_AXES if name in grid]
-        if not given:
-            return None
-        for name in VIEW_AXES:
-            if name not in given:
-                raise invalid(f"{prefix}{name}", None, "given", f"{given[0]} needs it")
-        polar = check_polar_angles(f"{prefix}{POLAR}", grid[POLAR])
-        key, hint = f"{prefix}{AZIMUTH}", "both sides of the plane of incidence are the same"
-        azimuth = as_1d_array(key, grid[AZIMUTH], "numbers")
-        return cls(polar, check_axis(key, azimuth, 0.0, 180.0, "degrees", hint=hint))
-
-    def to_coordinates(self) -> dict[str, Any]:
-        """Return the angles as dataset coordinates."""
-        quantities = (POLAR_ANGLE, AZIMUTH_ANGLE)
-        return {
-            name: (name, angles, one.attributes)
-            for name, angles, one in zip(VIEW_AXES, self, quantities, strict=True)
-        }
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Numbers of polar angles and azimuths."""
-        return self.polar.size, self.azimuth.size
+def make_view_coordinates(views: Views) -> dict[str, Any]:
+    """Return directions of observation as dataset coordinates."""
+    quantities = (POLAR_ANGLE, AZIMUTH_ANGLE)
+    return {
+        name: (name, angles, one.attributes)
+        for name, angles, one in zip(VIEW_AXES, views, quantities, strict=True)
+    }
 
 
 def fold_azimuths(azimuth_deg: Any) -> Any:
@@ -286,7 +275,7 @@ def has_diffuse(quantities: Iterable[str]) -> bool:
     return any(name.startswith(DIFFUSE_PREFIX) for name in quantities)
 
 
-def check_quantities(quantities: Any, views: ViewGrid | None, covariance: bool) -> tuple[str, ...]:
+def check_quantities(quantities: Any, views: Views | None, covariance: bool) -> tuple[str, ...]:
     """Return the validated quantities of a table; by default those of its axes.
 
     Raises
@@ -327,15 +316,10 @@ def sort_axes(dataset: Any) -> xr.Dataset:
         If the dataset is not a table, or an axis is missing or invalid.
     """
     allowed = "what splits.build_table returned, or wrote"
-    if not isinstance(dataset, xr.Dataset):
-        hint = "splits.open_table(…) takes a path" if isinstance(dataset, str) else ""
-        raise invalid("table", type(dataset).__name__, allowed, hint)
-    if "path_sharing_axes" not in dataset.attrs:
-        hint = "splits.retrieve_return takes a table of returns" if "return_rate" in dataset else ""
-        raise invalid("table", dataset.attrs.get("title", "a dataset"), allowed, hint)
-    # Means over bands follow from the spectra, also between the nodes.
-    means = [name for name in dataset.data_vars if str(name).startswith("band_")]
-    dataset = dataset.drop_vars([*means, "band"] if means else [])
+    if not isinstance(dataset, xr.Dataset) or "path_sharing_axes" not in dataset.attrs:
+        is_dataset = isinstance(dataset, xr.Dataset)
+        found = dataset.attrs.get("title", "a dataset") if is_dataset else type(dataset).__name__
+        raise invalid("table", found, allowed)
     find_variables(dataset, list_quantities(dataset), "with a quantity and its error")
     axes = list_axes(dataset)
     if "wavelength" not in axes:
@@ -343,7 +327,7 @@ def sort_axes(dataset: Any) -> xr.Dataset:
         raise invalid("table", f"over {', '.join(axes) or 'nothing'}", "over wavelength", hint)
     for name in axes:
         dataset = _sort_axis(dataset, name)
-    return dataset.transpose(..., *(name for name in axes if name != "wavelength"), "wavelength")
+    return dataset.transpose(..., *axes[:-1], *TRAILING_DIMS, missing_dims="ignore")
 
 
 def find_variables(
@@ -358,14 +342,18 @@ def find_variables(
 
 def list_quantities(dataset: xr.Dataset) -> list[str]:
     """Return the quantities of a table, without standard errors."""
-    return [str(name) for name in dataset.data_vars if f"{name}_stderr" in dataset.data_vars]
+    # Means over bands follow from the spectra, also between the nodes.
+    return [
+        str(name) for name in dataset.data_vars
+        if f"{name}_stderr" in dataset.data_vars and "band" not in dataset[name].dims
+    ]  # fmt: skip
 
 
 def list_axes(dataset: xr.Dataset) -> list[str]:
     """Return the axes of the quantities of a table, the wavelength last where it is an axis."""
     axes: list[str] = []
     for name in list_quantities(dataset):
-        axes += [str(dim) for dim in dataset[name].dims if dim not in axes]
+        axes += [str(dim) for dim in dataset[name].dims if dim not in (*axes, DELAY)]
     return sorted(axes, key=lambda axis: (axis == "wavelength", axis in VIEW_AXES))
 
 
@@ -389,8 +377,10 @@ def _sort_axis(dataset: xr.Dataset, name: str) -> xr.Dataset:
 def check_complete(dataset: xr.Dataset) -> None:
     """Check that a table has a value at every node."""
     for name, variable in dataset.data_vars.items():
-        # Comparisons with gaps, such as those of joined tables, are not used.
-        is_checked = variable.dtype.kind == "f" and ALONG not in str(name)
+        # Comparisons with gaps, such as those of joined tables, are not used.  Moments of returns
+        # have a flag where there is no light.
+        is_flagged = str(name).startswith("mean_delay")
+        is_checked = variable.dtype.kind == "f" and ALONG not in str(name) and not is_flagged
         if is_checked and not np.isfinite(variable).all():
             hint = "aligning or reindexing leaves gaps: select existing nodes"
             raise invalid(f"table.{name}", np.nan, "a number at every node", hint)

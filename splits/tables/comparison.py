@@ -12,29 +12,13 @@ variables QUANTITY_along_AXIS, over the dimensions NAME_along_AXIS for each axis
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
 
-from splits.instruments.solver import DISCRETE_ORDINATES
-from splits.media.medium import Medium
-from splits.tables.axes import (
-    ALONG,
-    ANGLES,
-    INCIDENCE,
-    POLAR,
-    VIEW_AXES,
-    ParameterGrid,
-    ViewGrid,
-    has_diffuse,
-    list_axes,
-    list_quantities,
-)
-from splits.tables.axis_interpolation import MIN_COMPARED
-from splits.tables.block import TableRequest
-from splits.tables.interpolation import COORDINATES, transform_axis
-from splits.tables.plan import TablePlan
+from splits.tables.axes import ALONG, ANGLES, POLAR, ParameterGrid, list_axes, list_quantities
+from splits.tables.interpolation import COORDINATES, MIN_COMPARED, transform_axis
 
 POSITIONS = {"few nodes": (0.15, 0.5, 0.85), "more nodes": (0.25, 0.75)}
 """Compared positions in an interval, as fractions of it in the default coordinate.  With few nodes,
@@ -49,10 +33,6 @@ MAX_OTHER_MEDIA = {"by ordinates": 48, "by paths": 6}
 all axes need more.  Paths have much larger errors, and may keep the middle of an axis only."""
 N_OTHER_ANGLES = 13
 """Number of nodes of every other angle in a table with directions."""
-PATH_ERROR_RATIO = 2.0
-"""Error of paths in comparisons, relative to that of the table."""
-
-ComputeTable = Callable[[TablePlan, TableRequest], xr.Dataset]
 
 
 def list_comparison_grids(
@@ -112,49 +92,6 @@ def _thin_axes(grid: ParameterGrid, has_direction: bool, by_ordinates: bool) -> 
         chosen = [last // 2] if count == 1 else np.linspace(0, last, count).round().astype(int)
         thinned[name] = tuple(values[i] for i in chosen)
     return thinned
-
-
-def add_comparisons(
-    table: xr.Dataset,
-    make_medium: Callable[..., Medium],
-    grid: ParameterGrid,
-    plan: TablePlan,
-    request: TableRequest,
-    compute: ComputeTable,
-) -> xr.Dataset:
-    """Return a table with spectra between its nodes.
-
-    Parameters
-    ----------
-    table : xarray.Dataset
-    make_medium, grid
-        As for `TablePlan.from_grid`; the grid includes directions of observation.
-    plan, request
-        Of the table.
-    compute : callable
-        Function of a plan and a request that returns a table.
-    """
-    by_ordinates = request.solver == DISCRETE_ORDINATES
-    axes = tuple(grid) if by_ordinates else plan.path_sharing_axes
-    spectral = request.spectral_request
-    if not by_ordinates:
-        spectral = spectral._replace(max_stderr=PATH_ERROR_RATIO * spectral.max_stderr)
-    incidence = 0.0 if INCIDENCE in grid else plan.path_groups[0].incidence
-    for name, one in list_comparison_grids(grid, axes, by_ordinates=by_ordinates).items():
-        views = ViewGrid.from_grid(one)
-        kept = [q for q in request.quantities if name in table[q].dims]
-        if not kept:
-            continue
-        part_plan = TablePlan.from_grid(
-            make_medium, one.drop(*VIEW_AXES), plan.wavelengths, incidence,
-            has_views=views is not None, with_diffuse=has_diffuse(kept),
-        )  # fmt: skip
-        part_request = request._replace(
-            spectral_request=spectral, quantities=tuple(kept), covariance=False, views=views
-        )
-        part = compute(part_plan, part_request)[kept]
-        table = table.assign(rename_comparison(part, name).data_vars)
-    return table
 
 
 def rename_comparison(part: xr.Dataset, name: str) -> xr.Dataset:

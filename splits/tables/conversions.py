@@ -1,4 +1,4 @@
-"""Conversion of tables to the data of isofit's surface model and of eradiate.
+"""Conversion of tables to CSV, and to the data of isofit's surface model and of eradiate.
 
 The part of a table that these programs take is selected, and its angles are checked.
 """
@@ -12,7 +12,9 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import check_no_gaps
+from splits.core.atomic import atomic_write
 from splits.core.declarations import Quantity
+from splits.core.escaping import escape_cells
 from splits.core.keywords import declare_function
 from splits.core.validation import (
     ROUNDING_TOLERANCE,
@@ -23,6 +25,7 @@ from splits.core.validation import (
     snap_to_limits,
 )
 from splits.tables.axes import (
+    ALONG,
     ANGLES,
     AZIMUTH,
     INCIDENCE,
@@ -38,8 +41,39 @@ REFLECTANCE_FACTOR = "reflectance_factor"
 DIFFUSE_REFLECTANCE_FACTOR = "diffuse_reflectance_factor"
 
 
+def write_csv(dataset: xr.Dataset, path: Any) -> None:
+    """Write a table as CSV, with one row per wavelength and point and the axes as columns.
+
+    All quantities of a table of directions are in the same file.  A quantity that does not depend
+    on an axis, such as ``reflectance`` on the angles of view, is repeated along this axis.  Text
+    that a spreadsheet would evaluate as a formula gets an apostrophe in front.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Dataset of a table; deviations by batch, values between nodes and means over bands are
+        omitted.
+    path : path
+        Output file, written atomically.
+    """
+    names = [
+        str(name)
+        for name, v in dataset.data_vars.items()
+        if not {"batch", "band"} & {*v.dims} and ALONG not in str(name)
+    ]
+    by_number_of_axes = sorted(names, key=lambda name: -dataset[name].ndim)
+    dims = [str(dim) for name in by_number_of_axes for dim in dataset[name].dims]
+    axes = [*dict.fromkeys(dim for dim in dims if dim != "wavelength"), "wavelength"]
+    with atomic_write(path) as temporary:
+        for number in range(dataset.sizes[axes[0]]):
+            # One slice at a time: all rows together need many times the memory of the table.
+            frame = dataset[names].isel({axes[0]: [number]}).to_dataframe(dim_order=axes)
+            rows = escape_cells(frame.reset_index()[[*axes, *names]])
+            rows.to_csv(temporary, mode="a", header=number == 0, index=False, float_format="%.6g")
+
+
 def select_at_fixed_axes(
-    dataset: xr.Dataset, quantities: tuple[str, ...], free_axes: list[str], at: Mapping[str, Any]
+    dataset: xr.Dataset, quantities: Sequence[str], free_axes: list[str], at: Mapping[str, Any]
 ) -> xr.Dataset:
     """Return the part of a table over the free axes, with the other axes at a node."""
     axes = [str(d) for d in dataset[quantities[0]].dims if d != "wavelength"]
@@ -53,23 +87,23 @@ def select_at_fixed_axes(
     for name in [axis for axis in axes if axis not in free_axes]:
         values = dataset[name].values
         allowed = "one of " + ", ".join(map(str, values))
-        if name not in at and values.size > 1:
-            raise invalid(name, None, "given", allowed)
-        coordinate = as_scalar(at.get(name, values[0]))
-        subset = subset.isel({name: _find_node(name, values, coordinate, allowed)})
+        subset = subset.isel({name: _find_node(name, values, at.get(name), allowed)})
     check_no_gaps("table", subset)
     return subset
 
 
 def _find_node(name: str, nodes: np.ndarray, value: Any, allowed: str) -> int:
-    """Return the index of the node of an axis that a value is."""
-    if nodes.dtype.kind in "iuf":
+    """Return the index of the node of an axis that a value is, 0 if it is left out of a single."""
+    if value is None and nodes.size == 1:
+        return 0
+    value = as_scalar(value)
+    if nodes.dtype.kind in "iuf" and value is not None:
         number = check_number(name, value, allowed)
         matches = np.isclose(nodes, number, rtol=ROUNDING_TOLERANCE, atol=0.0)
     else:
         matches = nodes == str(value)
-    if not matches.any():
-        raise invalid(name, value, allowed)
+    if value is None or not matches.any():
+        raise invalid(name, value, *(["given", allowed] if value is None else [allowed]))
     return int(matches.argmax())
 
 
@@ -184,10 +218,7 @@ def convert_to_eradiate(
     subset = select_reflectance_factor(dataset, at)
     factor, nodes = subset[REFLECTANCE_FACTOR], subset.wavelength.values
     allowed = f"one of the table's {nodes.size} wavelengths, from {nodes[0]:g} to {nodes[-1]:g} nm"
-    if wavelength is None and nodes.size > 1:
-        raise invalid("wavelength", None, allowed)
-    wanted = nodes[0] if wavelength is None else wavelength
-    factor = factor.isel(wavelength=_find_node("wavelength", nodes, wanted, allowed))
+    factor = factor.isel(wavelength=_find_node("wavelength", nodes, wavelength, allowed))
     cosines = np.linspace(0.0, 1.0, n_cosines)
     phi = np.linspace(0.0, 2.0 * np.pi, n_azimuths, endpoint=False)
     zeniths = np.degrees(np.arccos(cosines))
@@ -293,7 +324,8 @@ def convert_to_isofit(dataset: xr.Dataset, **at: Any) -> xr.Dataset:
         diffuse = _select_diffuse_factor(dataset, at, polar)
     else:
         names = [INCIDENCE, RADIUS]
-        part = select_at_fixed_axes(dataset, ("reflectance",), names, at).reflectance
+        found = find_variables(dataset, ["reflectance"], "with reflectance")
+        part = select_at_fixed_axes(dataset, found, names, at).reflectance
         part = part.transpose(*names, "wavelength")
         polar, relative_azimuth = part[INCIDENCE].values, np.array([0.0, 180.0])
         diffuse = part.values

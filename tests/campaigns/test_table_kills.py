@@ -41,7 +41,7 @@ def make_table(folder, queue=None):
         {"optical_radius_um": [50.0, 100.0], "incidence_deg": [0.0, 30.0, 60.0],
          "liquid_water_content": [0.0, 0.03]},
         [600.0, 1030.0], max_stderr=0.02, folder=folder, solver="monte_carlo",
-    )  # fmt: skip
+    ).dataset  # fmt: skip
     build.compute_block = original
     if queue is not None:
         queue.put(len(measured))

@@ -31,7 +31,7 @@ def build(solver: str, max_stderr: float, seed: int = 1, **changes) -> xr.Datase
     return splits.build_table(
         make_snow, grid | changes, WAVELENGTHS, max_stderr=max_stderr, seed=seed, solver=solver,
         quantities=ALL,
-    )  # fmt: skip
+    ).dataset  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def reflectances() -> xr.Dataset:
     beams = {"optical_radius_um": SIZES, "incidence_deg": ZENITHS}
     return splits.build_table(
         make_snow, beams, WAVELENGTHS, max_stderr=0.003, seed=3, solver="monte_carlo"
-    )
+    ).dataset
 
 
 def integrate(factor: xr.DataArray) -> xr.DataArray:
@@ -167,7 +167,7 @@ def test_errors_of_interpolation_agree_with_nodes_left_out():
     def build(nodes):
         return splits.build_table(
             make_snow, nodes, wavelengths, max_stderr=0.005, solver="discrete_ordinates",
-        )  # fmt: skip
+        ).dataset  # fmt: skip
 
     full, random = build(grid), np.random.default_rng(1)
     z: dict[str, list[np.ndarray]] = {name: [] for name in DIRECTIONAL}
@@ -209,7 +209,7 @@ def test_thin_layers_agree_with_discrete_ordinates_of_others():
     def make_layer(**point) -> splits.ParticleLayer:
         return splits.ParticleLayer(asymmetry=asymmetry, refractive_index=1.0, ground=None, **point)
 
-    table = splits.build_table(make_layer, grid, [550.0], max_stderr=0.004)
+    table = splits.build_table(make_layer, grid, [550.0], max_stderr=0.004).dataset
     expected = xr.full_like(table.reflectance_factor, np.nan)
     moments = asymmetry ** np.arange(streams + 1)
     for thickness, albedo, zenith in np.ndindex(2, 2, 2):
@@ -260,9 +260,7 @@ def test_skies_over_smooth_surfaces_give_the_quotient_of_factor_and_reflectance(
             refractive_index=1.5, ground=0.0,
         )  # fmt: skip
 
-    table = splits.Table(
-        splits.build_table(make_layer, grid, [550.0], max_stderr=0.02, quantities=ALL)
-    )
+    table = splits.build_table(make_layer, grid, [550.0], max_stderr=0.02, quantities=ALL)
     view = table.at_view(30.0, 90.0, diffuse_fraction=0.3).dataset
     quotient = view.reflectance_factor / view.reflectance
     np.testing.assert_allclose(view.anisotropy_factor, quotient, rtol=1e-5)

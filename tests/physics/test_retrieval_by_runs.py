@@ -91,7 +91,7 @@ def test_simulation_and_table_give_the_same_retrieval():
     spectrum, noise = simulate_measurement(make_snow(200.0), 5)
     table = splits.build_table(
         make_snow, {"radius": np.geomspace(50, 1000, 7)}, W, max_stderr=0.003
-    )
+    ).dataset
     from_table = splits.retrieve(spectrum, splits.Table(table), {"radius": (50.0, 1000.0)}, noise)
     # By default simulations add half the noise of the measurement; here they add a fifth.
     from_runs = splits.retrieve(

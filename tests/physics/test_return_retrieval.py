@@ -9,7 +9,7 @@ from scipy import stats
 
 import splits
 from splits.core.validation import InvalidValue
-from splits.instruments.delay_record import Pulse
+from splits.instruments.delay_record import DEFAULT_EDGES_S, Pulse
 from splits.retrieval.retrieve_return import make_return_operator
 from tests.statistics.chi2 import judge_z
 
@@ -78,7 +78,7 @@ def compute_z(result, truth):
 def test_posteriors_contain_the_truth_as_often_as_they_state(case):
     """Synthetic returns of 40 media have normal errors of unit variance, by independent paths."""
     make, wavelength_nm, grid, record, edges, draw = CASES[case]
-    table = splits.build_return_table(make, grid, wavelength_nm, rays=100_000, delay_s=record)
+    table = splits.build_table(make, grid, wavelength_nm, rays=100_000, delay_s=record).dataset
     z = []
     for number in range(40):
         generator = np.random.default_rng(number)
@@ -100,9 +100,9 @@ def test_posteriors_contain_the_truth_as_often_as_they_state(case):
 @pytest.fixture(scope="module")
 def table():
     """Table of deep snow of four specific surface areas."""
-    return splits.build_return_table(
+    return splits.build_table(
         make_deep_snow, {AREA: [10.0, 15.0, 22.0, 33.0]}, 1064.0, rays=20_000, delay_s=SHORT_RECORD
-    )
+    ).dataset
 
 
 def test_specific_surface_area_follows_from_a_return(table):
@@ -126,9 +126,9 @@ def test_specific_surface_area_follows_from_a_return(table):
 
 def test_several_wavelengths_are_used_together():
     edges = np.linspace(0.0, 1e-9, 11)
-    pair = splits.build_return_table(
+    pair = splits.build_table(
         make_shallow_snow, {DEPTH: [0.01, 0.02, 0.04]}, [532.0, 1064.0], rays=2000, delay_s=edges
-    )
+    ).dataset
     rates = pair.return_rate.sel({DEPTH: 0.02}).values
     for given in (rates, rates.ravel()):
         found = splits.retrieve_return((edges, given), pair, [DEPTH], 0.02 * rates.mean())
@@ -168,7 +168,9 @@ def test_points_of_a_grid_have_the_values_of_the_instrument(table):
 
 def test_the_incidence_may_be_an_axis():
     grid = {"incidence_deg": [0.0, 60.0], DEPTH: [0.01, 0.02]}
-    found = splits.build_return_table(make_shallow_snow, grid, 532.0, rays=1000)
+    found = splits.build_table(
+        make_shallow_snow, grid, 532.0, rays=1000, delay_s=DEFAULT_EDGES_S
+    ).dataset
     oblique = splits.time_of_flight(make_shallow_snow(depth_m=0.02), 532.0, 60.0, rays=1000)
     np.testing.assert_array_equal(
         found.fraction.sel(incidence_deg=60.0, depth_m=0.02), oblique.fraction.sel(side="reflected")
@@ -197,7 +199,7 @@ def test_the_incidence_may_be_an_axis():
         ({"noise": {"count": 3}}, r"noise = \['count'\]"),
         ({"noise": {"photons": 0}}, "noise.photons = 0"),
         ({"noise": {"photons": math.inf}}, "noise.photons = inf"),
-        ({"table": 3}, "table = 'int': must be what splits.build_return_table returned"),
+        ({"table": 3}, "table = 'int': must be what splits.build_table.…, delay_s=…. returned"),
         ({"free": ["density"]}, "free.density"),
         ({"free": ["scale"]}, "fixed.specific_surface_area_m2_kg = None: must be given"),
         ({"pulse": -1.0}, "pulse = -1"),
@@ -294,8 +296,8 @@ def test_tables_may_be_parts_but_have_no_gaps(table):
 def test_mistakes_in_grids_have_one_message(keywords, message):
     arguments = {
         "make": make_shallow_snow, "grid": {DEPTH: [0.01, 0.02]}, "wavelength_nm": 532.0,
-        "rays": 10,
+        "rays": 10, "delay_s": [0.0, 1e-9],
     }  # fmt: skip
     with pytest.raises(ValueError, match=message) as caught:
-        splits.build_return_table(**{**arguments, **keywords})
+        splits.build_table(**{**arguments, **keywords})
     assert "\n" not in str(caught.value)

@@ -23,7 +23,7 @@ def bands():
 def made(bands):
     return splits.build_table(
         splits.Snow.natural, {SIZE: SIZES}, incidence_deg=SUN, bands=bands, **QUIET
-    )
+    ).dataset
 
 
 def average(bands, wavelengths, spectrum):
@@ -117,7 +117,7 @@ def test_reflectance_factors_under_a_sky_are_retrieved(bands):
         {SIZE: SIZES, "polar_deg": [10, 20, 30], "azimuth_deg": [60, 90, 120]},
         incidence_deg=sky.zenith_deg, bands=bands, threads=1, max_stderr=0.003,
         quantities=["reflectance_factor", "diffuse_reflectance_factor"],
-    )  # fmt: skip
+    ).dataset  # fmt: skip
     table = splits.Table(made)
     fraction = 1.0 - sky.compute_direct_fraction(table.dataset.wavelength.values)
     view = table.at_view(20.0, 90.0, diffuse_fraction=fraction)
@@ -137,9 +137,7 @@ def test_centres_in_place_of_bands_retrieve_another_size(bands, exact):
     """The bias of centres is far beyond the error that the noise of 1 % implies."""
     centres = average(bands, *([np.linspace(400.0, 2400.0, 2001)] * 2))
     wavelengths = np.unique(np.concatenate([centres - 10.0, centres, centres + 10.0]))
-    table = splits.Table(
-        splits.build_table(splits.Snow.natural, {SIZE: SIZES}, wavelengths, SUN, **QUIET)
-    )
+    table = splits.build_table(splits.Snow.natural, {SIZE: SIZES}, wavelengths, SUN, **QUIET)
     found = splits.retrieve((centres, exact), table, [SIZE], 0.01 * exact).dataset
     assert found.value.item() - TRUE_SIZE > 3.0 * found.value_stderr.item()
 
@@ -152,7 +150,7 @@ def test_errors_of_means_contain_the_distance_of_wavelengths(bands):
     def measure(wavelengths):
         made = splits.build_table(
             splits.Snow.natural, {SIZE: SIZES[1:6:2]}, wavelengths, SUN, bands=bands, **QUIET
-        )
+        ).dataset
         return made.band_reflectance.values, made.band_reflectance_stderr.values
 
     reference = measure(fine)[0]

@@ -71,7 +71,7 @@ def build(make, grid, wavelengths, max_stderr, **more):
         return splits.build_table(
             make, grid, wavelengths, max_stderr=max_stderr, threads=1,
             solver="discrete_ordinates", **more,
-        )  # fmt: skip
+        ).dataset  # fmt: skip
 
 
 def solve(make, point, max_stderr):
@@ -212,7 +212,7 @@ def test_errors_of_2000_directions_cover_the_differences(name):
 def test_the_square_root_is_not_the_coordinate_of_soot_near_zero():
     """Ice absorbs more than little soot; the coordinate is chosen for every wavelength."""
     table = splits.Table(build(make_snow, {"soot": [0, 50, 500]}, WAVELENGTHS, 0.002))
-    axis = table.interpolation.prepare("reflectance")["soot"]
+    axis = table.prepare("reflectance")["soot"]
     chosen = [axis.coordinates[i] for i in axis.choice]
     # Where ice is dark, soot matters little, and linearly.
     assert chosen[0].power < 1.0 and chosen[0].origin < 0.0
@@ -317,7 +317,7 @@ def test_views_under_a_sky_have_measured_errors_along_the_incidence():
         warnings.filterwarnings("ignore", "interpolation of")
         made = splits.build_table(
             make_snow, grid, [600.0, 1300.0], max_stderr=0.01, threads=1, quantities=quantities
-        )
+        ).dataset
     table = splits.Table(made).at_view(25, 140, diffuse_fraction=[0.2, 0.1])
     assert f"reflectance_factor{ALONG}incidence_deg" in table.dataset
     at = {"optical_radius_um": 200.0, "incidence_deg": 55.0}

@@ -15,9 +15,8 @@ from splits.simulation.run_options import RunOptions
 from splits.simulation.shared_paths import PathSharingMedia, compute_path_signature
 from splits.tables import build
 from splits.tables.axes import ParameterGrid
-from splits.tables.block import TableRequest
+from splits.tables.blocks import TablePlan
 from splits.tables.build import list_block_inputs
-from splits.tables.plan import TablePlan
 
 WAVELENGTHS = np.array([450.0, 800.0, 1030.0, 1300.0])
 SOOT = [0.0, 50.0, 500.0]
@@ -35,7 +34,8 @@ def make_snow(optical_radius_um=100.0, soot=0.0, water=0.0, **more):
 
 
 def make_plan(make, grid):
-    return TablePlan.from_grid(make, ParameterGrid.from_mapping(grid), WAVELENGTHS)
+    request = SpectralRequest(WAVELENGTHS, 0.0, 0.01, 1000, RunOptions.start(1, 1))
+    return TablePlan.from_grid(make, ParameterGrid.from_mapping(grid), request)
 
 
 def test_axes_that_share_paths_are_detected():
@@ -199,7 +199,7 @@ def test_grid_nodes_agree_with_single_runs(solver):
 
     Nodes of one ensemble use the same rays, so each of the four ensembles counts as one.
     """
-    table = splits.build_table(make_snow, GRID, WAVELENGTHS, max_stderr=0.01, solver=solver)
+    table = splits.build_table(make_snow, GRID, WAVELENGTHS, max_stderr=0.01, solver=solver).dataset
     assert table.attrs["max_stderr_reached"] <= 0.01
     random = np.random.default_rng(3)
     points = list(ParameterGrid.from_mapping(GRID).iterate_points())
@@ -229,8 +229,10 @@ def test_interrupted_build_is_resumed(tmp_path, monkeypatch):
         max_stderr=0.3,
         folder=tmp_path / "whole",
         solver="monte_carlo",
-    )
-    unsaved = splits.build_table(make_snow, GRID, WAVELENGTHS, max_stderr=0.3, solver="monte_carlo")
+    ).dataset
+    unsaved = splits.build_table(
+        make_snow, GRID, WAVELENGTHS, max_stderr=0.3, solver="monte_carlo"
+    ).dataset
     xr.testing.assert_equal(reference, unsaved)
     blocks = sorted((tmp_path / "whole").glob("block_*.nc"))
     # Along both axes that share paths, values between nodes have an ensemble of each other node.
@@ -249,7 +251,7 @@ def test_interrupted_build_is_resumed(tmp_path, monkeypatch):
         max_stderr=0.3,
         folder=tmp_path / "whole",
         solver="monte_carlo",
-    )
+    ).dataset
     assert len(computed) == 2
     xr.testing.assert_equal(resumed, reference)
     # With another seed, no stored block can be reused.
@@ -281,26 +283,22 @@ def test_keys_of_blocks_depend_on_the_table(other):
         "optical_radius_um": [50.0, 100.0], "incidence_deg": [0.0, 60.0], "soot": [0.0, 50.0],
         "water": [0.0],
     }  # fmt: skip
-    run = RunOptions.start(1, 1)
-    spectral = SpectralRequest(WAVELENGTHS, 0.0, 0.01, 1000, run)
-    request = TableRequest(spectral, ("reflectance",), False)
+    plan, other_plan = make_plan(make_snow, grid), make_plan(make_snow, grid | other)
     digests, other_digests = (
-        [
-            compute_digest(*list_block_inputs(e, request))
-            for e in make_plan(make_snow, g).path_groups
-        ]
-        for g in (grid, grid | other)
+        [compute_digest(*list_block_inputs(e, one)) for e in one.path_groups]
+        for one in (plan, other_plan)
     )
     assert digests[-1] != other_digests[-1]
-    first = make_plan(make_snow, grid).path_groups[0]
+    first, request = plan.path_groups[0], plan.request
+    run = request.run
     assert len(set(digests)) == len(digests)
     for changed in (
-        request._replace(covariance=True), request._replace(quantities=("transmittance",)),
-        request._replace(spectral_request=spectral._replace(run=run._replace(seed=2))),
-        request._replace(spectral_request=spectral._replace(max_stderr=0.02)),
+        plan._replace(covariance=True), plan._replace(quantities=("transmittance",)),
+        plan._replace(request=request._replace(run=run._replace(seed=2))),
+        plan._replace(request=request._replace(max_stderr=0.02)),
     ):  # fmt: skip
         assert compute_digest(*list_block_inputs(first, changed)) != digests[0]
-    threads = request._replace(spectral_request=spectral._replace(run=run._replace(threads=7)))
+    threads = plan._replace(request=request._replace(run=run._replace(threads=7)))
     assert compute_digest(*list_block_inputs(first, threads)) == digests[0]
 
 
@@ -308,15 +306,15 @@ def test_keys_of_blocks_depend_on_the_table(other):
 def test_results_are_independent_of_threads_and_other_nodes():
     one = splits.build_table(
         make_snow, GRID, WAVELENGTHS, max_stderr=0.03, threads=1, solver="monte_carlo"
-    )
+    ).dataset
     two = splits.build_table(
         make_snow, GRID, WAVELENGTHS, max_stderr=0.03, threads=2, solver="monte_carlo"
-    )
+    ).dataset
     xr.testing.assert_equal(one, two)
     narrow = {**GRID, "incidence_deg": [60.0], "water": [0.03]}
     subset = splits.build_table(
         make_snow, narrow, WAVELENGTHS, max_stderr=0.03, solver="monte_carlo"
-    )
+    ).dataset
     nodes = one.sel(incidence_deg=[60.0], water=[0.03])
     for name in ("reflectance", "reflectance_stderr"):
         xr.testing.assert_equal(subset[name], nodes[name])
@@ -325,9 +323,11 @@ def test_results_are_independent_of_threads_and_other_nodes():
 @NEEDS_JIT
 def test_saved_table_is_opened_and_interpolated(tmp_path):
     grid = {"optical_radius_um": [50.0, 100.0, 200.0, 400.0], "soot": SOOT}
-    table = splits.build_table(make_snow, grid, WAVELENGTHS, 40.0, max_stderr=0.02, covariance=True)
+    table = splits.build_table(
+        make_snow, grid, WAVELENGTHS, 40.0, max_stderr=0.02, covariance=True
+    ).dataset
     splits.save(table, tmp_path / "table.nc")
-    opened = splits.open_table(tmp_path / "table.nc")
+    opened = splits.Table(tmp_path / "table.nc")
     assert opened.quantities == ["reflectance"]
     assert table.reflectance_batches.sizes["batch"] == 32
     interpolated = opened.interp(optical_radius_um=150.0, soot=20.0)
@@ -342,7 +342,7 @@ def test_saved_table_is_opened_and_interpolated(tmp_path):
 def test_particle_layers_of_any_size_share_paths():
     """The reflectance depends on the optical thickness, not on the depth."""
     grid = {"optical_thickness": [0.5, 2.0], "depth_m": [0.1, 1.0]}
-    table = splits.build_table(splits.ParticleLayer, grid, [500.0], max_stderr=0.01)
+    table = splits.build_table(splits.ParticleLayer, grid, [500.0], max_stderr=0.01).dataset
     assert table.attrs["ensembles"] == 2
     assert (table.reflectance.isel(depth_m=0) == table.reflectance.isel(depth_m=1)).all()
     for thickness in grid["optical_thickness"]:

@@ -12,7 +12,6 @@ import splits
 from splits.analysis.theory.phase_function import to_eradiate
 from splits.materials import make_refractive_index
 from splits.tables.axes import ParameterGrid
-from splits.tables.return_table import TITLE
 
 NM = [400.0, 800.0, 1600.0]
 PARAMETERS = [0.25, 0.5, 0.125]
@@ -118,7 +117,7 @@ def make_return_table():
             SIZE: size, "wavelength": [532.0], "delay_s": delay,
             "delay_bounds": (("delay_s", "bounds"), [[0.0, 1.0], [1.0, 2.0], [2.0, 3.0]]),
         },
-        {"title": TITLE},
+        {"path_sharing_axes": "none"},
     )  # fmt: skip
 
 
@@ -248,14 +247,11 @@ CASES = {
     # Tables.
     "build_table wavelength_nm": ArrayCase(
         lambda a: splits.build_table(lambda saturation: SNOW, {"saturation": [0.0]}, a,
-                                     **FEW_WAVELENGTHS), NM,
+                                     **FEW_WAVELENGTHS).dataset, NM,
         one=True, runs=True),
-    "build_return_table wavelength_nm": ArrayCase(
-        lambda a: splits.build_return_table(lambda saturation: SNOW, {"saturation": [0.0]}, a,
-                                            rays=2, threads=1), NM, one=True, runs=True),
-    "build_return_table delay_s": ArrayCase(
-        lambda a: splits.build_return_table(lambda saturation: SNOW, {"saturation": [0.0]}, 800.0,
-                                            rays=2, threads=1, delay_s=a),
+    "build_table delay_s": ArrayCase(
+        lambda a: splits.build_table(lambda saturation: SNOW, {"saturation": [0.0]}, 800.0,
+                                            rays=2, threads=1, delay_s=a).dataset,
         [2.0**-14, 2.0**-13], runs=True),
     "build_table grid": ArrayCase(lambda a: ParameterGrid.from_mapping({"depth_m": a})["depth_m"],
                                   POLAR),

@@ -340,7 +340,6 @@ def make_cases(folder: Path) -> dict[str, Any]:
         }),
         "read_caaml": ({}, {"path": []}),
         "load": ({}, {"path": []}),
-        "open_table": ({}, {"path": []}),
         "load_medium": ({}, {"name": [], "keywords": []}),
         "save": ({}, {"dataset": [], "path": []}),
         **dict.fromkeys(("make_colour_table", "select_principal_plane"),
@@ -350,6 +349,8 @@ def make_cases(folder: Path) -> dict[str, Any]:
         "Table.at_view": ({"polar_deg": 20.0, "azimuth_deg": 30.0}, {
             "diffuse_fraction": [named([0.25, 0.5], [500.0, 900.0])]}),
         "Table.fix_view": ({}, {"at": [names(polar_deg=20.0, azimuth_deg=30.0)]}),
+        "Table.locate": ({}, {"point": []}),
+        "Table.complete_point": ({}, {"at": [names(**place)]}),
         "Table.interp": (place, {"at": [names(**place)], "bands": [
             columns(wavelength_nm=[500.0, 900.0], response=[0.25, 0.5]).map(
                 lambda one: {"mine": one})]}),
@@ -384,11 +385,8 @@ def make_cases(folder: Path) -> dict[str, Any]:
         "build_table": ({"make": lambda saturation: NATURAL, "grid": {"saturation": [0.0]},
                          "wavelength_nm": NM, **QUICK}, {
             "grid": [Variants(None, descending=[{"saturation": [1.0, 0.0]}])],
-            "wavelength_nm": [axis(*NM)], "bands": [bands], "folder": []}),
-        "build_return_table": ({"make": lambda saturation: SNOW, "grid": {"saturation": [0.0]},
-                                "wavelength_nm": NM, **FEW_RAYS}, {
-            "grid": [Variants(None, descending=[{"saturation": [1.0, 0.0]}])],
-            "wavelength_nm": [axis(*NM)], "delay_s": [axis(0.0, 1e-4, 4e-4)]}),
+            "wavelength_nm": [axis(*NM)], "bands": [bands], "folder": [],
+            "delay_s": [axis(0.0, 1e-4, 4e-4)._replace(permuted=[], descending=[])]}),
         "lens": ({"medium": SEA, "screen_depth_m": [1.0], "radius_m": 1.0, "centre_on": "origin",
                   "rays": 3}, {"screen_depth_m": [axis(1.0, 2.0)], "waves": []}),
         "compute_mie_matrix": (

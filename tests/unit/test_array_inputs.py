@@ -51,7 +51,7 @@ INVALID_INPUTS = {
 LABELLED = {name: case for name, case in CASES.items() if case.labels}
 NON_ARRAYS = {
     "Progress", "ProgressBar", "Interpretation", "SandInterpretation", "__version__", "list_media",
-    "load", "load_medium", "open_table", "read_caaml", "read_crocus",
+    "load", "load_medium", "read_caaml", "read_crocus",
     "read_snow_packs", "save", "sensor_bands", "surface_map", "draw",
     "make_colour_table", "select_principal_plane",
 }  # fmt: skip

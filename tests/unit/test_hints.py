@@ -239,7 +239,7 @@ def make_directional_table():
     grid = {"optical_radius_um": [100, 200], "polar_deg": [0, 60], "azimuth_deg": [0, 90, 180]}
     table = splits.build_table(
         splits.Snow.natural, grid, [500], 60, max_stderr=0.1, solver="discrete_ordinates"
-    )
+    ).dataset
     return splits.Table(table)
 
 

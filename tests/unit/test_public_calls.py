@@ -111,7 +111,6 @@ INVALID_CALLS = {
     "radiation_profile": lambda: splits.radiation_profile(SNOW, {"direct": [1]}, depth_m=[0.1]),
     "load": lambda: splits.load("there/is/none.nc"),
     "load_medium": lambda: splits.load_medium("red_dune", saturation=2),
-    "open_table": lambda: splits.open_table("there/is/none.nc"),
     "phase_function": lambda: splits.phase_function(3),
     "irradiance_profile": lambda: splits.irradiance_profile(SNOW, [500], depth_m=[-1]),
     "retrieve": lambda: splits.retrieve([1, 2], SNOW, {}),
@@ -127,8 +126,9 @@ INVALID_CALLS = {
     "spectrophotometer": lambda: splits.spectrophotometer(SNOW, [500], progress=3),
     "surface_map": lambda: splits.surface_map(LAYER, half_width_m=-1),
     "time_of_flight": lambda: splits.time_of_flight(SNOW, "x"),
-    "build_table": lambda: splits.build_table(splits.Snow.natural, {"depth_m": [1, 2]}, "x"),
-    "build_return_table": lambda: splits.build_return_table(splits.Snow.natural, {}, 532),
+    "build_table": lambda: (
+        splits.build_table(splits.Snow.natural, {"depth_m": [1, 2]}, "x").dataset
+    ),
     "retrieve_return": lambda: splits.retrieve_return(([0, 1], [1]), EMPTY, ["depth_m"], 1),
     "with_diffraction": lambda: splits.with_diffraction(EMPTY, -1),
 }
@@ -305,7 +305,7 @@ GIVEN_TWICE = {
     "fixed of a medium": lambda: check_measurement_incidence(BOTH_SPELLINGS, {}),
     "table": lambda: splits.build_table(
         splits.Snow.natural, {SIZE: [100, 200], "incidence_deg": [0, 60]}, [500], 30.0
-    ),
+    ).dataset,
     "experiment": lambda: ExperimentConfig(
         name="made", medium={"kind": "snow"}, grid={"incidence_deg": [0, 60]},
         instrument={"wavelength_nm": [500], "incidence_deg": 30},

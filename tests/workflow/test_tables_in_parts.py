@@ -35,7 +35,7 @@ def test_table_is_built_in_parts_and_rebuilt_from_kept_blocks(project):
     ]  # fmt: skip
     assert "2 of 3 axes share paths (optical_radius_um, impurities_ng_g.black_carbon)" in run.text
     results = project.folder / RESULTS
-    table = splits.open_table(results / "data" / "snow.nc")
+    table = splits.Table(results / "data" / "snow.nc")
     assert table.axes[:-1] == [
         "optical_radius_um", "incidence_deg", "impurities_ng_g.black_carbon",
     ]  # fmt: skip
@@ -52,7 +52,7 @@ def test_table_is_built_in_parts_and_rebuilt_from_kept_blocks(project):
         },
         [500, 1030],
         max_stderr=0.05, solver="monte_carlo",
-    )  # fmt: skip
+    ).dataset  # fmt: skip
     np.testing.assert_array_equal(table.dataset.reflectance, expected.reflectance)
 
     # Of a lost part, a lost table and a lost block, only the block is measured again.

@@ -13,7 +13,7 @@ directions = {
 tables = zip(params.labels, inputs.tables, params.about, strict=True)
 write_explorer(
     {
-        label: ExplorerTable(splits.open_table(path), path, description, directions.get(label))
+        label: ExplorerTable(splits.Table(path), path, description, directions.get(label))
         for label, path, description in tables
     },
     snakemake.output[0],

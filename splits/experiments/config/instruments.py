@@ -62,11 +62,11 @@ from splits.tables.axes import (
     ALL_QUANTITIES,
     VIEW_AXES,
     ParameterGrid,
-    ViewGrid,
     check_quantities,
+    read_views,
 )
-from splits.tables.plan import choose_table_solver
-from splits.tables.return_table import build_return_table
+from splits.tables.blocks import choose_table_solver
+from splits.tables.build import build_table
 
 USE_GRID_HINT = "several values belong under grid"
 DEFAULT_KIND = "spectrophotometer"
@@ -118,12 +118,12 @@ def return_table(
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
     """Return the table of returns of an instantaneous pulse from one medium, for retrieval."""
-    table = build_return_table(
+    table = build_table(
         lambda point: medium, {"point": [0.0]}, wavelength_nm, incidence_deg, rays=rays, seed=seed,
         delay_s=delay_s, acceptance_deg=acceptance_deg, footprint_radius_m=footprint_radius_m,
         threads=threads, progress=progress,
     )  # fmt: skip
-    return table.isel(point=0, drop=True)
+    return table.dataset.isel(point=0, drop=True)
 
 
 TABLE = "table"
@@ -274,7 +274,7 @@ class Instrument:
 
     def list_quantities(self) -> tuple[str, ...]:
         """Return the quantities of a table."""
-        views = ViewGrid.from_grid(ParameterGrid(self.get_views()), "")
+        views = read_views(ParameterGrid(self.get_views()), "")
         return check_quantities(self.get("quantities"), views, self.get("covariance") == "keep")
 
     def to_content(self) -> dict[str, Any]:

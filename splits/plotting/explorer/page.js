@@ -111,7 +111,7 @@ function linear(nodes, law, value) {
   return [[right - 1, 1 - fraction], [right, fraction]];
 }
 
-// The measured error of an axis, as splits.tables.axis_interpolation: signed, and its square.
+// The measured error of an axis, as splits.tables.interpolation: signed, and its square.
 function measuredError(table, axis, value, at) {
   const m = axis.measured, width = table.wavelength.length, size = m.factors.length / m.between.length;
   const right = axis.nodes.findIndex((node) => node >= value);
@@ -296,7 +296,7 @@ function draw() {
 
 function python(table) {
   const given = table.axes.map((axis, k) => `${JSON.stringify(axis.name)}: ${digits(table.at[k])}`);
-  return `splits.open_table(${JSON.stringify(table.file)}).interp(**{${given.join(", ")}})`;
+  return `splits.Table(${JSON.stringify(table.file)}).interp(**{${given.join(", ")}})`;
 }
 
 function sliders() {

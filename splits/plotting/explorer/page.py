@@ -15,8 +15,9 @@ from splits.core.declarations import AXIS_UNITS
 from splits.core.escaping import escape_json
 from splits.core.validation import invalid
 from splits.media.parameters import get_quantity, parse_impurity_parameter
-from splits.tables.axis_interpolation import MEAN_SHARE, AxisInterpolation
 from splits.tables.interpolation import (
+    MEAN_SHARE,
+    AxisInterpolation,
     apply_axis_transform,
     list_compared_coordinates,
     transform_axis,
@@ -85,7 +86,7 @@ def _serialize_table(label: str, entry: ExplorerTable) -> dict[str, Any]:
     """Return the data of a table for the page."""
     dataset = entry.table.dataset
     names = entry.table.axes[:-1]
-    interpolation = entry.table.interpolation.prepare("reflectance") if names else {}
+    interpolation = entry.table.prepare("reflectance") if names else {}
     axes = []
     for name in names:
         nodes = dataset[name].values

@@ -23,7 +23,7 @@ from splits.experiments import load_experiments, load_settings
 from splits.plotting import draw_spectra
 from splits.plotting.grammar import format_parameter, format_value, use_style
 from splits.plotting.lines import draw_shifts
-from splits.tables.table import write_csv
+from splits.tables.conversions import write_csv
 from workflow.papers.information import draw_band_selection, draw_sobol_indices
 from workflow.papers.sensitivity import draw_sensitivity_bars
 from workflow.papers.surface_area import draw_fitted_spectra

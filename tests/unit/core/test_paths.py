@@ -25,7 +25,7 @@ from splits.plotting.explorer.page import ExplorerTable, write_explorer
 
 NAMES = ["a\0b", "\ud800", "~/a\0b"]
 CALLS = {
-    "load": splits.load, "open_table": splits.open_table, "read_caaml": splits.read_caaml,
+    "load": splits.load, "Table": splits.Table, "read_caaml": splits.read_caaml,
     "read_crocus": splits.read_crocus,
     "read_snow_packs": lambda path: splits.read_snow_packs(f"{path}.csv"),
     "save": lambda path: splits.save(xr.Dataset(), f"{path}.nc"),
@@ -123,8 +123,10 @@ WRITE_FUNCTIONS = {
 }
 RUN_WRITE_FUNCTIONS = {
     "table": (
-        lambda path: splits.build_table(
-            make_snow, {"ground": ["black"]}, [500], max_stderr=0.2, folder=Path(path).parent
+        lambda path: (
+            splits.build_table(
+                make_snow, {"ground": ["black"]}, [500], max_stderr=0.2, folder=Path(path).parent
+            ).dataset
         ),
         "blocks/block_*.nc",
     ),
@@ -144,7 +146,7 @@ def test_home_is_expanded_for_writing(name, home):
 READ_FUNCTIONS = {
     "load": lambda: splits.load("~/table.nc"),
     "load, a Path": lambda: splits.load(Path("~/table.nc")),
-    "open_table": lambda: splits.open_table("~/table.nc"),
+    "Table": lambda: splits.Table("~/table.nc"),
     "refractive index": lambda: make_snow(refractive_index={"ice": "~/ice.csv"}),
     "ground": lambda: make_snow(ground="~/ground.csv"),
     "ground, a Path": lambda: make_snow(ground=Path("~/ground.csv")),
@@ -196,7 +198,7 @@ def test_folders_named_by_a_tilde_are_accessible(home):
     for name in ("~", "~in"):
         splits.save(make_snowlike_table().dataset, f"./{name}/kept.nc")
         assert (working_folder / name / "kept.nc").is_file()
-        assert splits.open_table(f"./{name}/kept.nc") is not None
+        assert splits.Table(f"./{name}/kept.nc") is not None
         shutil.rmtree(working_folder / name)
 
 
@@ -211,15 +213,10 @@ def test_an_unknown_home_is_rejected_in_one_line(home, capsys):
     assert capsys.readouterr().err.count("\n") == 1
 
 
-@pytest.mark.parametrize("call", [splits.load, splits.open_table])
 @pytest.mark.parametrize(
     "value", [make_snowlike_table().dataset, make_snowlike_table(), None, 5, np.ones(3), b"a.nc"]
 )
-def test_invalid_path_types_are_rejected_in_one_line(call, value):
+def test_invalid_path_types_are_rejected_in_one_line(value):
     kind = type(value).__name__
-    with pytest.raises(
-        InvalidValue, match=f"^path = '{kind}': must be the path of a file"
-    ) as error:
-        call(value)
-    is_explained = kind == "Dataset" and call is splits.open_table
-    assert ("splits.Table(…) takes a dataset" in str(error.value)) == is_explained
+    with pytest.raises(InvalidValue, match=f"^path = '{kind}': must be the path of a file"):
+        splits.load(value)

@@ -92,10 +92,10 @@ def returns(experiment):
 
 def test_datasets_are_tables_of_returns(experiment, table):
     """An experiment has the values of the function, which accepts its dataset."""
-    expected = splits.build_return_table(
+    expected = splits.build_table(
         splits.Snow.natural, {AREA: [16.0], DENSITY: [250.0]}, [532, 1064], rays=5000,
         delay_s=experiment.instrument.get("delay_s"),
-    )  # fmt: skip
+    ).dataset  # fmt: skip
     point = table.sel({AREA: [16.0], DENSITY: [250.0]})
     for name in ("return_rate", "return_rate_stderr", "delay_bounds"):
         np.testing.assert_allclose(point[name], expected[name], rtol=1e-12)

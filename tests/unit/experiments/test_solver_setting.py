@@ -113,8 +113,8 @@ def test_parts_of_a_table_hold_all_angles_of_a_medium(tmp_path):
     accuracy = Accuracy(max_stderr=0.01, relative_stderr=0.05, max_rays=None)
     for solver, n_media in (("discrete_ordinates", [2, 1]), ("monte_carlo", [3, 3])):
         experiment = load_text(tmp_path, SNOW + TABLE + grid, solver)
-        plan, request = prepare_table(experiment, accuracy, 1)
-        parts = [plan.select_part(part, 2, request.solver) for part in range(2)]
+        plan = prepare_table(experiment, accuracy, 1)
+        parts = [plan.select_part(part, 2) for part in range(2)]
         assert [len({id(one.path_sharing) for one in groups}) for groups in parts] == n_media
         found = [id(one) for groups in parts for one in groups]
         assert sorted(found) == sorted(map(id, plan.path_groups)) and len(found) == 9

@@ -195,7 +195,7 @@ def test_table_of_infinite_depths_is_that_of_the_code(instrument):
 
 def test_table_has_all_instruments():
     assert set(read_table()) == set(CALLS)
-    tables = {"build_table", "build_return_table", "lens", "surface_map"}
+    tables = {"build_table", "lens", "surface_map"}
     names = {name for name in splits.__all__ if hasattr(getattr(splits, name), "__module__")}
     public = {n for n in names if getattr(splits, n).__module__.startswith("splits.instruments")}
     assert public - tables <= set(CALLS)

@@ -17,7 +17,7 @@ from splits.core.escaping import write_data_frame
 from splits.experiments.archive import pack_archive
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.plotting.grammar import save_figure
-from splits.tables.assembly import write_table_blockwise
+from splits.tables.blocks import write_table_blockwise
 
 VALUES = np.random.default_rng(1).random(300_000)
 """Values of 2.4 MB, more than the disk holds."""
@@ -84,9 +84,9 @@ def test_a_full_disk_is_reported_without_leftovers(disk, write):
 
 
 def test_a_table_larger_than_the_disk_is_not_started(disk, monkeypatch):
-    monkeypatch.setattr("splits.tables.assembly.compute_table_bytes", lambda plan, order: 2**22)
+    monkeypatch.setattr("splits.tables.blocks.compute_table_bytes", lambda plan: 2**22)
     with pytest.raises(OSError, match=r"No space left on device: '.*made\.nc'"):
-        write_table_blockwise(disk / "made.nc", None, None, list, lambda table: table)
+        write_table_blockwise(disk / "made.nc", None, list, lambda table: table)
     assert os.listdir(disk) == []
 
 

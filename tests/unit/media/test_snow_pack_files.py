@@ -331,7 +331,7 @@ def test_files_that_cannot_be_decoded_raise_one_line(tmp_path, unit):
         with pytest.raises(InvalidValue, match=r"must be a netCDF file that can be read") as error:
             read(tmp_path / name)
         assert "\n" not in str(error.value)
-    for read in (splits.load, splits.open_table):
+    for read in (splits.load, splits.Table):
         with pytest.raises(ValueError, match=r"bad\.nc: damaged, cannot be read") as error:
             read(tmp_path / "bad.nc")
         assert "\n" not in str(error.value)

@@ -111,7 +111,7 @@ def test_images_of_other_bands_are_refused(image, table, change, message):
 
 def build(**options):
     return splits.build_table(lambda optical_radius_um: GREY, {SIZE: [50, 100]}, max_stderr=0.02,
-                              **ONE, **options)  # fmt: skip
+                              **ONE, **options).dataset  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -166,7 +166,7 @@ def test_tables_with_means_are_tables(tmp_path):
     assert (made.band_reflectance_stderr <= 0.021).all()
     plain = splits.Table(made.drop_vars(["band_reflectance", "band_reflectance_stderr", "band"]))
     splits.save(made, tmp_path / "table.nc")
-    for table in (splits.Table(made), splits.open_table(tmp_path / "table.nc")):
+    for table in (splits.Table(made), splits.Table(tmp_path / "table.nc")):
         assert table.axes == [SIZE, "wavelength"] and table.quantities == ["reflectance"]
         found = table.interp(optical_radius_um=70, bands=BANDS)
         xr.testing.assert_equal(found, plain.interp(optical_radius_um=70, bands=BANDS))
@@ -177,7 +177,7 @@ def test_means_of_directions_are_interpolated():
         lambda optical_radius_um: splits.Snow.natural(optical_radius_um=optical_radius_um),
         {SIZE: [80, 160, 320], "polar_deg": [0, 20, 40], "azimuth_deg": [0, 90, 180]},
         incidence_deg=30.0, bands=BANDS, max_stderr=0.01, **ONE,
-    )  # fmt: skip
+    ).dataset  # fmt: skip
     assert made.band_reflectance_factor.dims == (SIZE, "polar_deg", "azimuth_deg", "band")
     table = splits.Table(made)
     found = table.interp(optical_radius_um=160, polar_deg=20, azimuth_deg=90, bands=BANDS)

@@ -10,16 +10,15 @@ import splits
 from splits.analysis.theory.phase_function import to_eradiate
 from splits.core.validation import InvalidValue
 from splits.tables.axes import ParameterGrid
-from splits.tables.axis_interpolation import AxisInterpolation
 from splits.tables.comparison import list_comparison_grids
 from splits.tables.interpolation import (
     N_VALIDATION_NODES,
+    AxisInterpolation,
     apply_axis_transform,
     compute_interpolation_weights,
     estimate_error_weights,
     transform_axis,
 )
-from splits.tables.return_table import TITLE as RETURN_TITLE
 from splits.tables.table import Table
 
 WAVELENGTHS = np.array([500.0, 900.0, 1300.0])
@@ -296,7 +295,9 @@ def test_covariance_reduces_the_errors_of_derivatives():
     def make_snow(radius):
         return splits.Snow.natural(optical_radius_um=radius)
 
-    dataset = splits.build_table(make_snow, grid, [800.0, 1030.0], max_stderr=0.01, covariance=True)
+    dataset = splits.build_table(
+        make_snow, grid, [800.0, 1030.0], max_stderr=0.01, covariance=True
+    ).dataset
     with_covariance = splits.Table(dataset).derivatives(["radius"], radius=150.0)
     without_covariance = splits.Table(dataset.drop_vars("reflectance_batches")).derivatives(
         ["radius"], radius=150.0
@@ -400,7 +401,7 @@ def test_table_files_may_have_any_axis_order(conversion, dataset, tmp_path, monk
     expected = splits.Table(dataset).interp(**FIXED)
     for limit in (2**28, 1):
         monkeypatch.setattr("splits.tables.table.MAX_BYTES_IN_MEMORY", limit)
-        actual = splits.open_table(tmp_path / "table.nc").interp(**FIXED)
+        actual = splits.Table(tmp_path / "table.nc").interp(**FIXED)
         xr.testing.assert_allclose(actual, expected, rtol=1e-12, atol=1e-15)
 
 
@@ -416,13 +417,8 @@ INVALID_TABLES = {
         lambda ds: ds.reflectance,
         "table = 'DataArray': must be what splits.build_table",
     ),
-    "a path": (lambda ds: "table.nc", r"table = 'str': must be .*splits.open_table\(…\) takes"),
     "a table": (splits.Table, "table = 'Table': must be"),
     "another dataset": (lambda ds: ds.drop_attrs(), "table = 'a dataset': must be"),
-    "a table of returns": (
-        lambda ds: xr.Dataset({"return_rate": 0.0}, attrs={"title": RETURN_TITLE}),
-        "table = 'Table of returns': must be .*splits.retrieve_return takes a table of returns",
-    ),
     "values alone": (lambda ds: ds[["reflectance"]], "with a quantity and its error"),
     "one wavelength": (lambda ds: ds.isel(wavelength=0), r"over wavelength \(select a list"),
     "no values of an axis": (lambda ds: ds.drop_vars(ANGLE), f"table.{ANGLE} = None: must be"),
@@ -483,7 +479,7 @@ def test_table_equals_single_spectra():
         table = splits.build_table(
             splits.Snow.natural, {**GRID, "depth_m": [0.02, 0.3]}, SOLVED_NM, max_stderr=0.001,
             solver="discrete_ordinates", quantities=quantities,
-        )  # fmt: skip
+        ).dataset  # fmt: skip
     assert table.attrs["solver"] == "discrete_ordinates"
     assert not table.isnull().any().to_array().any()
     for radius, angle, water in ((50.0, 0.0, 0.0), (800.0, 85.0, 0.05)):
@@ -507,7 +503,7 @@ def test_diffuse_light_is_an_incidence():
     table = splits.build_table(
         splits.Snow.natural, {"optical_radius_um": [100.0, 200.0]}, SOLVED_NM, "diffuse",
         solver="auto",
-    )  # fmt: skip
+    ).dataset  # fmt: skip
     snow = splits.Snow.natural(optical_radius_um=200.0)
     single = splits.spectrophotometer(snow, SOLVED_NM, "diffuse", max_stderr=0.003, solver="auto")
     np.testing.assert_allclose(table.reflectance[1], single.reflectance, rtol=1e-6)
@@ -519,7 +515,9 @@ def test_tables_of_other_grains_equal_single_spectra():
         return splits.Snow(depth_m=depth_m, saturation=0.0, interpretation="radiative_transfer")
 
     settings = {"max_stderr": 0.02, "solver": "discrete_ordinates"}
-    table = splits.build_table(make, {"depth_m": [0.02, 0.05]}, [1300.0], threads=2, **settings)
+    table = splits.build_table(
+        make, {"depth_m": [0.02, 0.05]}, [1300.0], threads=2, **settings
+    ).dataset
     single = splits.spectrophotometer(make(0.05), [1300.0], **settings)
     assert table.attrs["solver"] == single.attrs["solver"] == "discrete_ordinates"
     np.testing.assert_allclose(table.reflectance[1], single.reflectance, rtol=1e-6)

@@ -8,7 +8,7 @@ import splits
 from splits.experiments import run_table as module
 from splits.experiments.config.sections import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
-from splits.tables import assembly
+from splits.tables import blocks as blocks_module
 from splits.tables import table as table_module
 
 ACCURACY = Accuracy(max_stderr=0.05, relative_stderr=0.3)
@@ -58,9 +58,9 @@ def test_interpolation_from_the_file_is_identical(tables, monkeypatch):
         "ground": "camborthid",
         "impurities_ng_g.black_carbon": 200.0,
     }
-    expected = splits.open_table(in_memory).interp(**point)
+    expected = splits.Table(in_memory).interp(**point)
     monkeypatch.setattr(table_module, "MAX_BYTES_IN_MEMORY", 0)
-    table = splits.open_table(blockwise)
+    table = splits.Table(blockwise)
     assert not table.dataset.reflectance.variable._in_memory
     xr.testing.assert_identical(table.interp(**point), expected)
     assert not table.dataset.reflectance.variable._in_memory
@@ -96,7 +96,7 @@ def test_tables_with_directions_are_written_block_by_block(tmp_path, monkeypatch
     assert usual.diffuse_reflectance_factor.dims == ("optical_radius_um", "polar_deg", "wavelength")
     assert not usual.isnull().to_array().any()
     monkeypatch.setattr(table_module, "MAX_BYTES_IN_MEMORY", 0)
-    view = splits.open_table(blockwise).at_view(20.0, 120.0)
+    view = splits.Table(blockwise).at_view(20.0, 120.0)
     found = view.interp(optical_radius_um=100.0, incidence_deg=30.0)
     assert (found.anisotropy_factor_stderr > 0.0).all()
 
@@ -108,19 +108,19 @@ def test_damage_is_detected(tables, tmp_path):
     damaged = tmp_path / "damaged.nc"
     damaged.write_bytes(content)
     with pytest.raises(ValueError, match="damaged, the checksum of its bytes differs"):
-        splits.open_table(damaged)
+        splits.Table(damaged)
 
 
 def test_incomplete_files_are_not_kept(tables, tmp_path, monkeypatch):
     experiment, folder, _, _ = tables
     monkeypatch.setattr(module, "MAX_BYTES_IN_MEMORY", 0)
-    iterate, calls = assembly._iterate_points, []
+    iterate, calls = blocks_module._iterate_points, []
 
     def skip_writing(*arguments):
         calls.append(arguments)
         return iterate(*arguments) if len(calls) > 1 else iter(())
 
-    monkeypatch.setattr(assembly, "_iterate_points", skip_writing)
+    monkeypatch.setattr(blocks_module, "_iterate_points", skip_writing)
     path = tmp_path / "never.nc"
     with pytest.raises(OSError, match="does not hold the table"):
         module.write_table(experiment, ACCURACY, 1, folder, path)

@@ -36,7 +36,7 @@ def test_directions_between_nodes_have_the_analytic_values(table, polar, azimuth
 def test_positions_may_include_the_direction(table):
     direct = table.interp(**AT, polar_deg=33.0, azimuth_deg=100.0)
     fixed = table.at_view(33.0, 100.0).interp(**AT)
-    for name in table.interpolation.quantities:
+    for name in table.point_quantities:
         np.testing.assert_allclose(direct[name], fixed[name], rtol=1e-6)
         # Errors of directions may add to those of the other axes, or are part of the nodes'.
         ratio = direct[f"{name}_stderr"] / fixed[f"{name}_stderr"]

@@ -323,16 +323,18 @@ def drop_priors(model: Model) -> Model:
 
 
 def select_quantity(
-    table: Table, quantity: str | None, fixed: Mapping[str, Any] | None
+    key: str, table: Table, quantity: str | None, fixed: Mapping[str, Any] | None
 ) -> tuple[Table, str, Mapping[str, Any] | None]:
     """Return a table in the direction of a measurement, the measured quantity, and other values.
 
-    The quantity must be given for a table of several in a direction.
+    The quantity must be given for a table of several in a direction.  The key is that of the table
+    in messages.
     """
-    hint = "splits.build_table(…), or splits.Table(path)"
-    check_relations((isinstance(table, Table), "table", type(table).__name__, "a Table", hint))
+    has_variables = hasattr(table, "data_vars")
+    hint = f"splits.Table({'dataset' if has_variables else 'path'}), or splits.build_table(…)"
+    check_relations((isinstance(table, Table), key, type(table).__name__, "a Table", hint))
     spectra = "a table of spectra", "see retrieve_return"
-    check_relations((not table.has_delays, "table", "a table of returns", *spectra))
+    check_relations((not table.has_delays, key, "a table of returns", *spectra))
     if quantity is None and table.has_direction:
         names = [name for name in table.quantities if not name.startswith(DIFFUSE_PREFIX)]
         allowed = f"given: {' or '.join(names)}"

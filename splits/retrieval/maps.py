@@ -342,7 +342,7 @@ def retrieve_map(
     spectral_dim = BAND_DIM if named else "wavelength"
     # Unsupported types are rejected before work begins.
     as_float_array("image", np.empty(0, image.dtype))
-    table, quantity, fixed = select_quantity(table, quantity, fixed)
+    table, quantity, fixed = select_quantity("table", table, quantity, fixed)
     state_vector = StateVector.from_ranges(free, prior, get_table_ranges(table))
     names = state_vector.names
     taken = {*names, *(f"{name}_stderr" for name in names), "chi2", FLAG_NAME, RESULT_DIM}

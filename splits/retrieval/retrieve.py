@@ -445,7 +445,7 @@ def retrieve(
             ),
             (solver == AUTO, "solver", solver, "left out", "a table has its own spectra"),
         )  # fmt: skip
-        model, quantity, fixed = select_quantity(model, quantity, fixed)
+        model, quantity, fixed = select_quantity("model", model, quantity, fixed)
         measurement = Measurement.from_input(measured, noise, bands)
         state_vector = StateVector.from_ranges(free, prior, get_table_ranges(model))
         forward_model = TableModel(model, measurement, state_vector, fixed, quantity)

@@ -344,7 +344,7 @@ def make_cases(folder: Path) -> dict[str, Any]:
         "save": ({}, {"dataset": [], "path": []}),
         **dict.fromkeys(("make_colour_table", "select_principal_plane"),
                         ({}, {"dataset": []})),
-        "draw": ({}, {"dataset": [], "section": []}),
+        "draw": ({}, {"dataset": [], "settings": []}),
         "Table": ({}, {"dataset": [labelled(table)]}),
         "Table.at_view": ({"polar_deg": 20.0, "azimuth_deg": 30.0}, {
             "diffuse_fraction": [named([0.25, 0.5], [500.0, 900.0])]}),

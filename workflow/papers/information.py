@@ -269,7 +269,7 @@ def select_bands(
         covariance = measurement.covariance + model.error_covariance(state)
         # The selection assumes independent errors of the bands.
         stderr.append(np.sqrt(np.diag(covariance)))
-        jacobians.append(model.jacobian(state)[1])
+        jacobians.append(model.jacobian(state))
     whitened_jacobians = np.array(jacobians) / np.array(stderr)[:, :, np.newaxis]
     selected, information, relative_spread = _select_greedily(
         whitened_jacobians, state_vector.prior_variance, n_bands

@@ -185,13 +185,12 @@ def check_figure(content: Any) -> dict[str, Any]:
     for key in content:
         if key not in inputs:
             raise unknown_key(f"figure.{key}", inputs)
-    figure = {
+    if content.get("kind") is not None:
+        check_choice("figure.kind", content["kind"], (inputs["kind"].quantity.schema or {})["enum"])
+    return {
         key: inputs[key].check(f"figure.{key}", value)
         for key, value in content.items() if value is not None
     }  # fmt: skip
-    if "kind" in figure:
-        check_choice("figure.kind", figure["kind"], (inputs["kind"].quantity.schema or {})["enum"])
-    return figure
 
 
 def make_figure_schema() -> dict[str, Any]:

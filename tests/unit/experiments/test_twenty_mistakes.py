@@ -1,7 +1,5 @@
 """A file with 20 mistakes, corrected one after the other, and those that its schema reports."""
 
-from typing import get_args
-
 import pytest
 from jsonschema import Draft202012Validator
 from shipped import CONFIG
@@ -10,8 +8,9 @@ from splits import cli
 from splits.core.validation import ConfigError
 from splits.core.yaml import read_yaml
 from splits.experiments import load_experiment
-from splits.experiments.config.experiment import ExperimentConfig, FigureKind
+from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.schema import make_schema
+from splits.plotting.figure import FIGURES
 
 MEDIA = CONFIG / "media"
 WRONG = """name: Mine
@@ -46,6 +45,7 @@ NO_FORMULAS = "a schema cannot typeset formulas"
 NO_ORDER = "a schema cannot compare two numbers"
 NO_COMPARISON = "the value is valid, but not beside that of another key"
 NO_RANGE = "only the medium knows the range, which depends on several numbers"
+FIGURE_KINDS = sorted(["none", *(kind for kind, one in FIGURES.items() if one.instruments)])
 MISTAKES = [
     ("title: again\n", "", "line 25: not YAML ('title' given twice, in lines 2 and 25)",
      NOT_PARSED),
@@ -53,12 +53,6 @@ MISTAKES = [
      "instrument, grid, group, reproduces, title, caption, figure, retrieve, "
      "retrieve_return (did you mean caption?)",
      IN_SCHEMA),
-    ("plan\n", "plane\n", "line 21: figure.kind = 'principal_plan': must be one of "
-     f"{', '.join(sorted(get_args(FigureKind)))} (did you mean principal_plane?)",
-     IN_SCHEMA),
-    ("$x^$", "$x^2$", "line 23: figure.legend = '$x^$': must be text that matplotlib can typeset "
-     "(write \\$ for a dollar sign)", NO_FORMULAS),
-    ("[1, 0]", "[0, 1]", "line 24: figure.ylim = [1.0, 0.0]: must be low < high", NO_ORDER),
     ("Mine", "mine", "line 1: name = 'Mine': must be lower-case letters, digits and underscores, a "
      "letter first, no device such as con or nul", IN_SCHEMA),
     ("metre", "meter", "line 10: instrument.kind = 'goniophotometre': must be one of "
@@ -81,6 +75,12 @@ MISTAKES = [
     ("[]", "[-5]", "line 17: grid.temperature_c = []: must be a list of at least one value",
      IN_SCHEMA),
     ("2024", '"2024"', "line 2: title = 2024: must be text (put it into quotes)", IN_SCHEMA),
+    ("plan\n", "plane\n", "line 19: figure.kind = 'principal_plan': must be one of "
+     f"{', '.join(FIGURE_KINDS)} (did you mean principal_plane?)",
+     IN_SCHEMA),
+    ("$x^$", "$x^2$", "line 21: figure.legend = '$x^$': must be text that matplotlib can typeset "
+     "(write \\$ for a dollar sign)", NO_FORMULAS),
+    ("[1, 0]", "[0, 1]", "line 22: figure.ylim = [1.0, 0.0]: must be low < high", NO_ORDER),
     ("densty", "density", "line 6: medium.densty_kg_m3: unknown key, must be one of "
      "grain_size_um, facetness, sphericity, saturation, density_kg_m3, temperature_c, depth_m, "
      "refractive_index, interpretation, ground, pores, impurities_ng_g, algae_cells_ml, "

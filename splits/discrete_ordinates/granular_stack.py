@@ -431,8 +431,8 @@ def solve_spectrum(
     budget = snowpack.solve(cosines, n_streams)
     slab_error = compute_slab_error(snowpack, budget.reflectance, budget.transmittance)
     return SpectrumSolution(
-        budget, n_streams, spread(largest), np.hypot(optics_error, slab_error),
-        (coarse, fine),
+        budget, n_streams, np.hypot(spread(largest), snowpack.cutoff),
+        np.hypot(optics_error, slab_error), (coarse, fine),
     )  # fmt: skip
 
 

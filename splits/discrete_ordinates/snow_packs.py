@@ -249,7 +249,8 @@ def _choose_streams(
             part = snowpacks.select(trial[columns], rows)
             beams = cosines[rows, np.newaxis]
             difference, _, _ = measure_truncation(part, beams, n_streams)
-            result.truncation[rows] = spread_truncation(difference, trial, n_wavelengths)
+            spread = spread_truncation(difference, trial, n_wavelengths)
+            result.truncation[rows] = np.hypot(spread, snowpacks.cutoff)
             result.n_streams[rows] = n_streams
             failed.append(rows[difference.max(axis=-1) > 0.5 * max_error])
         pending = np.concatenate(failed)

@@ -133,7 +133,9 @@ def albedo(
     if packs:
         choice = choose_pack_solver(solver, packs, wavelengths)
         # One solution holds the spectra under the sun of each snowpack, and under diffuse light.
-        solution, flags = solve_snow_packs(packs, wavelengths, sun, max_stderr, run)
+        solution, flags = solve_snow_packs(
+            packs, wavelengths, sun, max_stderr, run, only_reflectance=True
+        )
         by_pack = np.full((len(packs), wavelengths.size), np.nan)
         for rows, fraction in zip(members, fractions, strict=True):
             by_pack[rows] = fraction

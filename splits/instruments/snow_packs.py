@@ -48,6 +48,8 @@ SUN_OF_EACH = "sun zenith of each snowpack"
 PACK_DIM = "snowpack"
 """Dimension of snowpacks before their labels are assigned."""
 MAX_INCIDENCE_DEG = 89.9999
+CUTOFF_SHARE = 0.01
+"""Light that may be missing in reflectances, see `GranularStack`, over the requested error."""
 MIN_TASKS = 8
 """Smallest number of tasks for each thread, so that all of them end at about the same time."""
 
@@ -114,7 +116,7 @@ def choose_pack_solver(solver: str, packs: SnowPacks, wavelength_nm: np.ndarray)
 
 def solve_snow_packs(
     packs: SnowPacks, wavelength_nm: np.ndarray, incidence: float | str, max_error: float,
-    run: RunOptions,
+    run: RunOptions, *, only_reflectance: bool = False,
 ) -> tuple[SpectraSolution, np.ndarray]:  # fmt: skip
     """Return the spectra of all snowpacks, NaN for those without result, and their flags.
 
@@ -126,6 +128,8 @@ def solve_snow_packs(
     max_error : float
         Determines the number of streams of each snowpack.
     run : RunOptions
+    only_reflectance : bool
+        Whether layers that are not seen from above may be left out; transmittances are then 0.
 
     Returns
     -------
@@ -150,7 +154,8 @@ def solve_snow_packs(
     def solve(rows: np.ndarray) -> SpectraSolution:
         part = {name: values[rows] for name, values in layers.items()}
         stack = make_snow_packs(part, n_layers[rows[0]], ground[rows], materials)
-        return solve_spectra(stack, cosines[rows], max_error)
+        cutoff = CUTOFF_SHARE * max_error if only_reflectance else 0.0
+        return solve_spectra(stack._replace(cutoff=cutoff), cosines[rows], max_error)
 
     shape = (len(packs), wavelength_nm.size)
     n_beams = cosines.shape[1] + 1

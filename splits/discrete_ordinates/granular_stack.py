@@ -48,6 +48,8 @@ MAX_JOINED_ROWS = 512
 """Number of snowpacks times wavelengths above which a common solution saves no time."""
 
 
+CUTOFF_SHARE = 0.01
+"""Light that may be missing in a reflectance, see `GranularStack`, over the requested error."""
 GRAINS, AIR, REVERSED = "grains", "air", "reversed"
 GRAZING_COSINE = 0.035
 """Cosine of a beam below which the change by more streams oscillates with the angle."""

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.inputs import (
+    DIFFUSE,
     Kernel,
     MaxRays,
     Seed,
@@ -41,9 +42,18 @@ from splits.instruments.snow_packs import (
     make_skies,
     solve_snow_packs,
 )
+from splits.instruments.solver import (
+    MONTE_CARLO,
+    choose_solver,
+    make_estimate,
+    solve_reflectances,
+)
 from splits.instruments.spectrophotometer import (
     SpectralRequest,
+    check_media,
+    label_media,
     make_pack_spectrum,
+    make_spectrum,
     spectrophotometer,
 )
 from splits.media.medium import Medium
@@ -116,21 +126,24 @@ def albedo(
         For a value outside its range, or wavelengths outside the spectrum of the sky.
     """
     run = RunOptions.start(seed, threads, kernel, progress)
-    packs = medium if isinstance(medium, SnowPacks) else None
-    if packs:
+    packs: SnowPacks | None = None
+    leading: tuple[str, ...] = ()
+    if isinstance(medium, SnowPacks):
+        packs, leading = medium, (PACK_DIM,)
         skies, members, sun = make_skies(sky, packs)
     else:
-        skies = [as_sky(sky)]
+        media, skies = check_media(medium), [as_sky(sky)]
+        leading = ("medium",) if isinstance(medium, Mapping) else ()
+    first = packs if packs is not None else next(iter(media.values()))
     first_sky = skies[0]
     wavelengths = choose_wavelengths(wavelength_nm, first_sky, 2)
     fractions = [one.compute_direct_fraction(wavelengths) for one in skies]
     named = first_sky.make_bands(bands)
     first_sky.check_bands(named, wavelengths)
-    leading = ("medium",) if isinstance(medium, Mapping) else (PACK_DIM,) if packs else ()
     dims = (*leading, "wavelength")
     coordinates = {"wavelength": wavelengths}
     direct_fraction = xr.DataArray(fractions[0], coordinates, ("wavelength",))
-    if packs:
+    if packs is not None:
         choice = choose_pack_solver(solver, packs, wavelengths)
         # One solution holds the spectra under the sun of each snowpack, and under diffuse light.
         solution, flags = solve_snow_packs(
@@ -140,15 +153,26 @@ def albedo(
         for rows, fraction in zip(members, fractions, strict=True):
             by_pack[rows] = fraction
         direct_fraction = xr.DataArray(by_pack, coordinates, dims)
+    else:
+        choice = choose_solver(
+            solver, media.values(), wavelengths, max_stderr, run.threads, max_stderr=max_stderr
+        )
+        sun = first_sky.zenith_deg if direct_fraction.any() else DIFFUSE
+        solutions = solve_reflectances(choice.stacks, [sun], max_stderr)
 
     def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
-        if packs:
-            request = SpectralRequest(wavelengths, incidence, max_stderr, max_rays, run)
+        request = SpectralRequest(wavelengths, incidence, max_stderr, max_rays, run)
+        if packs is not None:
             spectrum = make_pack_spectrum(request, packs, choice, solution)
             # Without the memory of the other quantities.
             return spectrum[["reflectance", "reflectance_stderr"]].copy(deep=True)
+        if choice.stacks:
+            estimate = make_estimate(solutions, -1 if incidence == DIFFUSE else 0)
+            spectrum = make_spectrum(request, first, estimate, dims=dims)
+            spectrum.attrs |= choice.attributes
+            return label_media(spectrum, media) if isinstance(medium, Mapping) else spectrum
         return spectrophotometer(
-            medium, wavelengths, incidence, max_stderr=max_stderr, solver=solver,
+            medium, wavelengths, incidence, max_stderr=max_stderr, solver=MONTE_CARLO,
             seed=run.seed + number, max_rays=max_rays, threads=run.threads, kernel=kernel,
             progress=progress,
         )  # fmt: skip
@@ -156,7 +180,6 @@ def albedo(
     mixed = mix_direct_and_diffuse(
         first_sky, wavelengths, simulate_component, ["reflectance"], direct_fraction
     )
-    first = next(iter(medium.values())) if isinstance(medium, Mapping) else medium
     attributes = {
         **run.make_attributes("Albedo under a sky", "albedo", first),
         **make_sky_attributes(first_sky, named),
@@ -180,7 +203,7 @@ def albedo(
         ),
     }  # fmt: skip
     spectrum = xr.Dataset(variables, axes, attributes)
-    if not packs:
+    if packs is None:
         return spectrum.assign(average_over_bands(spectrum, "albedo", first_sky, named, "albedo"))
     if sun == SUN:
         spectrum.attrs |= {"zenith_deg": SUN_OF_EACH, "sky_zenith_step_deg": ZENITH_STEP_DEG}

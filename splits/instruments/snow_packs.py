@@ -15,6 +15,7 @@ from splits.core.inputs import DIFFUSE
 from splits.core.progress import Progress, open_progress
 from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import invalid
+from splits.discrete_ordinates.granular_stack import CUTOFF_SHARE
 from splits.discrete_ordinates.snow_packs import (
     MAX_ROWS,
     SnowPackMaterials,
@@ -48,8 +49,6 @@ SUN_OF_EACH = "sun zenith of each snowpack"
 PACK_DIM = "snowpack"
 """Dimension of snowpacks before their labels are assigned."""
 MAX_INCIDENCE_DEG = 89.9999
-CUTOFF_SHARE = 0.01
-"""Light that may be missing in reflectances, see `GranularStack`, over the requested error."""
 MIN_TASKS = 8
 """Smallest number of tasks for each thread, so that all of them end at about the same time."""
 

@@ -18,10 +18,12 @@ from splits.discrete_ordinates.applicability import (
 )
 from splits.discrete_ordinates.derivatives import SpectrumDerivatives, solve_derivatives
 from splits.discrete_ordinates.granular_stack import (
+    CUTOFF_SHARE,
     REVERSED,
     GranularStack,
     SpectrumSolution,
     compute_optics_error,
+    solve_spectrum,
     solve_with_exponent_error,
 )
 from splits.discrete_ordinates.homogeneous_layer import TINY
@@ -162,6 +164,27 @@ def solve_estimate(
     with limit_blas_threads():
         solutions = [solve_with_exponent_error(stack, cosines, max_stderr) for stack in stacks]
     return make_estimate(solutions, -1 if is_diffuse else 0), solutions
+
+
+def solve_reflectances(
+    stacks: Sequence[GranularStack], incidences: Sequence[float | str], max_stderr: float
+) -> list[SpectrumSolution]:
+    """Return solutions for beams and for diffuse light (last), without layers that are not seen.
+
+    Parameters
+    ----------
+    stacks : sequence of GranularStack
+    incidences : sequence of float or "diffuse"
+        Degrees, or isotropic light.
+    max_stderr : float
+        Determines the number of streams, and what is not seen.
+    """
+    beams = [float(incidence) for incidence in incidences if incidence != "diffuse"]
+    cosines, cutoff = np.cos(np.radians(beams)), CUTOFF_SHARE * max_stderr
+    with limit_blas_threads():
+        return [
+            solve_spectrum(stack._replace(cutoff=cutoff), cosines, max_stderr) for stack in stacks
+        ]
 
 
 def solve_parameter_derivatives(

@@ -261,26 +261,17 @@ def spectrophotometer(
     incidence = check_incidence("incidence_deg", incidence_deg)
     is_mapping, analog = isinstance(medium, Mapping), estimator == "analog"
     parameters: tuple[str, ...] = ()
-    if isinstance(medium, Mapping):
-        if not medium:
-            raise invalid(
-                "medium", medium, "a medium, or a mapping of names to media, at least one"
-            )
-        media = to_text_keys("medium", medium)
-        for name, one in media.items():
-            check_medium(one, allow_semi_infinite=True, key=f"medium[{name!r}]")
-        check_path_sharing(media)
+    media = check_media(medium, allow_semi_infinite=not analog)
+    first = next(iter(media.values()))
+    if is_mapping:
         if analog:
             raise invalid("estimator", estimator, "'spectral' for several media")
         if not isinstance(jacobian, Sequence) or len(jacobian):
             raise invalid("jacobian", jacobian, "left out for several media")
     else:
-        check_medium(medium, allow_semi_infinite=not analog)
-        media = {"": medium}
-        parameters = check_jacobian(medium, incidence, jacobian)
+        parameters = check_jacobian(first, incidence, jacobian)
         if parameters and analog:
             raise invalid("jacobian", list(parameters), "left out for this estimator")
-    first = next(iter(media.values()))
     polarization = check_stokes(stokes, first, incidence)
     request = SpectralRequest(wavelengths, incidence, max_stderr, max_rays, run, polarization)
     choice = choose_solver(
@@ -309,7 +300,7 @@ def spectrophotometer(
     dataset = make_spectrum(request, first, estimate, truncation=truncation, dims=dims)
     dataset.attrs |= {**choice.attributes, "estimator": estimator}
     if is_mapping:
-        return _label_media(dataset, media)
+        return label_media(dataset, media)
     methods = perturbations.list_methods(parameters)
     if not choice.stacks and "finite_difference" in methods:
         derivatives, dataset.attrs["finite_difference_rays"] = _simulate_differences(
@@ -318,6 +309,22 @@ def spectrophotometer(
     if not parameters:
         return dataset
     return add_jacobian(dataset, derivatives, parameters, methods)
+
+
+def check_media(
+    medium: Medium | Mapping[str, Medium], *, allow_semi_infinite: bool = True
+) -> dict[str, Medium]:
+    """Return the media of a mapping by name, or a medium with the name "", after checking them."""
+    if not isinstance(medium, Mapping):
+        check_medium(medium, allow_semi_infinite=allow_semi_infinite)
+        return {"": medium}
+    if not medium:
+        raise invalid("medium", medium, "a medium, or a mapping of names to media, at least one")
+    media = to_text_keys("medium", medium)
+    for name, one in media.items():
+        check_medium(one, allow_semi_infinite=True, key=f"medium[{name!r}]")
+    check_path_sharing(media)
+    return media
 
 
 def find_path_obstacle(estimator: str, stokes: Any) -> str | None:
@@ -354,7 +361,7 @@ def _simulate_differences(
     return Derivatives.concatenate([by_parameter[name] for name in parameters]), total_rays
 
 
-def _label_media(dataset: xr.Dataset, media: Mapping[str, Medium]) -> xr.Dataset:
+def label_media(dataset: xr.Dataset, media: Mapping[str, Medium]) -> xr.Dataset:
     """Return a dataset of several media with their names, and the inputs in which they differ.
 
     These are coordinates over the media instead of attributes; absent amounts are 0.

@@ -12,6 +12,7 @@ from splits.discrete_ordinates.grains import Axis
 from splits.discrete_ordinates.granular_stack import (
     GranularStack,
     compute_optics_error,
+    find_seen_layers,
     load_natural_grains,
     solve_spectrum,
 )
@@ -283,3 +284,30 @@ def test_errors_of_differences_cover_more_streams():
     np.testing.assert_allclose(
         stderr, np.hypot(errors.sel(medium="clean"), errors.sel(medium="sooty"))
     )
+
+
+@pytest.mark.parametrize("water", [0.0, 0.02])
+@pytest.mark.parametrize("incidence", [20.0, 84.0, "diffuse"])
+def test_layers_that_are_not_seen_change_less_than_the_cutoff(water, incidence):
+    layers = [
+        splits.Snow.natural(
+            specific_surface_area_m2_kg=area, density_kg_m3=density, depth_m=0.03,
+            liquid_water_content=water, impurities_ng_g={"black_carbon": soot},
+        )
+        for area, density, soot in zip(
+            np.linspace(50.0, 6.0, 12), np.linspace(120.0, 450.0, 12), np.tile([0.0, 3e3], 6),
+            strict=True,
+        )
+    ]  # fmt: skip
+    wavelengths = np.array([350.0, 500.0, 800.0, 1100.0, 1500.0, 2200.0])
+    stack = make_granular_stack(splits.Stack(layers, ground=0.9), wavelengths)
+    cosines = np.array([] if incidence == "diffuse" else [np.cos(np.radians(incidence))])
+    complete = stack.solve(cosines, 8).reflectance
+    for cutoff in (1e-2, 1e-4, 1e-6):
+        cut = stack._replace(cutoff=cutoff)
+        seen = find_seen_layers(cut.compute_optics(9).truncate(8), cutoff)
+        assert seen[0].all() and not seen[-1].all()
+        # Once a layer is not seen, none below it is.
+        assert (seen[:-1] | ~seen[1:]).all()
+        error = np.abs(cut.solve(cosines, 8).reflectance - complete).max()
+        assert 0.0 < error < cutoff

@@ -48,7 +48,7 @@ def test_workflow_plans_all_experiments(shipped):
     retrieved = [one for one in experiments.values() if one.retrieve]
     returns = [one for one in experiments.values() if one.retrieve_return]
     with_figure = [
-        experiment for experiment in experiments.values() if experiment.figure.kind != "none"
+        experiment for experiment in experiments.values() if experiment.figure.get("kind") != "none"
     ]
     tables = [
         experiment for experiment in experiments.values() if experiment.instrument.kind == "table"

@@ -153,8 +153,8 @@ class Errors:
             any correlation.
         """
         weights, stderr = self._match(weights), self.dataset[f"{quantity}_stderr"]
-        upper_bound = _sum_weighted(abs(weights), stderr)
         if f"{quantity}_batches" not in self.dataset:
+            upper_bound = _sum_weighted(abs(weights), stderr)
             return xr.zeros_like(upper_bound), upper_bound
         deviations = self.dataset[f"{quantity}_batches"].astype(float)
         bound = compute_remaining_error(stderr, deviations)
@@ -165,8 +165,7 @@ class Errors:
             *xr.broadcast(weights, weighted_bound),
             input_core_dims=[["wavelength"]] * 2,
         )
-        has_scatter = (deviations != 0.0).any(["batch", "wavelength"])
-        return statistical, interpolation.where(has_scatter, upper_bound)
+        return statistical, interpolation
 
     def _match(self, weights: xr.DataArray) -> xr.DataArray:
         """Return weights in the order of the wavelengths of the result."""
@@ -224,9 +223,8 @@ class Errors:
 
         The statistical errors of media that share paths are strongly correlated and largely cancel
         in each batch.  The interpolation between refractive indices is also the same, so the bound
-        of the difference is the difference of their bounds.  Without batches that scatter, the
-        correlation is not known: both errors are added in quadrature, which is a bound for any
-        positive correlation.
+        of the difference is the difference of their bounds.  Without batches, the correlation is
+        not known: both errors are added in quadrature, a bound for any positive correlation.
 
         Parameters
         ----------
@@ -265,9 +263,7 @@ class Errors:
                 for stderr, deviation in zip(stderrs, deviations, strict=True)
             ]
             correlated = ((deviations[0] - deviations[1]) ** 2).sum("batch")
-            of_run = [dim for dim in ("batch", "wavelength") if dim in deviations[0].dims]
-            has_scatter = (deviations[0] != 0.0).any(of_run) | (deviations[1] != 0.0).any(of_run)
-            variance = xr.where(has_scatter, correlated + (bounds[0] - bounds[1]) ** 2, variance)
+            variance = correlated + (bounds[0] - bounds[1]) ** 2
         return difference, (variance**0.5).drop_attrs()
 
 

@@ -112,7 +112,7 @@ def albedo(
     -------
     xarray.Dataset
         ``albedo`` and its error ``albedo_stderr`` over ``wavelength``, with ``albedo_batches`` for
-        errors of combinations of wavelengths; ``direct_fraction``, the fraction of direct light;
+        errors of combinations of wavelengths if paths are traced; ``direct_fraction``, the fraction of direct light;
         and over ``band``,
         the first of which is "broadband", ``band_albedo`` with ``band_albedo_stderr``, weighted by
         irradiance times response, ``band_albedo_batches``, and ``irradiance_covered``, the fraction

@@ -200,7 +200,7 @@ def spectrophotometer(
         ``transmittance_batches`` over ``batch`` and ``wavelength`` are the contributions of each
         batch of rays to the error, scaled so that the squares add up to the variance.  Errors of
         combinations are computed from them, see `splits.core.uncertainty`; the contributions for
-        absorptance are minus their sum.  The attributes record all inputs, and the coordinate
+        absorptance are minus their sum.  Discrete ordinates have none.  The attributes record all inputs, and the coordinate
         ``incidence_deg`` the incidence, which `splits.retrieve` checks.
         ``reflectance_jacobian`` and ``transmittance_jacobian`` over ``parameter`` and
         ``wavelength``, with errors and batches, if requested.
@@ -209,8 +209,8 @@ def spectrophotometer(
         ``…_batches`` are covariances, both between media and between wavelengths.  Inputs in which
         media differ are coordinates over ``medium``.
 
-        For `splits.SnowPacks` the variables are over the label and ``wavelength``, without
-        ``…_batches``, and ``quality_flag`` is over the label.  Snowpacks that are not good, and
+        For `splits.SnowPacks` the variables are over the label and ``wavelength``, and
+        ``quality_flag`` is over the label.  Snowpacks that are not good, and
         those outside the tables of grains (flag unsupported), have NaN.
 
         For optically deep media, which are truncated (`splits.simulation.deep_medium`), the

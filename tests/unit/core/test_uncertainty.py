@@ -74,9 +74,8 @@ def test_interpolation_errors_are_correlated_for_equal_signs():
     assert error == pytest.approx(np.hypot(float(scatter), float(bound)))
 
 
-@pytest.mark.parametrize("batches", [None, 0.0 * make_two_node_batches()])
-def test_without_scatter_errors_are_upper_bounds(batches):
-    ds = make_dataset(batches)
+def test_without_scatter_errors_are_upper_bounds():
+    ds = make_dataset()
     weights = ds.errors.make_band_weights(600, 780) - ds.errors.make_band_weights(400, 590)
     scatter, bound = ds.errors.split("reflectance", weights)
     assert float(scatter) == 0.0

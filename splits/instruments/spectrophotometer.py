@@ -200,8 +200,8 @@ def spectrophotometer(
         ``transmittance_batches`` over ``batch`` and ``wavelength`` are the contributions of each
         batch of rays to the error, scaled so that the squares add up to the variance.  Errors of
         combinations are computed from them, see `splits.core.uncertainty`; the contributions for
-        absorptance are minus their sum.  Discrete ordinates have none.  The attributes record all inputs, and the coordinate
-        ``incidence_deg`` the incidence, which `splits.retrieve` checks.
+        absorptance are minus their sum.  Discrete ordinates have none.  The attributes record all
+        inputs, and the coordinate ``incidence_deg`` the incidence, which `splits.retrieve` checks.
         ``reflectance_jacobian`` and ``transmittance_jacobian`` over ``parameter`` and
         ``wavelength``, with errors and batches, if requested.
 
@@ -210,8 +210,8 @@ def spectrophotometer(
         media differ are coordinates over ``medium``.
 
         For `splits.SnowPacks` the variables are over the label and ``wavelength``, and
-        ``quality_flag`` is over the label.  Snowpacks that are not good, and
-        those outside the tables of grains (flag unsupported), have NaN.
+        ``quality_flag`` is over the label.  Snowpacks that are not good, and those outside the
+        tables of grains (flag unsupported), have NaN.
 
         For optically deep media, which are truncated (`splits.simulation.deep_medium`), the
         attribute ``truncation_depth_m`` gives the truncation depth, and ``semi_infinite_depth_m``

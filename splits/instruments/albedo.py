@@ -116,8 +116,9 @@ def albedo(
         of direct light; and over ``band``, the first of which is "broadband", ``band_albedo`` with
         ``band_albedo_stderr``, weighted by irradiance times response, ``band_albedo_batches``, and
         ``irradiance_covered``, the fraction of the band's light within the wavelengths.  With
-        several media all but the last are over ``medium``, too.  For `splits.SnowPacks` all are over the label, without ``…_batches``, and
-        snowpacks without result have a ``quality_flag``, as for `splits.spectrophotometer`.
+        several media all but the last are over ``medium``, too.  For `splits.SnowPacks` all are
+        over the label, and snowpacks without result have a ``quality_flag``, as for
+        `splits.spectrophotometer`.
 
     Raises
     ------

@@ -170,10 +170,11 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
             _run_retrieval(experiment, target, measured, seed, threads)
             return
         if has_figure:
-            from splits.plotting import draw, save_figure
+            from splits.experiments.config.experiment import draw_figure
+            from splits.plotting import save_figure
 
             settings = experiment.resolve_figure() | {"measured": measured_spectra}
-            figure = draw(load(target), **settings)
+            figure = draw_figure(load(target), settings)
             save_figure(figure, target.with_suffix(""))
             _print_line(target.with_suffix(".png"))
 

@@ -212,8 +212,8 @@ class Errors:
         """
         weights = self.make_band_weights(low, high)
         inside = self.dataset[quantity].isel(wavelength=weights.values > 0.0)
-        mean = inside.mean("wavelength", skipna=False)
-        return mean, self.weighted_sum(quantity, weights)[1].transpose(*mean.dims)
+        mean = inside.mean("wavelength", skipna=False).drop_attrs()
+        return mean, self.weighted_sum(quantity, weights)[1].transpose(*mean.dims).drop_attrs()
 
     @declare_function
     def difference(

@@ -176,7 +176,7 @@ def draw_hemispheres(
             "all around"
         )
         hint = f"here are {dataset.sizes['polar_deg']} and {dataset.sizes['azimuth_deg']}"
-        raise invalid("figure.kind", "hemisphere", allowed, hint)
+        raise invalid("kind", "hemisphere", allowed, hint)
     count = len(make_lines(dataset, quantity[0]).lines)
     check_count("maps", count * len(quantity), MAX_PANELS, select)
     columns = min(4, count)

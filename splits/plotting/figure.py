@@ -179,7 +179,7 @@ def draw(
         if not kinds:
             names = join_names(map(str, dataset.variables))
             raise invalid("dataset", f"with {names}", "one that a kind of figure shows")
-        kind = kinds[0] if kind is None else check_choice("figure.kind", kind, kinds)
+        kind = kinds[0] if kind is None else check_choice("kind", kind, kinds)
     # An empty selection selects nothing.
     given = {
         k: one for k, one in settings.items() if one is not None and (k, one) != ("select", {})
@@ -196,7 +196,7 @@ def check_settings(kind: str, settings: Mapping[str, Any]) -> None:
         owners = [name for name, one in FIGURES.items() if key in list_inputs(one.draw)]
         if not owners:
             known = {name for one in FIGURES.values() for name in list_inputs(one.draw)}
-            raise unknown_key(f"figure.{key}", sorted({"kind", "note"} | known))
+            raise unknown_key(key, sorted({"kind", "note"} | known))
         if kind not in owners:
             allowed, hint = f"left out for kind {kind}", f"it belongs to {', '.join(owners)}"
-            raise invalid(f"figure.{key}", value, allowed, hint)
+            raise invalid(key, value, allowed, hint)

@@ -203,7 +203,7 @@ def draw_bin_sizes(dataset: xr.Dataset, select: Selection = None) -> Figure:
     dataset = keep_incidence(select_one_point(dataset, select, "bins"), select)
     note = describe_conditions(dataset, select)
     if dataset.attrs.get("estimator") != "bins":
-        raise invalid("estimator", dataset.attrs.get("estimator"), "bins for figure.kind = 'bins'")
+        raise invalid("estimator", dataset.attrs.get("estimator"), "bins for the kind 'bins'")
     dataset = dataset.isel(wavelength=0)
     n_bins = dataset.sizes["polar_deg"], dataset.sizes["azimuth_deg"]
     factors = [n for n in (9, 5, 3, 1) if n_bins[0] % n == 0 and n_bins[1] % (2 * n) == 0]
@@ -284,7 +284,7 @@ def draw_polarization(
     dataset = select_points(dataset, select or {})
     if "brdf_dolp" not in dataset:
         hint = "stokes, and polarized layers of particles, with next_event or bins"
-        raise invalid("figure.kind", "polarization", "left out without polarization", hint)
+        raise invalid("kind", "polarization", "left out without polarization", hint)
     plane = extract_plane(dataset)
     lines = make_lines(plane, "brdf")
     is_symmetric = not any(get_incident_stokes(dataset.attrs)[2:])

@@ -153,7 +153,7 @@ def draw_retrieval_map(dataset: xr.Dataset, select: Selection = None) -> Figure:
     dims = [str(d) for d in dataset.chi2.dims]
     if not 1 <= len(dims) <= 2:
         allowed = "with values of enough dimensions to leave one or two"
-        raise invalid("figure.select", dict(select or {}), f"{allowed} of {', '.join(dims)}")
+        raise invalid("select", dict(select or {}), f"{allowed} of {', '.join(dims)}")
     names = [*(str(name) for name in dataset if f"{name}_stderr" in dataset), "chi2"]
     is_map = len(dims) == 2
     figure, panels = make_subplots(

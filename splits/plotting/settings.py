@@ -129,7 +129,7 @@ def check_count(
     if count > limit:
         allowed = f"with values of enough parameters to leave at most {limit} {items} of {count}"
         hint = "the dataset holds all; or use figure: none"
-        raise invalid("figure.select", dict(selection or {}), allowed, hint)
+        raise invalid("select", dict(selection or {}), allowed, hint)
 
 
 def choose_quantities(
@@ -145,7 +145,7 @@ def choose_quantities(
             "dataset", f"with {given_names}", "with quantities of the figure's kind", hint
         )
     for name in given or ():
-        check_choice("figure.quantity", name, names)
+        check_choice("quantity", name, names)
     return tuple(given or names[:1])
 
 
@@ -168,7 +168,7 @@ def select_one_point(
     if len(free) > max_free:
         allowed = f"with a value of {', '.join(free)} for a figure of kind {kind}"
         hint = "it shows one point of the grid; the dataset holds all"
-        raise invalid("figure.select", dict(select), allowed, hint)
+        raise invalid("select", dict(select), allowed, hint)
     return select_points(dataset, select)
 
 

@@ -106,7 +106,7 @@ def draw_range_bias(dataset: xr.Dataset, select: Selection = None, legend: Legen
     dims = [str(d) for d in dataset.mean_delay.dims if d != "wavelength"]
     axis = find_bias_axis(dataset)
     if not axis:
-        allowed = "a parameter with several numbers for figure.kind = 'range_bias'"
+        allowed = "a parameter with several numbers for the kind 'range_bias'"
         raise invalid("grid", dims, allowed)
     check_count("points", dataset.sizes[axis], MAX_ROWS, select)
     lines = PlotLines(dataset, [*(d for d in dims if d != axis), "wavelength"])

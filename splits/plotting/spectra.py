@@ -131,7 +131,7 @@ def draw_spectra(
         dataset = dataset.sel(wavelength=slice(*wavelength_nm))
         if not dataset.wavelength.size:
             allowed = f"with some of the wavelengths from {x[0]:g} to {x[-1]:g} nm"
-            raise invalid("figure.wavelength_nm", [*wavelength_nm], allowed)
+            raise invalid("wavelength_nm", [*wavelength_nm], allowed)
     if measured is not None:
         check_measured(measured, quantity)
     dims = [str(d) for d in dataset[quantity[0]].dims if d != "wavelength"]
@@ -141,7 +141,7 @@ def draw_spectra(
     ):
         if measured is not None:
             allowed = f"left out for a figure of more than {MAX_LINES} lines"
-            raise invalid("figure.measured", "given", allowed, "or fix more with figure.select")
+            raise invalid("measured", "given", allowed, "or fix more with select")
         return draw_small_multiples(dataset, quantity, panel_dims, legend, ylim, note)
     dim = None if measured is not None else find_default_dim(dataset, dims)
     if dim:
@@ -180,7 +180,7 @@ def draw_spectra(
 
 def check_measured(measured: pd.DataFrame, quantity: Sequence[str]) -> None:
     """Reject measured values in per cent, and those without the quantities of the figure."""
-    key = "figure.measured"
+    key = "measured"
     shown = [name for name in quantity if name in measured and measured[name].count()]
     if not shown:
         columns = f"{WAVELENGTH_COLUMN} and {' or '.join(quantity)}"

@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
+import xarray as xr
 from pydantic import (
     Field,
     PlainValidator,
@@ -21,10 +22,12 @@ from pydantic import (
 
 from splits.core.declarations import MAPPING, Input, Quantity, find_quantity, list_inputs
 from splits.core.validation import (
+    InvalidValue,
     check_choice,
     check_relations,
     expand_path,
     invalid,
+    key_prefix,
     unknown_key,
 )
 from splits.experiments.config.media import find_label, to_coordinate_values
@@ -193,6 +196,15 @@ def check_figure(content: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def draw_figure(dataset: xr.Dataset, settings: Mapping[str, Any]) -> Any:
+    """Return the figure of an experiment; messages have the keys of its section `figure`."""
+    try:
+        return draw(dataset, **settings)
+    except InvalidValue as error:
+        key = re.split(r"\W", error.key, maxsplit=1)[0]
+        raise (error.add_prefix("figure") if key in list_figure_inputs() else error) from None
+
+
 def make_figure_schema() -> dict[str, Any]:
     """Return the JSON schema of a section `figure`."""
     properties = {key: one.make_schema() for key, one in list_figure_inputs().items()}
@@ -324,7 +336,8 @@ class ExperimentConfig(SimulationConfig):
         if kind not in (*kinds, "none"):
             allowed = f"one of {', '.join(kinds)} or none for instrument.kind = {instrument.kind!r}"
             raise invalid("figure.kind", kind, allowed)
-        check_settings(kind, {key: one for key, one in figure.items() if key != "note"})
+        with key_prefix("figure"):
+            check_settings(kind, {key: one for key, one in figure.items() if key != "note"})
         quantities = instrument.get("quantities") or INSTRUMENT_QUANTITIES.get(instrument.kind, ())
         for quantity in figure.get("quantity", ()):
             check_choice("figure.quantity", quantity, quantities)

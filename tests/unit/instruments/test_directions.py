@@ -425,7 +425,7 @@ def test_experiments_with_layers_run_and_are_drawn(instrument, grid):
         ({"medium": {"kind": "particle_layer", "density_kg_m3": 3}}, "density_kg_m3"),
         ({"medium": {"kind": "particle_layer", "optical_thickness": "inf"}}, ".inf in YAML"),
         ({"medium": LAYER, "instrument": {"kind": "surface_map", "half_width_m": 1},
-          "grid": {"refractive_index": [1.3, 1.5]}}, "figure.select"),
+          "grid": {"refractive_index": [1.3, 1.5]}}, "select = "),
         ({"figure": {"quantity": "brdf"}}, "figure.quantity = 'brdf'"),
         ({"medium": {"kind": "particle_layer",
                      "surface": {"rms_height_m": 1, "wave_number_per_m": 1}}},

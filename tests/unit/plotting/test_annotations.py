@@ -394,7 +394,7 @@ def test_maps_need_directions_around_the_full_circle():
         {"azimuth": np.array([0.0, *range(100, 181, 10)])},
         {"polar": np.array([0.0, 30.0])},
     ):
-        with pytest.raises(ValueError, match=r"figure\.kind = 'hemisphere'.* at least 3 polar"):
+        with pytest.raises(ValueError, match=r"kind = 'hemisphere'.* at least 3 polar"):
             draw(make_directions(**directions), "hemisphere")
 
 
@@ -475,9 +475,9 @@ def test_settings_that_are_left_out_have_defaults():
 @pytest.mark.parametrize(
     ("section", "message"),
     [
-        ({"kind": "spectrum"}, "figure.kind = 'spectrum': must be one of .*did you mean spectra"),
-        ({"knd": "spectra"}, "figure.knd: unknown key, must be one of kind, legend, .*mean kind"),
-        ({"quantity": ["albedo"]}, "figure.quantity = 'albedo': must be one of reflectance"),
+        ({"kind": "spectrum"}, "kind = 'spectrum': must be one of .*did you mean spectra"),
+        ({"knd": "spectra"}, "knd: unknown key, must be one of kind, legend, .*mean kind"),
+        ({"quantity": ["albedo"]}, "quantity = 'albedo': must be one of reflectance"),
     ],
 )
 def test_unknown_settings_raise_one_line(section, message):

@@ -79,7 +79,7 @@ def test_only_kinds_that_fit_the_dataset_are_listed_and_can_be_drawn(name):
             assert draw(dataset, kind=kind).axes
     others = [k for k, one in FIGURES.items() if not {*one.needs} <= dataset.variables.keys()]
     for kind in others:
-        with pytest.raises(InvalidValue, match=r"^figure\.kind = ") as error:
+        with pytest.raises(InvalidValue, match=r"^kind = ") as error:
             draw(dataset, kind=kind)
         assert f"must be one of {', '.join(sorted(kinds))}" in str(error.value)
 
@@ -128,5 +128,5 @@ def test_maps_of_retrievals_show_parameters_misfit_and_flags(sizes):
     labels = [text for axes in figure.axes for text in (axes.get_ylabel(), axes.get_xlabel())]
     assert "optical radius (µm)" in labels and "χ²" in labels
     assert f"of {dataset.chi2.size} pixels: gap 1" in read_notes(figure)
-    with pytest.raises(InvalidValue, match=r"figure\.select = .*to leave one or two"):
+    with pytest.raises(InvalidValue, match=r"select = .*to leave one or two"):
         draw(dataset.expand_dims(scene=2, band=3))

@@ -307,7 +307,7 @@ def test_panel_parameters_are_chosen_by_number_of_lines():
     assert choose_panel_parameters({"one": 1, "a": 40, "b": 4, "c": 5}) == ["b", "c"]
     for sizes in ({"a": 70}, {"a": 20, "b": 80}, {"a": 9, "b": 3, "c": 2, "d": 2}):
         with pytest.raises(
-            ValueError, match=r"^figure\.select = {}: must be with values of enough"
+            ValueError, match=r"^select = {}: must be with values of enough"
         ):
             choose_panel_parameters(sizes)
 
@@ -347,7 +347,7 @@ LARGE_FIGURES = [
 def test_too_large_figures_are_rejected_when_they_are_drawn(number):
     section, dataset, count = LARGE_FIGURES[number]
     with pytest.raises(
-        InvalidValue, match=rf"figure\.select = {{}}: must be .* of {count}"
+        InvalidValue, match=rf"select = {{}}: must be .* of {count}"
     ) as error:
         draw(dataset, **section)
     assert "\n" not in str(error.value) and "figure: none" in str(error.value)
@@ -369,24 +369,24 @@ ONE = make_large_dataset({"saturation": [0.0, 1.0]})
 OF_GRID = make_directions(2, configuration='{"grid": {"saturation": {}}}')
 WRONG_DATA = {
     "several points": ({"kind": "bins"}, OF_GRID,
-                       None, r"figure\.select = {}: must be with a value of saturation"),
+                       None, r"select = {}: must be with a value of saturation"),
     "wavelengths": ({"wavelength_nm": [1100, 1200]}, ONE, None,
-                    r"figure\.wavelength_nm = .*wavelengths from 400 to 1000 nm"),
-    "quantity": ({"quantity": "btdf"}, ONE, None, r"figure\.quantity = 'btdf': must be one of"),
+                    r"wavelength_nm = .*wavelengths from 400 to 1000 nm"),
+    "quantity": ({"quantity": "btdf"}, ONE, None, r"quantity = 'btdf': must be one of"),
     "no spectrum": ({"quantity": "length"}, ONE.assign(length=0.1), None,
-                    r"figure\.quantity = 'length': must be one of"),
+                    r"quantity = 'length': must be one of"),
     "unused setting": ({"kind": "points", "ylim": [0, 1]}, ONE, None,
-                       r"figure\.ylim = .*left out for kind points .it belongs to principal_plane"),
-    "unknown setting": ({"colour": "red"}, ONE, None, r"figure\.colour: unknown key"),
+                       r"ylim = .*left out for kind points .it belongs to principal_plane"),
+    "unknown setting": ({"colour": "red"}, ONE, None, r"colour: unknown key"),
     "other columns": ({}, ONE, MEASURED.rename(columns={"reflectance": "albedo"}),
-                      r"figure\.measured = .*with columns wavelength_nm and reflectance"),
-    "per cent": ({}, ONE, 100.0 * MEASURED, r"figure\.measured .reflectance. = 50.0: .*per cent"),
+                      r"measured = .*with columns wavelength_nm and reflectance"),
+    "per cent": ({}, ONE, 100.0 * MEASURED, r"measured .reflectance. = 50.0: .*per cent"),
     "one limit": ({}, ONE, MEASURED.assign(reflectance_min=0.1), "with both reflectance_min"),
     "limits": ({}, ONE, MEASURED.assign(reflectance_min=0.6, reflectance_max=0.7),
                "with reflectance_min <= reflectance"),
     "many lines": ({}, make_large_dataset({**SIZES, "density_kg_m3": [200, 300, 400, 500]}),
                    MEASURED,
-                   r"figure\.measured = 'given': must be left out for a figure of more than 60"),
+                   r"measured = 'given': must be left out for a figure of more than 60"),
     "no numbers": ({"kind": "range_bias"}, xr.Dataset({"mean_delay": ("a", [1.0])}, {"a": ["x"]}),
                    None, "a parameter with several numbers"),
     "no map": ({"kind": "hemisphere"}, make_directions(1, (0, 180)), None, "8 azimuths"),
@@ -431,7 +431,7 @@ def test_figure_none_is_the_only_spelling(tmp_path):
     ):
         with pytest.raises(ConfigError, match=message):
             load_text(tmp_path, text)
-    with pytest.raises(ValueError, match=r"figure\.kind = 'none'"):
+    with pytest.raises(ValueError, match=r"kind = 'none'"):
         draw(make_large_dataset({}), **load_text(tmp_path, "figure: none").resolve_figure())
 
 

@@ -306,9 +306,7 @@ def test_panel_parameters_are_chosen_by_number_of_lines():
     assert choose_panel_parameters({"a": 40, "b": 2}) == ["b"]
     assert choose_panel_parameters({"one": 1, "a": 40, "b": 4, "c": 5}) == ["b", "c"]
     for sizes in ({"a": 70}, {"a": 20, "b": 80}, {"a": 9, "b": 3, "c": 2, "d": 2}):
-        with pytest.raises(
-            ValueError, match=r"^select = {}: must be with values of enough"
-        ):
+        with pytest.raises(ValueError, match=r"^select = {}: must be with values of enough"):
             choose_panel_parameters(sizes)
 
 
@@ -346,9 +344,7 @@ LARGE_FIGURES = [
 @pytest.mark.parametrize("number", range(len(LARGE_FIGURES)))
 def test_too_large_figures_are_rejected_when_they_are_drawn(number):
     section, dataset, count = LARGE_FIGURES[number]
-    with pytest.raises(
-        InvalidValue, match=rf"select = {{}}: must be .* of {count}"
-    ) as error:
+    with pytest.raises(InvalidValue, match=rf"select = {{}}: must be .* of {count}") as error:
         draw(dataset, **section)
     assert "\n" not in str(error.value) and "figure: none" in str(error.value)
 

@@ -76,7 +76,7 @@ def test_only_changed_physics_sources_rerun_simulations(moved):
         os.utime(touched)
     for name, jobs in (
         ("retrieval/retrieve.py", []),
-        ("plotting/style.py", ["Drawing indices", "Writing the report"]),
+        ("plotting/grammar.py", ["Drawing indices", "Writing the report"]),
     ):
         with open(package / name, "a", encoding="utf-8") as file:
             file.write("# changed\n")
